@@ -143,17 +143,19 @@ def test_a_log_that_is_refused_has_no_figures(tmp_path: Path, motion: Any) -> No
     assert {path.name for path in out.iterdir()} == {"report.html"}
 
 
-def test_priors_that_do_not_fit_are_named_and_not_the_columns(tmp_path: Path, motion: Any) -> None:
-    """The file's inertias alone give the scale of the currents, and are not those of this arm."""
+def test_the_file_gives_the_scale_and_its_wrong_inertia_is_named(tmp_path: Path, motion: Any) -> None:
+    """Nothing else gives it: the gains are those of the masses, whatever a wrong moment of inertia says."""
     (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
     head = "t,q_elbow,q_shoulder,i_elbow,i_shoulder"
     np.savetxt(tmp_path / "a.csv", np.column_stack(motion["empty"]), delimiter=",", header=head, comments="")
     robot, out = str(tmp_path / "arm.urdf"), str(tmp_path / "out")
-    options = ["--robot", robot, "--prior-inertias", "0.3", "--out", out]
+    options = ["--robot", robot, "--prior-inertias", "0.3", "--out", out, "--json"]
     done = CliRunner().invoke(app, ["identify", str(tmp_path / "a.csv"), *options])
-    assert done.exit_code == 2
-    assert "check 'priors', 'prior_inertias' and the inertias" in done.stderr
-    assert "signs and units" not in done.stderr
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    gains = {gain["joint"]: gain["value"] for gain in document["drive_gains"]}
+    assert gains == pytest.approx({"shoulder": 8.0, "elbow": 5.0}, rel=0.05)
+    assert "yy_elbow is" in str(document)
 
 
 def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,6 +73,18 @@ def test_the_audit_is_in_the_file_of_the_model(heavier: Result, tmp_path: Path) 
     assert Result.load(tmp_path / "model.json").audit == heavier.audit
 
 
+@pytest.mark.parametrize("std", [0.02, 0.2])
+def test_the_file_gives_the_scale_where_nothing_else_does(true: Robot, tmp_path: Path, std: float) -> None:
+    """A file whose links are all 25 % too heavy: so are the gains, known as well as the file is said to be."""
+    heavy = robot(tmp_path, {joint: 1.25 * mass for joint, mass in MASSES.items()})
+    result = identify(heavy, [plant(true).run(seed) for seed in (1, 2)], prior_inertias=std)
+    for gain in result.drive_gains.values():
+        assert gain.value == pytest.approx(1.25, rel=0.02)
+        assert gain.verdict.finding.kind == FindingKind.WIDE_SCALE if std > 0.1 else gain.half_width > 196 * std
+        assert 196 * std < gain.half_width < 3 * 100 * std
+    assert {source for shares in result.scale.values() for source in shares} == {"the inertias of the robot's file"}
+
+
 def test_a_file_without_inertias_is_passed_over(true: Robot, tmp_path: Path) -> None:
     bare = robot(tmp_path, inertias=False)
     result = identified(bare, plant(true))

@@ -139,9 +139,10 @@ def test_findings_are_listed_by_severity() -> None:
 
 
 def test_texts_have_signs_of_numbers_and_names_that_break() -> None:
-    assert in_html("-1 to -0.5 (-3), run-2, a-1/-5, --json, 2e-5") == (
-        f"{MINUS}1 to {MINUS}0.5 ({MINUS}3), run-2, a-1/-5, --json, 2e{MINUS}5"
+    assert in_html("-1 to -0.5 (-3), run-2, a-1/-5, 2e-5") == (
+        f"{MINUS}1 to {MINUS}0.5 ({MINUS}3), run-2, a-1/-5, 2e{MINUS}5"
     )
+    assert in_html("by --reset (gtau use LOG)") == 'by <span class="option">--reset</span> (<code>gtau use LOG</code>)'
     assert in_html("wrist_3 <b> +-3 %") == "wrist_<wbr>3 &lt;b&gt; \N{PLUS-MINUS SIGN}3\N{NO-BREAK SPACE}%"
 
 

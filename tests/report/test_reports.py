@@ -33,6 +33,7 @@ COMMANDS = {
     "compare": "compare experiment.yaml --out compare",
     "check": "check experiment.yaml --out check",
     "fleet": "fleet one/experiment.yaml two/experiment.yaml --out fleet --jobs 1",
+    "watch": "watch identify/model.json free.csv --experiment experiment.yaml --out watch",
     "excite": "excite design.yaml --out excite --starts 1",
 }
 SECTIONS = {
@@ -43,6 +44,7 @@ SECTIONS = {
     "compare": "verdict estimators gains provenance",
     "check": "verdict notes logs joints robot motion preparation provenance",
     "fleet": "verdict joints outliers chart gains provenance",
+    "watch": "verdict quantities of-load of-left of-right provenance",
     "excite": "verdict gains motion robot parameters limits assumed provenance",
 }
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
@@ -145,7 +147,7 @@ class Links(HTMLParser):
 def text_of(reports: Path, command: str) -> str:
     """The report of a command, which runs where it has not yet; two of them read the model of the first."""
     file = reports / command / "report.html"
-    if command in ("validate", "payload"):
+    if command in ("validate", "payload", "watch"):
         text_of(reports, "identify")
     if not file.exists():
         with pytest.MonkeyPatch.context() as patch:

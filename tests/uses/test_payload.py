@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise, zip_longest
 from math import pi
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from five_bar_logs import CHI, EXPERIMENT, STEEL, Plant, five_bar, write_experiment, write_log
 from plausible_parameters import body_parameters, random_parameters
+from stated_arm import chi, plant, robot
 
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
@@ -275,3 +277,35 @@ def test_a_known_center_gives_the_mass(hung: list[Run]) -> None:
 def test_a_center_is_given_once_and_of_an_unknown_mass(more: dict, sentence: str) -> None:
     with pytest.raises(GtauError, match=sentence):
         as_payload({"name": "tip", "center": [0.1, 0.0, -0.2], **more})
+
+
+def posed(true: Robot, moving: list[bool], count: int) -> Run:
+    """Poses of 2 s, held by friction that may be anything between its limits, and moves of 1 s between them."""
+    rng, rate = np.random.default_rng(1), 250
+    goals = np.array([0.0, 0.3, 0.8, 0.0]) + np.where(moving, rng.uniform(-1.2, 1.2, (count, 4)), 0.0)
+    s = np.linspace(0, 1, rate)[:, None]
+    moves = [a + (b - a) * (10 * s**3 - 15 * s**4 + 6 * s**5) for a, b in pairwise(goals)]
+    held = [np.repeat(goal[None], 2 * rate, axis=0) for goal in goals]
+    q = np.concatenate([part for pair in zip_longest(held, moves) for part in pair if part is not None])
+    qd = np.gradient(q, 1 / rate, axis=0)
+    numbers = np.cumsum(np.diff(np.any(qd != 0, axis=1), prepend=False))  # of poses and moves
+    friction = rng.uniform(-2.0, 2.0, (numbers[-1] + 1, 4))[numbers] * (qd == 0)
+    load = {"m": 1.5, "mx": 0.05, "my": 0.02, "mz": 0.15, "xx": 0.02, "yy": 0.02, "zz": 0.005}
+    loaded = chi(true) | {f"{kind}_j4": chi(true)[f"{kind}_j4"] + value for kind, value in load.items()}
+    torque = InverseDynamics(true).torques(q, qd, np.gradient(qd, 1 / rate, axis=0), loaded) + friction
+    time, noise = np.arange(len(q)) / rate, rng.standard_normal((2, *q.shape))
+    return Run("poses", true.actuated, time, q + 1e-5 * noise[0], torque + 0.05 * noise[1], payload=Payload(name="x"))
+
+
+def test_a_few_poses_are_weighed_by_the_moves_between_them(tmp_path: Path) -> None:
+    """Joints that never move take no part; and a log of one pose is refused."""
+    true = robot(tmp_path)
+    arm, steel = replace(plant(true, noise=0.05), tool="j4"), {"m": 2.0, "mx": 0.1, "mz": 0.2, "xx": 0.03, "yy": 0.03}
+    known = Payload(name="steel", mass=2.0)
+    model = identify(true, [arm.run(1), arm.run(2, payload=steel, known=known)])
+    for moving in ([True] * 4, [False, True, True, False]):
+        (load,) = weigh(model, true, [posed(true, moving, 6)])
+        assert load.parameters["m"].value == pytest.approx(1.5, abs=load.parameters["m"].half_interval())
+        assert load.parameters["m"].half_interval() < 0.02
+    with pytest.raises(GtauError, match=r"the robot stands still in all runs|no joint moves"):
+        weigh(model, true, [posed(true, [True] * 4, 1)])

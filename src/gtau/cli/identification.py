@@ -54,7 +54,11 @@ AsPaper = Annotated[
 Consistent = Annotated[bool, option("", "Also find physically consistent standard parameters.", "--consistent")]
 PriorInertias = Annotated[
     float | None,
-    option("STD", "Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %."),
+    option(
+        "STD",
+        "Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %; they give "
+        "the scale of the gains where nothing else does.",
+    ),
 ]
 
 

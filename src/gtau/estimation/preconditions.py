@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 
 import numpy as np
@@ -28,13 +29,10 @@ def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
 def require_inputs(subject: Subject) -> Estimator:
     """Check that the estimator takes what is given and has what it needs, before the logs are reduced.
 
-    Raises
-    ------
-    GtauError
-        Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
-        sought with the latter whatever the estimator); where it does not support a floating base; where it takes gains
-        and some joint has none; where the paper has no such method, or it cannot be constrained; where the solver of
-        consistent parameters is not installed.
+    Raises GtauError where it takes neither torque sensors nor known parameters, and there are some (``consistent``
+    parameters are sought with the latter whatever the estimator); where it does not support a floating base; where it
+    takes gains and some joint has none; where the paper has no such method, or it cannot be constrained; where the
+    solver of consistent parameters is not installed.
     """
     options, estimator = subject.options, estimator_for(subject.options, subject.runs)
     if options.as_paper and not estimator.in_paper:
@@ -60,24 +58,13 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
     """Plan an identification: its estimator, and the gains (n,) that it is given; None where it estimates them.
 
     Where nothing tests the scale of logged torques it is set to 1, except by an estimator of gains that was asked for;
-    known parameters alone test it only for the latter, as they may be rough.
-
-    Parameters
-    ----------
-    subject : Subject
-        What is asked.
-    dataset, system : Dataset, System
-        The reduced runs, and their equations.
-
-    Raises
-    ------
-    GtauError
-        If nothing fixes the scale of the currents, or the estimator asked for lacks an input.
+    known parameters alone test it only for the latter, as they may be rough. Raises GtauError if nothing fixes the
+    scale of the currents, or the estimator asked for lacks an input.
     """
     options, runs = subject.options, dataset.runs
-    estimator, asked = estimator_for(options, runs), options.method is not None
+    estimator, named = estimator_for(options, runs), options.method is not None
     if estimator.gains != Gains.GIVEN:
-        demanded = runs[0].kind == "current" or (asked and estimator.gains == Gains.ESTIMATED)
+        demanded = runs[0].kind == "current" or (named and estimator.gains == Gains.ESTIMATED)
         try:
             require_scale(dataset.robot, system, [run.payload for run in runs], estimator.name)
         except GtauError:
@@ -86,7 +73,7 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
         else:
             if demanded or tests_torques(system):
                 return estimator, None
-        estimator = estimator if asked else estimator_of("wls")
+        estimator = estimator if named else estimator_of("wls")
     return estimator, given_gains(dataset.robot, runs, options.gains, estimator.name)
 
 
@@ -126,10 +113,11 @@ def reduced(
 ) -> Dataset:
     """Reduce the runs, with the priors that the estimator uses as equations.
 
-    Others use them only for consistent parameters. Raises GtauError.
+    Others use them only for consistent parameters. The inertias of the robot's file, where nothing else gives the scale
+    of the gains, give the scale alone. Raises GtauError.
     """
     options = subject.options
-    return reduce_runs(
+    dataset = reduce_runs(
         subject.robot,
         subject.runs,
         preparation,
@@ -138,15 +126,22 @@ def reduced(
         priors=options.priors if estimator.takes_priors else {},
         prior_inertias=options.prior_inertias or 0.0,
     )
+    asked = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")
+    if asked and not dataset.stated_priors and not any(map(_has_scale, dataset.runs)):
+        return replace(dataset, priors={})
+    return dataset
+
+
+def _has_scale(run: Run) -> bool:
+    """Whether a payload of known mass, torque sensors or wrenches give the scale."""
+    loaded = run.payload is not None and run.payload.mass is not None
+    return loaded or any(not channel.kind.unknown_gain for channel in run.channels)
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float], method: str) -> np.ndarray:
     """Return gains for least squares: the prior ones, 1 for torques without, (n,).
 
-    Raises
-    ------
-    GtauError
-        Where currents are logged and some joint has no prior gain.
+    Raises GtauError where currents are logged and some joint has no prior gain.
     """
     exact = robot.actuated if runs[0].kind == "torque" else robot.base
     known = dict.fromkeys(exact, 1.0) | dict(prior_gains)

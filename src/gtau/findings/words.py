@@ -114,7 +114,7 @@ def clock_advice(rate: float | None) -> str:
 def to_width(value: float, width: float) -> str:
     """Write a number to two digits of half the width of its interval."""
     decimals = max(1 - floor(log10(width)), 0) if 0 < width < float("inf") else 4
-    return f"{value:.{min(decimals, 12)}f}"
+    return f"{value:z.{min(decimals, 12)}f}"
 
 
 def percent_text(share: float, accuracy: float | None = None) -> str:

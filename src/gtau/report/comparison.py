@@ -17,7 +17,9 @@ BELIEVED = ("good", "weak")
 def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] | None = None) -> Page:
     """Show the results of each estimator."""
     verdict = Text(headline(comparison), tuple(remarks(comparison)), "neutral")
-    words = "residual: of the worst joint, in % of its current; time: of the estimation alone; ±: 95 % intervals"
+    words = (
+        "residual: of the worst joint, in % of its current; time: of the estimation alone; ±: half the 95 % interval"
+    )
     return page(
         f"Estimators on {comparison.robot}",
         section("Verdict", verdict, id="verdict"),

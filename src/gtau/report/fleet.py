@@ -52,7 +52,7 @@ def _verdict(fleet: FleetTable) -> Section:
         words, style = "No robot could be identified.", "bad"
     elif outliers:
         apart = f"{counted(len(outliers), 'drive gain')} of {counted(len(robots), 'robot')}"
-        words, style = f"{apart} differ from the rest of the fleet.", "weak"
+        words, style = f"{apart} differ{'s' * (len(outliers) == 1)} from the rest of the fleet.", "weak"
     elif any(joint.comparable for joint in fleet.joints):
         words, style = "No drive gain is an outlier in the fleet.", "good"
     else:

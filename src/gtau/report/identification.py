@@ -148,12 +148,15 @@ def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
     """Say what to do next with a result that is believed."""
     if not result.believable:
         return []
-    if not all(gain.verdict.outcome in GOOD_OUTCOMES for gain in result.drive_gains.values()):
-        first = "Next: plan a motion that narrows these intervals (gtau excite design.yaml), and log it"
+    against = [gain.verdict.finding for gain in result.drive_gains.values()]
+    if any(finding is not None and finding.kind == F.WIDE_SCALE and "file" in finding.values for finding in against):
+        first = "Next: log a run with a payload of known mass, which gives the scale better than any file"
+    elif not all(gain.verdict.outcome in GOOD_OUTCOMES for gain in result.drive_gains.values()):
+        first = "Next: plan a motion that narrows these intervals (gtau excite DESIGN.yaml), and log it"
     elif all(run.used for run in runs):
-        first = "Next: predict a log that was not used (gtau validate model.json experiment.yaml)"
+        first = "Next: predict a log that was not used, listed as validation (gtau validate MODEL.json EXPERIMENT.yaml)"
     else:
-        first = "Next: weigh a known load, which tests the scale as no residual does (gtau payload model.json LOG)"
+        first = "Next: weigh a known load, which tests the scale as no residual does (gtau payload MODEL.json LOG)"
     return [first, "Then export the model (gtau export), or watch the robot with it (gtau watch)"]
 
 

@@ -21,8 +21,9 @@ from gtau.signals.storage import rows_at
 
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 """Names of the types of singularities."""
-COLOURS = {1: "c4", 2: "c6"}  # others than those of the first joints
+COLOURS = {1: "c7", 2: "c6"}  # others than those of six joints
 PATHS = 8  # runs whose path is drawn
+FLAT = 1e-6  # of the longest side: a path that is shorter along an axis lies in a plane
 POSES = 1500  # of a run, in its path
 TIME = Axis("time from the start of the run, s")
 STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
@@ -76,7 +77,10 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         (Column("singularity"), lambda pose: TYPES[pose.type]),
         (Column("nearest", Kind.NUMBER, 3), "distance"),
         (Column("at, s", Kind.NUMBER), "time"),
-        (Column("pose, rad or m", wide=True), lambda pose: ", ".join(f"{j} {q:.3g}" for j, q in pose.pose.items())),
+        (
+            Column("pose, rad or m", wide=True),
+            lambda pose: ", ".join(f"{j} {round(q, 3) + 0.0:.3g}" for j, q in pose.pose.items()),
+        ),
     )
     words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."
     return section("Distance to singular poses", listed, Text(words, style="soft"))
@@ -94,16 +98,18 @@ def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Pane
         ]
         if len(series) == len(TYPES):  # at singularities of type 2 alone errors are magnified
             limit = np.full(len(time), NEAR_SINGULAR)
-            series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "c7", width=0.8))
+            series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "bad", width=0.8))
         axis = Axis("distance", limits=(0.0, 1.05))
         panels += [Panel(TIME, axis, tuple(series), run, height=1.4)] if series else []
     return panels
 
 
 def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
-    """Draw paths (P, 3), m, of runs by name, in three projections."""
+    """Draw paths (P, 3), m, of runs by name, in three projections, or in the one plane that holds them."""
     panels = []
-    for a, b in combinations(range(3), 2):
+    extent = np.ptp(np.concatenate([path for _, path in paths]), axis=0)
+    moving = [axis for axis in range(3) if extent[axis] > FLAT * extent.max()]
+    for a, b in combinations(moving if len(moving) > 1 else range(3), 2):
         x, y = "xyz"[a], "xyz"[b]
         lines = [Series(name, path[:, a], path[:, b], colour(k), width=1.0) for k, (name, path) in enumerate(paths)]
         title = f"{x}-{y} plane of the base"

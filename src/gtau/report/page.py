@@ -83,7 +83,7 @@ class Column:
             return str(value)
         if value > self.most:
             return f"> {self.most:g}"
-        return f"{value:.{self.decimals}f}" if self.decimals is not None else number(value, self.digits)
+        return f"{value:z.{self.decimals}f}" if self.decimals is not None else number(value, self.digits)
 
     def sort_key(self, cell: Any) -> float | None:
         """Return what a cell of numbers sorts by, None for a missing one."""

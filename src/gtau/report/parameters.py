@@ -22,6 +22,7 @@ from gtau.signals.preparation.filters import position_filter
 
 GROUPS = ("base parameter", "friction", *(kind.name for kind in LINK_SIDE))
 KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
+NAMES = {"width": "presliding", "vs": "v_s"}
 POINTS = 3000  # of a panel
 CONTRADICTED = 6  # parameters on a short page
 ORDER = ("contradicted", "agrees", "not stated", "not identifiable")
@@ -48,11 +49,6 @@ def parameters_section(result: Result) -> Section:
         f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {loss:.2g} %. A value "
         f"with a standard deviation above 100 % is meaningless by itself: only sums with other parameters are known."
     )
-    if (condition := result.statistics.get("condition_number")) is not None:
-        words += (
-            " The observation matrix, rows weighted by the residuals and columns of unit length, has a condition "
-            f"number of {condition:.3g}."
-        )
     return section(
         "Parameters",
         Text(words),
@@ -97,12 +93,11 @@ def curves_table(result: Result) -> Table:
     """Tabulate the friction of each joint, SI units, values with half their 95 % intervals."""
     friction = {**result.friction, **result.friction_parameters}
 
-    def value(kind: str, curve: FrictionCurve) -> str:
+    def value(kind: str, curve: FrictionCurve) -> tuple[float, float] | None:
         estimate = friction.get(Parameter(kind, curve.joint))
         if estimate is None or estimate.value is None:
-            return "-"
-        half = estimate.half_interval()
-        return f"{estimate.value:.4g}" + ("" if half is None else f" ± {half:.2g}")
+            return None
+        return estimate.value, estimate.half_interval() or 0.0
 
     def evidence(curve: FrictionCurve) -> str:
         return ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items())
@@ -110,7 +105,7 @@ def curves_table(result: Result) -> Table:
     return table_of(
         result.curves.values(),
         (Column("joint"), lambda curve: joint_label(curve.joint)),
-        *((Column({"width": "presliding", "vs": "v_s"}.get(kind, kind)), partial(value, kind)) for kind in KINDS),
+        *((Column(NAMES.get(kind, kind), Kind.SPREAD), partial(value, kind)) for kind in KINDS),
         (Column("shown by", wide=True), evidence),
         (Column("error, %", Kind.NUMBER, decimals=1), "error"),
         (Column("plain law, %", Kind.NUMBER, decimals=1), "plain_error"),

@@ -25,7 +25,7 @@ from gtau.uses.weigh import FRICTION_CHANGE
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Next: weigh a known load, which does (gtau "
-    "payload model.json LOG); then export the model (gtau export), or watch the robot with it (gtau watch)."
+    "payload MODEL.json LOG); then export the model (gtau export), or watch the robot with it (gtau watch)."
 )
 
 

@@ -120,7 +120,7 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
     )
     first, others = np.flatnonzero(shown & far), np.flatnonzero(shown & ~far)
     faint = frozenset(range(len(first), len(first) + len(others)))
-    yield table(columns, map(row, [*first, *others]), name="quantities", faint=faint)
+    yield table(columns, map(row, [*first, *others]), name="quantities-table", faint=faint)
     yield Text(phrase("watched quantities"))
     if hidden := ", ".join(_shown(view.quantities[k])[0] for k in np.flatnonzero(~shown)):
         yield Text(f"Not visible with this motion: {hidden}. {phrase('reference motion')}", style="soft")
@@ -139,7 +139,9 @@ def watch_report(watch: Watch) -> Page:
     for k in np.flatnonzero(np.isfinite(view.values).any(axis=0)).tolist():
         panels[view.quantities[k].joint].append(_history(watch, k))
     for joint, shown in panels.items():
-        sections.append(section(f"Joint {joint}" if joint else "Load", Chart(tuple(shown), columns=2)))
+        sections.append(
+            section(f"Joint {joint}" if joint else "Load", Chart(tuple(shown), columns=2), id=f"of-{joint or 'load'}")
+        )
     return Page(short.title, (*short.sections, *sections), short.lead)
 
 
@@ -199,6 +201,6 @@ def fleet_page(lines: Sequence[Mapping[str, str]]) -> Page:
     """List the robots of a fleet, those to look after first."""
     waiting = sum(line["state"] in STATES[:2] for line in lines)
     words = f"{waiting} of {len(lines)} robots need attention." if waiting else f"All {len(lines)} robots are OK."
-    robots = table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots")
+    robots = table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots-table")
     verdict = Text(words, (phrase("no safety function"),), "bad" if waiting else "good")
     return page("Watching a fleet", section("Verdict", verdict, id="verdict"), section("Robots", robots, id="robots"))

@@ -18,6 +18,7 @@ from gtau.estimation.estimators.least_squares import fit_by, wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.preconditions import given_gains
+from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.regression.reference import ReferenceModel
@@ -104,6 +105,14 @@ def weigh(
         rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in robot.actuated]
         covariance = model.covariance[np.ix_(rows, rows)]
     dataset = _reduced(model, chosen, progress)
+    moving = sum(factor.rows.sum(axis=0) for factor in dataset.factors) >= FEWEST_ROWS
+    if not np.any(moving):
+        raise GtauError(
+            f"{where}the robot stands still in all runs, where friction may hold any part of the load; log the moves "
+            "between the poses too, in one log."
+        )
+    if not np.all(moving) and gains == "identified":
+        dataset = replace(dataset, reference=reference_of(model))
     solve = partial(wls, gains=g_tau)
     system = select_friction(dataset, solve, progress)
     if _lost(system) and gains == "identified":

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -123,7 +123,8 @@ def diagnose(
         findings += _given_gains(fit, examined, payloads)
     findings += [*_logged_torques(fit, examined, estimates), *examined.findings]
     # their advice depends on whether there is a payload, or a wrench on a body or a floating base
-    context = {"payload": bool(fit.system.payloads), "wrenches": bool(problem.wrenches or problem.base)}
+    context: dict[str, Any] = {"payload": bool(fit.system.payloads), "wrenches": bool(problem.wrenches or problem.base)}
+    context |= {"file": fit.dataset.prior_inertias} if fit.dataset.scaled_by_file else {}
     halves = half_widths(fit, estimates) if fit.free_gains else np.zeros(0)
     advised = (replace(finding, values={**context, **finding.values}) for finding in findings)
     return tuple(

@@ -192,7 +192,7 @@ def examine(fit: Fit, progress: Progress = silent, checks: Iterable[str] = CHECK
         return Examination(findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
     findings: list[Finding] = []
     alternatives: list[Alternative] = []
-    effort = rank_meanings(fit.dataset, fit.system.whole.longest_delays.max())
+    effort = rank_meanings(fit.dataset, fit.system.unreduced.longest_delays.max())
     silenced: Set[str] = set()
     for name in checks:
         if name in silenced:
@@ -239,5 +239,6 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool) -> Estimates
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
         return Estimates(problem.unknowns, solution.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
-    parts = (solution.jackknife, of_scale, examined.covariance(fit))
+    of_file = solution.of_prior if fit.dataset.scaled_by_file else 0.0
+    parts = (solution.jackknife - of_file, of_scale + of_file, examined.covariance(fit))
     return Estimates(problem.unknowns, solution.values, *parts, freedom)

@@ -16,14 +16,14 @@ import numpy as np
 from gtau.estimation.diagnostics.alternatives import refitted
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stacked
-from gtau.estimation.regression.assembly import inertia_priors, sizes_of, stated_inertias
+from gtau.estimation.regression.assembly import file_sums, inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.parameter import Parameter, unit_of
-from gtau.robots.robot import DRIVE, INERTIAL
+from gtau.robots.robot import INERTIAL
 
 ROTORS = "the rotor inertias"
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]
@@ -149,30 +149,27 @@ def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarr
     The first of those that regroup inertias alone, the second of those of them that regroup a rotor inertia which the
     file does not state.
     """
-    base, names, stated = fit.dataset.base, fit.dataset.model.parameter_names, stated_inertias(fit.dataset.robot)
-    values = base.matrix @ [stated.get(name, 0.0) for name in names]
-    unstated = base.matrix[:, [name.kind == "ia" and name not in stated for name in names]]
-    of_bodies = base.matrix[:, [name.kind in (*INERTIAL, "ia") for name in names]]
-    of_drives = base.matrix[:, [name.kind in DRIVE[1:] for name in names]]
-    inertial = np.any(of_bodies, axis=1) & ~np.any(of_drives, axis=1)
-    unknown, raised = np.any(unstated, axis=1), np.all(unstated >= 0, axis=1)
+    base, names = fit.dataset.base, fit.dataset.model.parameter_names
+    values, inertial, unknown = file_sums(fit.dataset.model, base)
+    rotors = [name.kind == "ia" and name not in stated_inertias(fit.dataset.robot) for name in names]
+    raised = np.all(base.matrix[:, rotors] >= 0, axis=1)
     fitted = identified[: base.count]
     values = np.where(inertial, values, fitted)
     values = np.where(unknown, np.where(raised, np.maximum(values, fitted), fitted), values)
-    return np.append(values, identified[base.count :]), inertial, np.asarray(unknown & inertial)
+    return np.append(values, identified[base.count :]), inertial, unknown
 
 
 def _errors(fit: Fit, theta: np.ndarray) -> dict[str, float]:
     """Compute the torque errors of the joints, per cent of their rms torque."""
-    whole, solution = fit.system.whole, fit.solution
-    squares = squared(stacked(whole), np.concatenate([theta, solution.gains, solution.delays]))
-    rms = np.sqrt(squares / whole.total_rows)
-    return dict(zip(whole.joints, (100 * rms / whole.balance(theta)).tolist(), strict=False))
+    problem, solution = fit.system.unreduced, fit.solution
+    squares = squared(stacked(problem), np.concatenate([theta, solution.gains, solution.delays]))
+    rms = np.sqrt(squares / problem.total_rows)
+    return dict(zip(problem.joints, (100 * rms / problem.balance(theta)).tolist(), strict=False))
 
 
 def _rows(fit: Fit) -> np.ndarray:
     """Compute the weighted Jacobian of the residuals by the whole problem's parameters, (., n_whole)."""
-    problem, solution = fit.system.whole, fit.solution
+    problem, solution = fit.system.unreduced, fit.solution
     weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
     return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
 
@@ -183,7 +180,7 @@ def _kept(fit: Fit, file: np.ndarray, prior: float) -> dict[Parameter, tuple[flo
     What the motions do not separate adds to the parameters that stay: the same sums of the file's.
     """
     base, kept, rows = fit.dataset.base, fit.system.problem.parameters, _rows(fit)
-    places = fit.system.whole.unknowns.at(kept)
+    places = fit.system.unreduced.unknowns.at(kept)
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
     T = T * scale / scale[places][:, None]

@@ -95,7 +95,8 @@ def stated_constants(system: System) -> list[StatedConstant]:
         std = max((channel.std for channel in channels if not channel.kind.of_joint), default=0.0)
         add(_wrenches(problem), 1.0, std, torques, of_channels[problem.base].sum(axis=0), 0.0)
     if len(known):
-        add("known parameters", 1.0, 0.0, 0.0, 0.0, 1.0)
+        source = "the inertias of the robot's file" if system.dataset.scaled_by_file else "known parameters"
+        add(source, 1.0, 0.0, 0.0, 0.0, 1.0)
     return constants
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.column_blocks import (
@@ -20,7 +21,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
 from gtau.signals.channel import Channel, channels_of
 from gtau.signals.reading.statements import Payload, Prior
 
@@ -60,7 +61,7 @@ def assemble_problem(
     numbers = [np.arange(len(factor.rows)) for factor in factors]
     count = max(map(len, numbers))
     clusters = np.concatenate([motion * count + number for motion, number in zip(of_run, numbers, strict=True)])
-    problem = Problem(
+    return Problem(
         unknown_names(effects),
         tuple(channels),
         np.concatenate(blocks)[filled],
@@ -69,13 +70,16 @@ def assemble_problem(
         clusters=clusters[filled],
         factored=tuple(triangle(*parts) for parts in zip(*merged, strict=True)) if merged else None,
     )
+
+
+def require_rows(problem: Problem) -> None:
+    """Check that every channel has enough equations; raises GtauError."""
     for channel, equations in zip(problem.channels, problem.total_rows, strict=True):
         if equations < FEWEST_ROWS:
             raise GtauError(
                 f"joint '{channel.joint}' has {equations} usable rows in all runs together, away from its reversals "
                 "and gaps; add runs in which it moves, or longer ones."
             )
-    return problem
 
 
 def plain_problem(
@@ -90,6 +94,7 @@ def plain_problem(
     effects = column_blocks(base, channels, payload_columns(model, base, payloads), (), len(factors))
     require_base_wrench(model, factors)
     problem = assemble_problem(effects, channels, factors, longest_delays)
+    require_rows(problem)
     return problem.without(unexcited(problem))
 
 
@@ -161,6 +166,50 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
         sizes |= {Parameter(kind, body): size for kind, size in (sizes_of(stated, body) or {}).items()}
     sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
     return {name: Prior(value=stated[name], std=std * size) for name, size in sizes.items()}
+
+
+def file_sums(model: InverseDynamics, base: BaseParameters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sum the inertias of the robot's file to base parameters, (n_b,), zero where these regroup none, with two masks.
+
+    The first of base parameters that regroup inertias alone, the second of those of them that regroup a rotor inertia
+    which the file does not state.
+    """
+    names, stated, regrouped = model.parameter_names, stated_inertias(model.robot), base.matrix != 0
+    of_bodies = regrouped[:, [name.kind in (*INERTIAL, "ia") for name in names]].any(axis=1)
+    of_drives = regrouped[:, [name.kind in PLAIN_FRICTION for name in names]].any(axis=1)
+    unstated = regrouped[:, [name.kind == "ia" and name not in stated for name in names]].any(axis=1)
+    inertial = of_bodies & ~of_drives
+    values = base.matrix @ [stated.get(name, 0.0) for name in names]
+    return np.where(inertial, values, 0.0), inertial, inertial & unstated
+
+
+def scale_of_file(model: InverseDynamics, base: BaseParameters, problem: Problem, std: float) -> np.ndarray:
+    """Write an equation (k, n_theta + 1) for each scale: on the whole the torques are those of the file's inertias.
+
+    ``<tau_file, tau(theta)> = <tau_file, tau_file>`` over the rows of all joints that share parameters, forces times
+    the robot's length, with relative standard deviation ``std``: errors of a file's masses are alike in all bodies, so
+    that they do not average out (docs/evidence/scale-without-payload.md). With a prior for each parameter instead,
+    gains near zero fit best where file and data differ.
+    """
+    values, inertial, unstated = file_sums(model, base)
+    theta = np.zeros(len(problem.parameters))
+    stated = np.append(inertial & ~unstated, np.zeros(len(theta) - base.count, dtype=bool))
+    theta[stated] = values[stated[: base.count]]
+    motors = [k for k, channel in enumerate(problem.channels) if channel.kind.unknown_gain]
+    W = [problem.triangles[k][:, MODEL] * stated * _leverage(model, problem.channels[k].joint) for k in motors]
+    shared = np.array([np.any(rows != 0, axis=0) for rows in W]).astype(int)
+    count, numbers = connected_components(shared @ shared.T, directed=False)
+    equations = []
+    for group in range(count):
+        A = np.concatenate([rows for rows, number in zip(W, numbers, strict=True) if number == group])
+        size = float(np.sum(np.square(A @ theta)))
+        if size > 0:
+            equations.append(np.append(A @ theta @ A / size, 1.0) / std)
+    return np.reshape(equations, (-1, len(theta) + 1))
+
+
+def _leverage(model: InverseDynamics, joint: str) -> float:
+    return 1.0 if model.robot.joint(joint).turns else float(model.layout.length)
 
 
 def _heavy(robot: Robot) -> list[str]:

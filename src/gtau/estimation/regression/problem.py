@@ -240,8 +240,8 @@ class Problem:
 
     @cached_property
     def total_rows(self) -> np.ndarray:
-        """Equations of each channel, (c,)."""
-        return np.asarray(self.rows.sum(axis=0))
+        """Equations of each channel, (c,), at least one: of a joint that never moves it says nothing."""
+        return np.maximum(self.rows.sum(axis=0), 1)
 
     @cached_property
     def own_delays(self) -> np.ndarray:
@@ -297,8 +297,8 @@ class Problem:
 
     @property
     def smallest_sigma(self) -> np.ndarray:
-        """Rounding error of each channel, (c,): the lower limit of its error level."""
-        return 1e-10 * self.signal
+        """Rounding error of each channel, (c,): the lower limit of its error level, above zero without a signal."""
+        return np.maximum(1e-10 * self.signal, 1e-150)
 
     def weights(self, squares: np.ndarray) -> np.ndarray:
         """Return one over the rms of each channel's residuals, (c,), from the sums of their ``squares`` (c,)."""

@@ -30,7 +30,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         raise GtauError(
             f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
             "add 'payload: {name: ..., mass: ...}' to a loaded run (--payload LOG=KG with logs), torque sensors "
-            f"('joint_torque' under 'signals'), or known parameters ('priors'), {other}."
+            "('joint_torque' under 'signals'), or known parameters ('priors', or 'prior_inertias' for those of the "
+            f"robot's file), {other}."
         )
     if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise GtauError(
@@ -125,10 +126,10 @@ def _always_carried(bodies: Sequence[str], other: str) -> str:
 def _with_scale(problem: Problem) -> np.ndarray:
     """Stack weighted rows ``[W_theta | known]``, of sensors with the torque that their own columns explain."""
     rows = []
-    for j, (R, own, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
+    for j, (R, kept, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
         known = R[:, KNOWN]
         if not problem.unknown_gains[j]:
-            torque, columns = R[:, SIGNAL], R[:, own]
+            torque, columns = R[:, SIGNAL], R[:, kept]
             known = known - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
         rows.append(np.column_stack([R[:, MODEL], known]) / sigma)
     return np.concatenate([*rows, problem.known * np.append(np.ones(len(problem.parameters)), -1.0)])

@@ -131,7 +131,8 @@ def _why(gains: Sequence[Estimate], named: bool) -> str:
     if len(gains) > 1 and first.kind in NUMBERED:
         of_each = [(name, finding.values) for name, finding in findings.items()]
         return replace(first, values={**first.values, "each": of_each}).what
-    return f"{first.what} ({', '.join(map(repr, findings))})" if named else first.what
+    said = all(repr(name) in first.what for name in findings)
+    return f"{first.what} ({', '.join(map(repr, findings))})" if named and not said else first.what
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:

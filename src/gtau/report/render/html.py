@@ -16,7 +16,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from gtau.report.chart import MINUS, Chart, Panel, envelope
-from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section
+from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section, Table
 from gtau.report.render.svg import svg_of, svg_of_sketch
 from gtau.robots.robot import Robot
 
@@ -83,7 +83,7 @@ def _environment() -> Any:
         loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=svg_of, robot=_robot)
-    environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, words=words)
+    environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, shown=_shown, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
 
@@ -91,14 +91,21 @@ def _environment() -> Any:
 def _cell(column: Column, cell: Any) -> str:
     text = column.text(cell)
     if column.kind in NUMERIC and not isinstance(cell, str):
-        return text.replace("-", MINUS if cell is not None else "\N{EN DASH}")
+        return "\N{EN DASH}" if text == column.missing == "-" else text.replace("-", MINUS)
     return text.replace(" - ", f" {MINUS} ") if column.kind == Kind.NAME else text
 
 
 def words(text: str) -> Markup:
-    """Write a text with signs of numbers, spaces before per cent that are not broken, and names that are, at ``_``."""
+    """Write a text with signs of numbers, and names that break at ``_``; per cent, options and commands do not."""
     signed = re.sub(r"(?<![^\s(,])-(?=\d)|(?<=\d[eE])-(?=\d)", MINUS, text.replace("+-", "\N{PLUS-MINUS SIGN}"))
-    return Markup(str(escape(signed)).replace(" %", "\N{NO-BREAK SPACE}%").replace("_", "_<wbr>"))
+    text = str(escape(signed)).replace(" %", "\N{NO-BREAK SPACE}%").replace("_", "_<wbr>")
+    text = re.sub(r"(?<=\()gtau [^()]+(?=\))", r"<code>\g<0></code>", text)
+    return Markup(re.sub(r"(?<!\w)--[a-z-]+", r'<span class="option">\g<0></span>', text))
+
+
+def _shown(table: Table) -> list[int]:
+    """List the columns of a table; of findings, those in which something stands."""
+    return [k for k in range(len(table.columns)) if not table.listed or any(row[k] for row in table.rows)]
 
 
 def _robot(robot: Robot) -> str:
@@ -179,7 +186,13 @@ def spec_of(panel: Panel, arrays: Arrays, group: str, last: bool) -> dict[str, A
     spec: dict[str, Any] = {
         "x": arrays.put(thin_time),
         "series": [
-            {"label": series.label, "data": arrays.put(thin[:, k]), "colour": series.colour, "width": series.width}
+            {
+                "label": series.label,
+                "data": arrays.put(thin[:, k]),
+                "colour": series.colour,
+                "width": series.width,
+                "dash": [series.width * part for part in series.dashes],
+            }
             for k, series in enumerate(panel.series)
         ],
         "unit": panel.y.label,

@@ -83,7 +83,7 @@ def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
     height = width if panel.matrix is not None else 0.8 * width if panel.equal else INCH * panel.height
     x_span, y_span = _span(panel, panel.x, 0), _span(panel, panel.y, 1)
     top, right = 18.0 if panel.y.label and panel.matrix is None else 6.0, width - 8.0
-    bottom = height - (16.0 if panel.x.label else 2.0) - (_room(panel.x, width) if panel.x.names else 14.0)
+    bottom = height - (16.0 if panel.x.label else 2.0) - (_room(panel.x, width) if _turned(panel.x, width) else 14.0)
     left = 0.0
     for _ in range(1 + panel.equal):  # ticks of axes that are widened may be longer
         words = [word for _, word in Scale(*y_span, bottom, top, panel.y.log).ticks(upright=True)]
@@ -138,6 +138,11 @@ def _room(axis: Axis, width: float) -> float:
     """Return the room that the names at an axis take."""
     share = min(1.0, max(SMALLEST, 0.7 * width / max(len(axis.names), 1)) / TEXT)
     return min(share * _length(axis.names.values()) + 6.0, 0.42 * width)
+
+
+def _turned(axis: Axis, width: float) -> bool:
+    """Whether the names at a horizontal axis are too long to stand beside each other."""
+    return len(axis.names) * (_length(axis.names.values()) + LETTER) > 0.7 * width
 
 
 def _widened(span: Span, size: float) -> Span:
@@ -211,7 +216,7 @@ def _frame(panel: Panel, x: Scale, y: Scale, width: float, height: float) -> Ite
         for at, word in named or scale.ticks(upright=scale is y):
             if scale is y:
                 yield _word(word, x.start - 4.0, at, "end", size)
-            elif named:
+            elif _turned(axis, width):
                 yield _word(word, at, y.start + 5.0, "end", size, turned=True)
             else:
                 yield _word(word, min(at, width - LETTER * len(word) / 2), y.start + 9.0)

@@ -84,7 +84,7 @@
       cursor: { sync: { key: group, setSeries: false }, drag: { x: true, y: false, setScale: false }, points: { size: 5 } },
       axes: [
         { ...axis, size: spec.last ? 20 : 6, gap: 2, ...(spec.last ? { label: spec.xlabel, labelSize: 16, labelFont: "11px system-ui, sans-serif" } : { values: (_, ticks) => ticks.map(() => "") }) },
-        { ...axis, size: 58, values: (_, ticks) => ticks.map(digits), label: spec.unit, labelSize: 16, labelFont: "11px system-ui, sans-serif" },
+        { ...axis, size: 58, space: spec.height < 130 ? 14 : 30, values: (_, ticks) => ticks.map(digits), label: spec.unit, labelSize: 16, labelFont: "11px system-ui, sans-serif" },
       ],
       series: [
         { label: "t, s", value: (_, v) => (v == null ? "–" : v.toFixed(3)) },
