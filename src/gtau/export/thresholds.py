@@ -69,7 +69,8 @@ def export_thresholds(
     }
     note = (
         f"from {total:.3g} s without contact: with the thresholds of the others the logs have {alarms} alarms where "
-        f"{CHECKS:.0f} are expected, so all are raised by a factor of {factor:.2f}; longer times are extrapolated"
+        f"{CHECKS:.0f} are expected{f', so all are raised by {100 * (factor - 1):.0f} %' if factor > 1 else ''}; longer "
+        "times are extrapolated"
     )
     return Exported(written(out, {"thresholds.json": json.dumps(document, indent=1) + "\n"}), (note,))
 
