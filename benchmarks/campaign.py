@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import time
@@ -36,11 +37,20 @@ from gtau.excitation.nlp import Programme, random_start  # noqa: E402
 
 PLAYER = ROOT / "examples" / "players" / "play_mujoco.py"
 MASSES = {"five-bar": 1.0, "orthoglide": 2.0, "ur10e": 5.0, "panda": 2.0}
+RESTS = {  # where such arms stand before work; stretched out level, hardly any motion is within the limits of torque
+    "ur10e": {"shoulder_lift_joint": -1.5708, "wrist_1_joint": -1.5708},
+    "panda": {"panda_joint2": -0.7854, "panda_joint4": -2.3562, "panda_joint6": 1.5708, "panda_joint7": 0.7854},
+}
 FAULTS = {
     "saturation": {"saturation": 0.01},  # of the torque constant, per A
     "zero": {"zero": 0.015},  # rad, within the tolerance of the start
     "unsigned": {"unsigned": True},
 }
+
+
+def processor() -> float:
+    """Return the processor's time, s, of this process and its players."""
+    return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def play(folder: Path, seed: int) -> bool:
@@ -85,6 +95,13 @@ def one_shot(folder: Path, beside: Path, x: np.ndarray | None, rounds: int, trut
     return judged(gains, truth)
 
 
+def without_gripper(robot: Path, folder: Path) -> Path:
+    """Copy a robot's file with its sliding fingers fixed."""
+    copy = folder_of(folder) / "robot.urdf"
+    copy.write_text(robot.read_text().replace('type="prismatic"', 'type="fixed"'))
+    return copy
+
+
 def best_random(folder: Path, draws: int = 200) -> np.ndarray:
     """Find the best of random motions within the limits."""
     task = make_task(read_design_file(folder))[0]
@@ -98,15 +115,16 @@ def best_random(folder: Path, draws: int = 200) -> np.ndarray:
 
 def run(robot: str, seed: int, out: Path, fault: str, accuracy: float, compare: bool) -> dict:
     """Run a campaign to its end."""
-    begun, folder = time.time(), out / f"{Path(robot).stem}-{fault or 'healthy'}-{seed}"
-    mass = MASSES[Path(robot).stem]
+    name, begun, used = Path(robot).stem, time.time(), processor()
+    folder, mass = out / f"{name}-{fault or 'healthy'}-{seed}", MASSES[name]
+    robot = str(without_gripper(Path(robot), folder)) if Path(robot).is_file() else robot
     truth = write_robot(robot, folder, mass, seed, FAULTS.get(fault))
     if fault == "no payload":
         text = (folder / "mujoco.yaml").read_text()
         (folder / "mujoco.yaml").write_text(text.replace(f"mass: {mass}", "mass: 0.0001"))
     stated = mass * (1.05 if fault == "wrong mass" else 1.0)
     runs = [{"payload": {"name": "payload", "mass": stated} if loaded else "none"} for loaded in (0, 1, 1, 0)]
-    described = {"robot": robot, "rate": 250, "period": 6, "harmonics": 4, "runs": runs}
+    described = {"robot": robot, "rate": 250, "period": 6, "harmonics": 4, "runs": runs, "rest": RESTS.get(name, {})}
     (folder / "design.yaml").write_text(yaml_text(described))
     state = campaign(folder, accuracy=accuracy)
     while state.next == "play":
@@ -115,7 +133,7 @@ def run(robot: str, seed: int, out: Path, fault: str, accuracy: float, compare: 
         state = campaign(folder)
     gains = state.decision["gains"] if state.decision else {}
     line = {"seed": seed, "fault": fault, "end": state.next, "say": state.say, "rounds": len(state.rounds)}
-    line |= judged(gains, truth) | {"seconds": round(time.time() - begun)}
+    line |= judged(gains, truth) | {"seconds": round(time.time() - begun), "cpu": round(processor() - used)}
     if compare:
         line["one_shot"] = one_shot(folder, folder / "shot", None, len(state.rounds), truth, seed)
         x = best_random(folder)

@@ -46,6 +46,13 @@ def add_menu(app: Sphinx, name: str, content: list[str]) -> None:
     content[0] += "\n```{toctree}\n:hidden:\n\n" + "\n".join(pages) + "\n```\n"
 
 
+def set_type(app: Sphinx, document: nodes.document) -> None:
+    """Keep a number and its per cent on one line, and write dashes as such."""
+    for text in list(document.findall(nodes.Text)):
+        if not isinstance(text.parent, (nodes.literal, nodes.literal_block)):
+            text.parent.replace(text, nodes.Text(text.replace(" %", "\N{NO-BREAK SPACE}%").replace(" -- ", " – ")))
+
+
 def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Read a docstring in NumPy style; the types in it, which have shapes and units, are words and no references.
 
@@ -137,6 +144,7 @@ def write_llms(app: Sphinx, exception: Exception | None) -> None:
 def setup(app: Sphinx) -> dict[str, bool]:
     """Connect the additions."""
     app.connect("source-read", add_menu)
+    app.connect("doctree-read", set_type)
     app.connect("autodoc-process-docstring", read_docstring)
     app.connect("autodoc-process-signature", show_defaults)
     app.connect("missing-reference", keep_names_without_page)

@@ -14,6 +14,12 @@ def late(module: str) -> ModuleType:
     return import_module(f"gtau.{module}")
 
 
+def html(shown: object) -> str:
+    """Show an object in a notebook."""
+    text: str = views().html(shown)
+    return text
+
+
 def views() -> ModuleType:
     """Import the views: ``html`` of an object; ``text``, ``plots``, ``write`` (a report) of a result."""
     return late("report.notebook")

@@ -55,12 +55,9 @@ def registered(group: str) -> Mapping[str, EntryPoint]:
 
 
 def added(group: str, name: str, kind: Any) -> Any:
-    """Load what another distribution registers under a name; None where none does.
+    """Load what another distribution registers under a name, None where none does; raises GtauError.
 
-    Raises
-    ------
-    GtauError
-        Where it cannot be loaded, or is not of the type ``kind``.
+    It is of the type ``kind``.
     """
     if (point := registered(group).get(name)) is None:
         return None

@@ -27,7 +27,7 @@ from gtau.campaigns.page import campaign_page
 from gtau.campaigns.rehearsal import Rehearsal
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design
@@ -248,6 +248,18 @@ def test_candidates_are_within_the_limits_and_the_payload_is_exchanged(tmp_path:
     assert [load and load.name for load in other] == ["payload", None, None, "payload"]
     assert not offered["with a payload of 2 kg"].at_hand
     assert offered["at 50 % of the speed"].design.task.series.period == pytest.approx(6)
+
+
+def test_what_noise_makes_of_effects_does_not_choose_a_candidate() -> None:
+    """Whatever size one draw of the noise gives an effect, what it does to the estimates is the same."""
+    cause = Finding("torque constant", ("a",), values={"what": "a falling torque constant", "action": ""})
+    slopes = np.array([2.0, -1.0])
+    for size in (-0.3, 0.0, 0.1, 0.4):
+        shifts = np.sqrt(support(size, 0.2, 0.5)[1]) * slopes
+        found = Alternative("saturation", (cause,), size, 0.2, "1/A", plausible=0.5, shifts=shifts)
+        usual = compete([found], lambda _: None)[0].by_noise()
+        assert usual.probability == found.probability
+        np.testing.assert_allclose(usual.shifts, np.sqrt(support(0.2, 0.2, 0.5)[1]) * slopes)
 
 
 ARM = """<mujoco><worldbody>

@@ -25,7 +25,7 @@ from gtau.model.lengths import variable_geometry
 from gtau.report.check import check_page
 from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
-from gtau.robots.robot import Mdh, Robot
+from gtau.robots.robot import GROUND, Joint, Mdh, Pose, Robot
 from gtau.signals.reading.body_columns import PoseColumns
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.side_signals import LoggedPoses, read_poses
@@ -108,6 +108,18 @@ def test_derivatives_of_the_pose_by_each_constant(name: str, rng: np.random.Gene
         linear = (above.position - below.position) / 2e-6
         angular = (Rotation.from_matrix(above.rotation) * Rotation.from_matrix(below.rotation).inv()).as_rotvec() / 2e-6
         assert np.hstack([linear, angular]) == pytest.approx(at.by_constants[:, :, k], abs=1e-8)
+
+
+def test_constants_of_placements_in_coordinates() -> None:
+    """Coordinates, and the distance that they make, each with its direction."""
+    joints = Joint("a", GROUND, "revolute", Pose((0.3, -0.4, 0.0))), Joint("b", "a", "revolute", Pose((0.0, 0.2, 0.0)))
+    geometry = variable_geometry(Robot("placed", joints), "b")
+    moves = geometry.pose(np.zeros((2, 1)), np.zeros(len(geometry.constants))).by_constants[0, :3].T
+    found = {constant.name: (constant.value, *move) for constant, move in zip(geometry.constants, moves, strict=True)}
+    assert found["distance of 'a'"] == pytest.approx((0.5, 0.6, -0.8, 0.0))
+    assert found["y of 'a'"] == pytest.approx((0.4, 0.0, -1.0, 0.0))
+    assert found["y of 'b'"] == pytest.approx((0.2, 0.0, 1.0, 0.0))
+    assert "distance of 'b'" not in found
 
 
 @pytest.mark.parametrize(

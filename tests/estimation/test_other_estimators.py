@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from five_bar_logs import CHI, GAINS, STEEL, Plant
-from threadpoolctl import threadpool_limits
 
 from gtau.estimation.diagnostics.alternatives import Alternative, compete
+from gtau.estimation.diagnostics.diagnose import diagnose
+from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.other_estimators import (
     differences,
     other_estimators,
@@ -25,6 +25,7 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.two_stage import first_stage, two_stage
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -36,12 +37,6 @@ from gtau.signals.run import Run
 
 ROBOT = load_robot("five-bar")
 NOISY = Preparation(bandwidth=2.5, cutoff=100.0, decimator=Decimator(10), rate=500.0)  # a filter that is far too wide
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    with threadpool_limits(1, "blas"):
-        yield
 
 
 def logs(encoder_noise: float = 0.0, seconds: float = 8.0, noise: float = 0.01, seed: int = 1) -> list[Run]:
@@ -94,6 +89,10 @@ def test_the_summary_names_the_noise_and_the_intervals_allow_for_it(noisy: Fit) 
     of_first_moment = [each for each in alternatives if each.causes[0].subject.endswith("my_L2")]
     assert sum(each.probability for each in of_first_moment) > 0.8
     assert F.INSTRUMENTS not in {each.kind for each, _, _ in differences(replace(noisy, noise_free=True))}
+    examined = Examination(tuple(alternatives))
+    notes = diagnose(noisy, examined, estimates_of(noisy, examined, True), {}, {}, ACCURACY)
+    first = max(notes, key=lambda note: note.size)  # it moves an estimate by more than half its interval
+    assert (first.kind, first.size > 1) == (F.POSITION_NOISE, True)
 
 
 def test_nothing_is_said_of_clean_logs() -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar
-from threadpoolctl import threadpool_limits
+from five_bar_logs import CHI, GAINS, STEEL, Plant, five_bar, pair
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.didim import along_simulated_motion
@@ -37,26 +36,14 @@ FIVE_BAR = load_robot("five-bar")
 KNOWN = Payload(name="steel", mass=STEEL["m"])
 
 
-def logs(plant: Plant) -> list[Run]:
-    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, seed=2)
-    return [free, replace(loaded, payload=KNOWN)]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """On matrices this small, threads only wait for each other."""
-    with threadpool_limits(1, "blas"):
-        yield
-
-
 @pytest.fixture(scope="module")
 def clean() -> list[Run]:
-    return logs(Plant())
+    return pair(Plant())
 
 
 @pytest.fixture(scope="module")
 def least_squares_step() -> System:
-    return reduce_runs(FIVE_BAR, logs(Plant(noise=0.02))).system(per_run=True)
+    return reduce_runs(FIVE_BAR, pair(Plant(noise=0.02))).system(per_run=True)
 
 
 # The simulation
@@ -137,7 +124,7 @@ def deviations(result: Result, other: Result) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "didim"])
 def test_on_clean_positions_they_are_maximum_likelihood(method: str) -> None:
-    runs = logs(Plant(noise=0.02))
+    runs = pair(Plant(noise=0.02))
     # a twentieth of the rows, in the ends of the reference's filter, is not used
     assert np.abs(deviations(identify(FIVE_BAR, runs, method=method), identify(FIVE_BAR, runs))).max() < 0.5
 
@@ -231,7 +218,7 @@ def test_the_regressor_as_its_own_instrument_is_maximum_likelihood(least_squares
     system = least_squares_step
     free = ml(system.problem)
     pair = paired(system, free)
-    same = with_instruments(Pair(pair.measured, pair.measured, (pair.whole[0], pair.whole[0])), free, True)
+    same = with_instruments(Pair(pair.measured, pair.measured, (pair.merged[0], pair.merged[0])), free, True)
     again = ml(pair.measured)
     np.testing.assert_allclose(same.gains, again.gains, rtol=1e-5)
     variances = same.covariance.diagonal(), again.covariance.diagonal()

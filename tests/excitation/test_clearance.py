@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.excitation.clearance import Clearance, capsule, clearance, hull
+from gtau.excitation.clearance import FLOOR, Clearance, Floor, capsule, clearance, hull
 from gtau.excitation.design import check, design
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
@@ -85,6 +85,24 @@ def test_distances_and_slopes_of_capsules(rng: np.random.Generator) -> None:
         apart = np.linalg.norm(link[:, :, None] - post[:, None, :], axis=0).min() - 0.08
         assert nearest.distance[k] == pytest.approx(apart, abs=1e-3)
     slopes_agree(found, c, ("ground", "forearm"), rng.normal(size=c.shape))
+
+
+def test_several_pairs_at_once_are_those_one_by_one(rng: np.random.Generator) -> None:
+    ends = rng.uniform(-0.5, 0.5, (5, 2, 3))
+    capsules = [capsule(*of_one, radius) for of_one, radius in zip(ends, (0.01, 0.02, 0.03, 0.04, 0.05), strict=True)]
+    shapes = {"ground": capsules[:2], FLOOR: [Floor(-0.1)], "arm": capsules[2:3], "forearm": capsules[3:]}
+    found, c = (
+        clearance(InverseDynamics(parse_native(ARM, "arm.yaml")).layout, 0.02, shapes),
+        rng.uniform(-3, 3, (3, 9)),
+    )
+    assert len(found.pairs) == 4
+    for pair, near in zip(found.pairs, found.all_nearest(c, found.pairs), strict=True):
+        alone = [clearance(found.layout, 0.02, dict(zip(pair, ([one], [other]), strict=True))).nearest(c, pair)
+                 for one in shapes[pair[0]] for other in shapes[pair[1]]]  # fmt: skip
+        closest = np.argmin([contact.distance for contact in alone], axis=0)
+        for name in ("distance", "normal", "a", "b"):
+            wanted = np.array([getattr(contact, name) for contact in alone])[closest, ..., np.arange(9)].T
+            np.testing.assert_allclose(getattr(near, name), wanted, atol=1e-12)
 
 
 def test_slopes_with_a_platform_and_a_mesh(tmp_path: Path, rng: np.random.Generator) -> None:

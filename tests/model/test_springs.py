@@ -136,7 +136,7 @@ def test_springs_move_with_what_is_held() -> None:
     [
         (
             "{between: [{body: arm}, {body: arm, xyz: [1, 0, 0]}]}",
-            "both ends of spring 's' are on 'arm'",
+            "spring 's' ties 'arm' to itself",
         ),
         ("{between: [{body: arm}, {body: leg}]}", "spring 's' is attached to 'leg', which is no joint"),
         (

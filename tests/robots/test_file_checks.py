@@ -94,6 +94,7 @@ RADIANS = '<compiler angle="radian"/>'
     ("changed", "said"),
     [
         ({}, ""),
+        ({"inertia": "1e-15 1e-15 1e-14"}, ""),  # of a frame
         ({"mass": "0"}, "physically impossible masses and inertias: body 'a' (line 2) weighs 0 kg;"),
         ({"inertia": "1 1 3"}, "body 'a' (line 2) has the principal moments 1, 1, 3 kg m2, the largest above the sum"),
         ({"turn": 'euler="0 1.5708 0"'}, "angles that look like radians, though the file counts in degrees (angle of "

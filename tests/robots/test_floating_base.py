@@ -153,6 +153,17 @@ def test_six_joints_of_a_urdf_without_motors_are_a_floating_base(
     ]
 
 
+def test_an_arm_of_seven_joints_keeps_its_motors(tmp_path: Path) -> None:
+    links = "".join(f'<link name="l{k}"/>' for k in range(8))
+    joints = "".join(
+        f'<joint name="j{k}" type="continuous"><origin xyz="0 0 0.2" rpy="{k} 0 0"/><parent link="l{k}"/>'
+        f'<child link="l{k + 1}"/></joint>'
+        for k in range(7)
+    )
+    path = written(tmp_path, "arm.urdf", f'<robot name="arm">{links}{joints}</robot>')
+    assert load_robot(path).actuated == tuple(f"j{k}" for k in range(7))
+
+
 def test_a_robot_file_keeps_its_floating_base(tmp_path: Path) -> None:
     robot = load_robot(written(tmp_path, "arm.urdf", ARM), base="floating")
     write_native(robot, tmp_path / "arm.yaml")

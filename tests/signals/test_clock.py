@@ -105,6 +105,15 @@ def test_packets(tmp_path: Path, rng: np.random.Generator) -> None:
     assert 60 < (~run.valid.all(axis=1)).sum() < 130
 
 
+def test_packets_of_any_size_lack_no_sample_where_the_robot_rests(rng: np.random.Generator) -> None:
+    """One, two, four or eight samples at once: hundreds of gaps by the stamps, which positions at rest do not show."""
+    number, ends = np.arange(SAMPLES), np.cumsum(rng.choice([1, 2, 4, 8], SAMPLES))
+    last = ends[np.searchsorted(ends, number, side="right")] - 1
+    clock = clock_of(PERIOD * last + 2.5e-5 * (number - last), logged(np.minimum(regular(), 5.0)))
+    assert (clock.packets, clock.gaps, clock.missing) == (True, (), 0)
+    assert clock.period == pytest.approx(PERIOD, rel=1e-4)
+
+
 def test_stale_samples_are_interpolated(tmp_path: Path, rng: np.random.Generator) -> None:
     time, position, command = regular(), logged(regular()), currents(regular())
     stale = np.flatnonzero(rng.random(SAMPLES - 2) < 0.05) + 1

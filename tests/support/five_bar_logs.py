@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 JOINTS = ("left", "right")
@@ -61,6 +62,12 @@ class Plant:
             current[:, j] = tau[:, j] / self.gains[j]
         current += self.noise * np.random.default_rng(seed + 1000).normal(size=current.shape)
         return Run(name, JOINTS, time, path(time, seed)[0], current, **more)
+
+
+def pair(plant: Plant) -> list[Run]:
+    """A run without and one with the known payload."""
+    free, loaded = plant.run("free", 8.0, seed=1), plant.run("loaded", 8.0, STEEL, seed=2)
+    return [free, replace(loaded, payload=Payload(name="steel", mass=STEEL["m"]))]
 
 
 def path(time: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

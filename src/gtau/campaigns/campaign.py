@@ -246,7 +246,7 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
 
         def width_of(candidate: Candidate) -> float:
             progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
-            return expected_width(candidate, result, accuracy / 100, last.number)
+            return expected_width(candidate, result, last.number)
 
         chosen, widths = best(offered, width_of)
         designed, decision = chosen.design, refuse_to_go_on(result, decision, widths)

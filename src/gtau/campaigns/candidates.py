@@ -8,11 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
+from gtau.estimation.diagnostics.examine import OF_INTERVALS, estimates_of, examine, weighed
+from gtau.estimation.estimators.essential import select_friction
+from gtau.estimation.estimators.registry import estimator_of
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.excitation.design import Design, check
 from gtau.excitation.forecast import Outlook
 from gtau.excitation.task import DesignProblem
+from gtau.model.interpreter.program import single_threaded_blas
+from gtau.progress import silent
+from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 
@@ -75,23 +82,39 @@ def widths(result: Result) -> dict[str, float]:
     }
 
 
-def expected_width(candidate: Candidate, result: Result, accuracy: float, seed: int) -> float:
-    """Half the widest interval of a gain, per cent, after the candidate too; infinite where it cannot be identified."""
+def expected_width(candidate: Candidate, result: Result, seed: int) -> float:
+    """Expect half the widest interval of a gain, per cent, after the candidate too; infinite where none is found.
+
+    The noise is the same for all candidates, and effects that the model may lack count at the sizes that it gives them
+    in the rms. Of a five-bar's eight candidates each interval varied by 1.19 to 1.37 (greatest over least) over five
+    draws of the noise, all eight alike; at the sizes of the draw it was 1.27 to 2.06, each in its own way.
+    """
+    estimator = estimator_of("ml")
     try:
-        runs = _simulated(candidate.design, result, np.random.default_rng(seed))
-        after = identify(result.robot, [*result.data, *runs], accuracy=accuracy)
+        with single_threaded_blas():
+            dataset = reduce_runs(result.robot, [*result.data, *_simulated(candidate.design, result, seed)])
+            fit = estimator.fit(select_friction(dataset, estimator.solver(None), silent), None, silent)
+            seen = examine(fit, checks=OF_INTERVALS)
+            usual = weighed(replace(seen, alternatives=tuple(effect.by_noise() for effect in seen.alternatives)))
+            estimates = estimates_of(fit, usual, correlated=True)
     except GtauError:
         return np.inf
-    return max(widths(after).values())
+    gains = estimates.select([Parameter("gain", joint) for joint in result.drive_gains])
+    stds, freedom = np.sqrt(np.diag(gains.covariance)), gains.effective_freedom
+    return max(
+        Estimate("", value, std, "", freedom=None if freedom is None else freedom[k]).half_width or np.inf
+        for k, (value, std) in enumerate(zip(gains.values, stds, strict=True))
+    )
 
 
-def _simulated(design: Design, result: Result, rng: np.random.Generator) -> Iterator[Run]:
-    """Make logs of a design as the identified robot with its friction would, with white noise."""
+def _simulated(design: Design, result: Result, seed: int) -> Iterator[Run]:
+    """Make logs of a design as the identified robot with its friction would, with the same white noise for all."""
     ((time, joints),) = Outlook(design, {}).motions
     q, qd, qdd = (rows.T for rows in joints[:3])
     for k, payload in enumerate(design.task.payloads):
         current = result.currents(q, qd, qdd, _carried(payload, result))
-        current = current + design.task.prior.sigma * rng.standard_normal(current.shape)
+        noise = np.random.default_rng([seed, k]).standard_normal(current.shape)
+        current = current + design.task.prior.sigma * noise
         yield Run(f"candidate{k + 1}", result.robot.actuated, time, q, current, payload=payload)
 
 

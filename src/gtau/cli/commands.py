@@ -105,6 +105,6 @@ def gtau(
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
-for command, short in (each for commands in COMMANDS.values() for each in commands.items()):
+for command, short in (entry for commands in COMMANDS.values() for entry in commands.items()):
     settings = MASSES if command is excite else None
     app.command(command.__name__, cls=_Command, short_help=short, context_settings=settings)(command)

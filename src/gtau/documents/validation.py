@@ -38,6 +38,11 @@ Number = Annotated[FiniteFloat, AfterValidator(_sized)]
 Positive = Annotated[Number, Field(gt=0)]
 
 
+def text_or_group(value: Any) -> str:
+    """Discriminate, for pydantic, a text from a group."""
+    return "text" if isinstance(value, str) else "group"
+
+
 class Keys(BaseModel):
     """A group of a file; unknown keys are errors."""
 

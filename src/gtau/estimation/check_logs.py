@@ -132,9 +132,7 @@ class ExperimentCheck:
         """The grade of the worst finding."""
         return next(iter(by_severity(self.notes)), Severity.INFORMATION)
 
-    def _repr_html_(self) -> str:
-        html: str = display.views().html(self)
-        return html
+    _repr_html_ = display.html
 
 
 @takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER)

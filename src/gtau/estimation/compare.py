@@ -84,9 +84,7 @@ class EstimatorComparison:
         types = dict.fromkeys(("method", "joint", "verdict", "refusal"), pl.String)
         return pl.DataFrame(rows, schema_overrides=types | dict.fromkeys(("gain", "std", "residual"), pl.Float64))
 
-    def _repr_html_(self) -> str:
-        html: str = display.views().html(self)
-        return html
+    _repr_html_ = display.html
 
 
 @takes(progress=FUNCTION, prior_inertias=NUMBER)

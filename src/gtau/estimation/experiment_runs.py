@@ -97,13 +97,7 @@ class Subject:
 def read(
     source: str | Path | Experiment | Robot, runs: Sequence[Run] | None, options: Options, progress: Progress = silent
 ) -> Subject:
-    """Read an experiment, or take a robot with its runs; options replace the experiment's own entries.
-
-    Raises
-    ------
-    GtauError
-        If a file is wrong, a robot comes without runs, an experiment with runs, or an argument has a wrong type.
-    """
+    """Read an experiment, or take a robot with its runs; options replace its own entries; raises GtauError."""
     subject = describe(source, runs, options)
     if subject.experiment is None:
         return subject

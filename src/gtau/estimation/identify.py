@@ -186,23 +186,8 @@ def estimate(
     terms are selected from the data, then identified on all samples at these gains and inertial parameters, and
     covariances are by the block jackknife, which allows for residuals correlated in time.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        The reduced runs (eqs. 19 and 20).
-    estimator : Estimator
-        The method.
-    gains : ndarray, optional
-        Those that it is given, (n,); estimated if None.
-    options : Options
-        What is asked.
-    progress : callable
-        Called as the work goes on.
-
-    Raises
-    ------
-    GtauError
-        Where the data do not suit the estimator.
+    ``dataset`` are the reduced runs (eqs. 19 and 20), ``gains`` (n,) those that the estimator is given; estimated if
+    None. Raises GtauError where the data do not suit the estimator.
     """
     as_paper, ratio, accuracy = options.as_paper, options.ratio, options.accuracy
     if as_paper:

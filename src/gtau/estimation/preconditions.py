@@ -29,13 +29,10 @@ def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
 def require_inputs(subject: Subject) -> Estimator:
     """Check that the estimator takes what is given and has what it needs, before the logs are reduced.
 
-    Raises
-    ------
-    GtauError
-        Where it takes neither torque sensors nor known parameters, and there are some (``consistent`` parameters are
-        sought with the latter whatever the estimator); where it does not support a floating base; where it takes gains
-        and some joint has none; where the paper has no such method, or it cannot be constrained; where the solver of
-        consistent parameters is not installed.
+    Raises GtauError where it takes neither torque sensors nor known parameters, and there are some (``consistent``
+    parameters are sought with the latter whatever the estimator); where it does not support a floating base; where it
+    takes gains and some joint has none; where the paper has no such method, or it cannot be constrained; where the
+    solver of consistent parameters is not installed.
     """
     options, estimator = subject.options, estimator_for(subject.options, subject.runs)
     if options.as_paper and not estimator.in_paper:
@@ -61,24 +58,13 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
     """Plan an identification: its estimator, and the gains (n,) that it is given; None where it estimates them.
 
     Where nothing tests the scale of logged torques it is set to 1, except by an estimator of gains that was asked for;
-    known parameters alone test it only for the latter, as they may be rough.
-
-    Parameters
-    ----------
-    subject : Subject
-        What is asked.
-    dataset, system : Dataset, System
-        The reduced runs, and their equations.
-
-    Raises
-    ------
-    GtauError
-        If nothing fixes the scale of the currents, or the estimator asked for lacks an input.
+    known parameters alone test it only for the latter, as they may be rough. Raises GtauError if nothing fixes the
+    scale of the currents, or the estimator asked for lacks an input.
     """
     options, runs = subject.options, dataset.runs
-    estimator, asked = estimator_for(options, runs), options.method is not None
+    estimator, named = estimator_for(options, runs), options.method is not None
     if estimator.gains != Gains.GIVEN:
-        demanded = runs[0].kind == "current" or (asked and estimator.gains == Gains.ESTIMATED)
+        demanded = runs[0].kind == "current" or (named and estimator.gains == Gains.ESTIMATED)
         try:
             require_scale(dataset.robot, system, [run.payload for run in runs], estimator.name)
         except GtauError:
@@ -87,7 +73,7 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
         else:
             if demanded or tests_torques(system):
                 return estimator, None
-        estimator = estimator if asked else estimator_of("wls")
+        estimator = estimator if named else estimator_of("wls")
     return estimator, given_gains(dataset.robot, runs, options.gains, estimator.name)
 
 
@@ -155,10 +141,7 @@ def _has_scale(run: Run) -> bool:
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float], method: str) -> np.ndarray:
     """Return gains for least squares: the prior ones, 1 for torques without, (n,).
 
-    Raises
-    ------
-    GtauError
-        Where currents are logged and some joint has no prior gain.
+    Raises GtauError where currents are logged and some joint has no prior gain.
     """
     exact = robot.actuated if runs[0].kind == "torque" else robot.base
     known = dict.fromkeys(exact, 1.0) | dict(prior_gains)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, product
+from itertools import chain, combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,8 @@ class Hull:
 
 FIXED = (GROUND, FLOOR)
 Shape = Capsule | Floor | Hull
+Placed = tuple[str, Shape]
+"""A shape of a body."""
 Poses = tuple[np.ndarray, np.ndarray]
 """Orientations (3, 3, N) and positions (3, N) in the base."""
 
@@ -76,20 +78,35 @@ class Clearance:
 
     def nearest(self, c: np.ndarray, pair: tuple[str, str]) -> Nearest:
         """Find the nearest points of a pair of bodies at configurations (n_c, N)."""
-        first, second = (self.poses(body, c) for body in pair)
-        shapes = product(self.shapes[pair[0]], self.shapes[pair[1]])
-        contacts = [_contacts(one, first, other, second) for one, other in shapes]
-        distances = np.array([contact.distance for contact in contacts])
-        which, samples = np.argmin(distances, axis=0), np.arange(c.shape[1])
-        normal, a, b = (
-            np.array([getattr(contact, name) for contact in contacts])[which, :, samples].T
-            for name in ("normal", "a", "b")
-        )
-        return Nearest(distances[which, samples], normal, a, b)
+        return self.all_nearest(c, [pair])[0]
+
+    def all_nearest(self, c: np.ndarray, pairs: Sequence[tuple[str, str]]) -> list[Nearest]:
+        """Find the nearest points of some pairs of bodies; those of all capsules in one go."""
+        poses = {body: self.poses(body, c) for body in dict.fromkeys(chain(*pairs))}
+        placed = {body: [(body, shape) for shape in self.shapes[body]] for body in poses}
+        lines: dict[Placed, tuple[np.ndarray, np.ndarray, float]] = {
+            (body, shape): (*_ends(poses[body], shape), shape.radius)
+            for body, shape in chain(*placed.values())
+            if isinstance(shape, Capsule)
+        }
+        couples = [list(product(placed[one], placed[other])) for one, other in pairs]
+        between = _between_capsules([couple for couple in chain(*couples) if {*couple} <= lines.keys()], lines)
+        every, samples = [], np.arange(c.shape[1])
+        for pair, of_pair in zip(pairs, couples, strict=True):
+            first, second = (poses[body] for body in pair)
+            contacts = [between.get((a, b)) or _contacts(a[1], first, b[1], second) for a, b in of_pair]
+            distances = np.array([contact.distance for contact in contacts])
+            which = np.argmin(distances, axis=0)
+            normal, a, b = (
+                np.array([getattr(contact, name) for contact in contacts])[which, :, samples].T
+                for name in ("normal", "a", "b")
+            )
+            every.append(Nearest(distances[which, samples], normal, a, b))
+        return every
 
     def holds(self, c: np.ndarray) -> bool:
         """Decide whether all bodies keep their distance at configurations (n_c, N)."""
-        return all(self.nearest(c, pair).distance.min(initial=np.inf) >= self.least for pair in self.pairs)
+        return all(near.distance.min(initial=np.inf) >= self.least for near in self.all_nearest(c, self.pairs))
 
     def slopes(self, c: np.ndarray, pair: tuple[str, str], nearest: Nearest) -> np.ndarray:
         """Compute the derivatives (n_c, N) of the distance by c: the nearest points move with their bodies."""
@@ -140,6 +157,10 @@ def _placed(poses: Poses, point: np.ndarray) -> np.ndarray:
     return p + np.einsum("ijn,j->in", R, point)
 
 
+def _ends(poses: Poses, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
+    return _placed(poses, capsule.start), _placed(poses, capsule.end)
+
+
 def _contacts(one: Shape, first: Poses, other: Shape, second: Poses) -> Nearest:
     if isinstance(one, Hull) or isinstance(other, Hull):
         return _between_hulls(one, first, other, second)
@@ -147,16 +168,29 @@ def _contacts(one: Shape, first: Poses, other: Shape, second: Poses) -> Nearest:
         turned = _contacts(other, second, one, first)
         return Nearest(turned.distance, -turned.normal, turned.b, turned.a)
     assert isinstance(one, Capsule)
-    ends = _placed(first, one.start), _placed(first, one.end)
-    if isinstance(other, Floor):
-        lowest = np.where(ends[0][2] < ends[1][2], *ends)
-        down = np.broadcast_to([[0.0], [0.0], [-1.0]], lowest.shape)
-        below = np.vstack([lowest[:2], np.full((1, lowest.shape[1]), other.height)])
-        return Nearest(lowest[2] - one.radius - other.height, down, lowest + one.radius * down, below)
-    a, b = nearest_points(*ends, _placed(second, other.start), _placed(second, other.end))
-    apart = np.linalg.norm(b - a, axis=0)
-    normal = (b - a) / np.maximum(apart, 1e-12)
-    return Nearest(apart - one.radius - other.radius, normal, a + one.radius * normal, b - other.radius * normal)
+    assert isinstance(other, Floor)
+    ends = _ends(first, one)
+    lowest = np.where(ends[0][2] < ends[1][2], *ends)
+    down = np.broadcast_to([[0.0], [0.0], [-1.0]], lowest.shape)
+    below = np.vstack([lowest[:2], np.full((1, lowest.shape[1]), other.height)])
+    return Nearest(lowest[2] - one.radius - other.height, down, lowest + one.radius * down, below)
+
+
+def _between_capsules(
+    pairs: Sequence[tuple[Placed, Placed]], lines: Mapping[Placed, tuple[np.ndarray, np.ndarray, float]]
+) -> dict[tuple[Placed, Placed], Nearest]:
+    """Compute the contacts of pairs of capsules side by side; ``lines`` are their ends (3, N) and radii."""
+    if not pairs:
+        return {}
+    points = (np.concatenate([lines[pair[k]][end] for pair in pairs], axis=1) for k in (0, 1) for end in (0, 1))
+    on_one, on_other = (point.reshape(3, len(pairs), -1).swapaxes(0, 1) for point in nearest_points(*points))
+    apart = np.linalg.norm(on_other - on_one, axis=1)
+    normal = (on_other - on_one) / np.maximum(apart, 1e-12)[:, None]
+    return {
+        (one, other): Nearest(gap - r - s, along, a + r * along, b - s * along)
+        for (one, other), gap, along, a, b in zip(pairs, apart, normal, on_one, on_other, strict=True)
+        for r, s in [(lines[one][2], lines[other][2])]
+    }
 
 
 def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -176,9 +176,12 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
     """Compute the distances between bodies, on the way from rest to the motion's first pose too."""
     parts = [point] if (way := _approach(point)) is None else [point, way]
+    every = [
+        dict(zip(clearance.pairs, clearance.all_nearest(part.motion.c, clearance.pairs), strict=True)) for part in parts
+    ]
     for body in dict.fromkeys(second for _, second in clearance.pairs):
         pairs = [pair for pair in clearance.pairs if pair[1] == body]
-        nearest = [[clearance.nearest(part.motion.c, pair) for pair in pairs] for part in parts]
+        nearest = [[contacts[pair] for pair in pairs] for contacts in every]
 
         def rows(pairs: list[tuple[str, str]] = pairs, nearest: list[list[Nearest]] = nearest) -> np.ndarray:
             ways = zip(parts, nearest, strict=True)

@@ -133,18 +133,9 @@ TURNING = 0.3  # rad, reach of a platform's turns
 
 @takes(path=PATH)
 def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
-    """Read a design file.
+    """Read a design file: the design problem, and assumptions where it states nothing; raises GtauError.
 
-    Returns
-    -------
-    Task, dict of str to str
-        The design problem, and assumptions where the file states nothing, with a sentence on each:
-        ``parameters``, ``gains``, ``noise``.
-
-    Raises
-    ------
-    GtauError
-        The file or something it names cannot be read, or something in it is missing, misspelt or contradictory.
+    Assumptions are a sentence each on ``parameters``, ``gains`` and ``noise``.
     """
     refuse_other_kind(path, DESIGN)
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))

@@ -243,7 +243,7 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
         c = close(task.model, np.stack([q, 0 * q, 0 * q])).c
     except GtauError:  # not every pose is reachable
         return resting
-    room = np.min([clearance.nearest(c, pair).distance for pair in clearance.pairs], axis=0).reshape(CENTERS, -1)
+    room = np.min([near.distance for near in clearance.all_nearest(c, clearance.pairs)], axis=0).reshape(CENTERS, -1)
     on_way = room.min(axis=1)
     clear = on_way >= clearance.least
     chosen = np.argmax(np.where(clear, room[:, -1], -np.inf) if clear.any() else on_way)

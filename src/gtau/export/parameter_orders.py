@@ -69,10 +69,7 @@ ORDERS = {
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME_PROGRAM.csv`` into ``out`` for each program: one row per body, one column per parameter, SI units.
 
-    Raises
-    ------
-    GtauError
-        Where the result has no physically consistent parameters.
+    Raises GtauError where the result has no physically consistent parameters.
     """
     model, robot = consistent_model(result, "parameter orders"), result.robot
     texts = {}
@@ -87,21 +84,10 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def to_order(chi: Mapping[str, float], body: str, program: str) -> dict[str, float]:
-    """Arrange parameters of a body by the names and in the order of ``program``.
+    """Arrange parameters of a body, a joint or platform, by the names and in the order of a program of ``ORDERS``.
 
-    Parameters
-    ----------
-    chi : mapping
-        Standard parameters by gtau's names (``xx_3`` .. ``m_3``), SI units; those missing are zero.
-    body : str
-        Joint or platform whose link it is.
-    program : str
-        One of ``ORDERS``.
-
-    Raises
-    ------
-    GtauError
-        Where the body has no mass and the program gives a centre of mass, or there is no such program.
+    ``chi`` are standard parameters by gtau's names (``xx_3`` .. ``m_3``), SI units; those missing are zero. Raises
+    GtauError where the body has no mass and the program gives a centre of mass.
     """
     if program not in ORDERS:
         raise GtauError(f"there is no parameter order of '{program}'; choose from {', '.join(ORDERS)}.")

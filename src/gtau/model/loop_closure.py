@@ -12,6 +12,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.model.closures import error_expressions
 from gtau.model.kinematics import Coordinates
+from gtau.robots.placement import within_a_turn
 from gtau.robots.robot import Joint, Robot
 
 # Lengths are in characteristic lengths of the robot, angles in rad.
@@ -88,14 +89,10 @@ class LoopErrors:
         layout, joints = self.layout, slice(len(self.layout.robot.joints))
         distance = np.zeros(layout.n_y)
         change = after[joints] - before[joints]
-        distance[joints] = np.where(layout.angular[joints], _within_a_turn(change), change)
+        distance[joints] = np.where(layout.angular[joints], within_a_turn(change), change)
         for slots in layout.platforms:
             distance[slots.rates] = slots.displacement(before, after)
         return np.abs(distance / layout.unit)
-
-
-def _within_a_turn(angle: np.ndarray) -> np.ndarray:
-    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
 
 
 def loop_errors(layout: Coordinates) -> LoopErrors:
@@ -172,7 +169,7 @@ def _unwound(errors: LoopErrors, given: np.ndarray, solved: np.ndarray) -> np.nd
     robot, unwound = errors.layout.robot, solved.copy()
     coupled = {name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
     turning = [k for k, joint in enumerate(robot.joints) if joint.turns and joint.name not in coupled]
-    unwound[turning] = given[turning] + _within_a_turn(solved[turning] - given[turning])
+    unwound[turning] = given[turning] + within_a_turn(solved[turning] - given[turning])
     return unwound
 
 

@@ -133,6 +133,11 @@ def angles_of(rotation: np.ndarray) -> tuple[float, float, float]:
     return roll, pitch, yaw
 
 
+def within_a_turn(angle: np.ndarray) -> np.ndarray:
+    """Take full turns off angles: from -pi to pi, rad."""
+    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+
+
 def turn(axis: np.ndarray, angle: float) -> np.ndarray:
     """Compute the rotation (3, 3) by `angle` about the unit vector `axis` (3,) (Rodrigues)."""
     x, y, z = axis

@@ -287,10 +287,11 @@ def _problems(robot: Robot) -> Iterator[str]:
     yield from filter(None, map(name_problem, (*robot.bodies, *(spring.name for spring in robot.springs))))
     if not robot.joints:
         yield "it has no joints; list at least one under 'joints'"
+    names = Counter((GROUND, *robot.bodies, *(spring.name for spring in robot.springs)))
+    for name in (name for name, count in names.items() if count > 1):
+        yield f"the name '{name}' is used twice; give every joint, platform and spring its own"
     known = {GROUND}
     for joint in robot.joints:
-        if joint.name in known:
-            yield f"the name '{joint.name}' is used twice; give every joint and platform its own"
         if joint.antecedent not in known:
             yield (
                 f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is not a joint listed before it; "
@@ -299,24 +300,14 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield from _joint_problems(joint)
         known.add(joint.name)
     for platform in robot.platforms:
-        if platform.name in known:
-            yield f"the name '{platform.name}' is used twice; give every joint and platform its own"
         yield from _platform_problems(platform)
-        known.add(platform.name)
         if not any(platform.name in (closure.a.body, closure.b.body) for closure in robot.closures):
             yield f"no closure holds platform '{platform.name}'; add one or remove the platform"
+    known.update(robot.bodies)
     for number, closure in enumerate(robot.closures, start=1):
-        yield from _loose_ends(f"closure {number}", closure, known)
-        if closure.a.body == closure.b.body:
-            yield f"closure {number} ties '{closure.a.body}' to itself; attach its ends to two bodies"
-    used = set(known)
+        yield from _tie_problems(f"closure {number}", closure, known)
     for spring in robot.springs:
-        if spring.name in used:
-            yield f"the name '{spring.name}' is used twice; give every joint, platform and spring its own"
-        used.add(spring.name)
-        yield from _loose_ends(f"spring '{spring.name}'", spring, known)
-        if spring.a.body == spring.b.body:
-            yield f"both ends of spring '{spring.name}' are on '{spring.a.body}'; attach them to two bodies"
+        yield from _tie_problems(f"spring '{spring.name}'", spring, known)
         if not spring.parameters:
             yield f"spring '{spring.name}' has none of preload, stiffness and damping; give it one, or remove it"
     joints = {joint.name for joint in robot.joints}
@@ -357,10 +348,12 @@ def _platform_problems(platform: Platform) -> Iterator[str]:
         yield f"platform '{name}' has two rotations; give it none, one or all three (the closures constrain the rest)"
 
 
-def _loose_ends(what: str, tie: Closure | Spring, known: Collection[str]) -> Iterator[str]:
+def _tie_problems(what: str, tie: Closure | Spring, known: Collection[str]) -> Iterator[str]:
     for end in (tie.a, tie.b):
         if end.body not in known:
             yield f"{what} is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
+    if tie.a.body == tie.b.body:
+        yield f"{what} ties '{tie.a.body}' to itself; attach its ends to two bodies"
 
 
 def _coupling_problems(what: str, coupling: Coupling, joints: Collection[str]) -> Iterator[str]:

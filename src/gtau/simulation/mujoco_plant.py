@@ -150,7 +150,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
     spec.compiler.boundmass = spec.compiler.boundinertia = LIGHTEST
     body = {GROUND: spec.worldbody}
     for joint in robot.joints:
-        body[joint.name] = _add_body(mujoco, body[joint.antecedent], joint.placement, joint.name, chi)
+        body[joint.name] = _add_body(body[joint.antecedent], joint.placement, joint.name, chi)
         made = body[joint.name].add_joint(
             name=joint.name,
             type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
@@ -163,7 +163,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
             made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
             made.springref = joint.spring
     for platform in robot.platforms:
-        body[platform.name] = _add_body(mujoco, spec.worldbody, platform.home, platform.name, chi)
+        body[platform.name] = _add_body(spec.worldbody, platform.home, platform.name, chi)
         _add_freedoms(mujoco, body[platform.name], platform)
     for number, closure in enumerate(robot.closures):
         _add_closure(mujoco, spec, number, closure, body)
@@ -235,7 +235,7 @@ def _add_spring(
     actuator.biasprm[:3] = bias[0], 0.0 - bias[1], 0.0 - bias[2]  # no -0 in files
 
 
-def _add_body(mujoco: ModuleType, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
+def _add_body(parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
     body = rigid_body(chi, name)
     moments, axes = body.principal
     return parent.add_body(

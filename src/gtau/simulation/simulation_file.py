@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, expect, validate
@@ -19,7 +19,7 @@ from gtau.signals.reading.logged_run import RobotName
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import BANDWIDTH, JointHardware
 from gtau.simulation.joint_friction import WIDTH
-from gtau.simulation.trajectories import MotionEntry, PerJoint, existing
+from gtau.simulation.trajectories import Existing, MotionEntry, PerJoint
 
 
 class SimulatedRun(Keys):
@@ -69,7 +69,7 @@ class Simulation(Keys):
 
     robot: RobotName
     engine: Literal["gtau", "mujoco"] = "gtau"
-    model: Path | None = None
+    model: Existing | None = None
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
     curves: dict[str, FrictionEntry] = Field(default_factory=dict)
     drives: dict[str, JointHardware] = Field(min_length=1)
@@ -84,11 +84,6 @@ class Simulation(Keys):
 
     def __repr__(self) -> str:
         return f"Simulation({self.robot!r}, runs: {', '.join(run.name for run in self.runs)})"
-
-    @field_validator("model")
-    @classmethod
-    def _existing(cls, model: Path, info: ValidationInfo) -> Path:
-        return existing(model, info)
 
     @field_validator("parameters")
     @classmethod

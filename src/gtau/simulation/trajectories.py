@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, FiniteFloat, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, model_validator
 
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
@@ -144,12 +144,15 @@ def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToP
     return PointToPoint(points, starts, spans)
 
 
-def existing(path: Path, info: ValidationInfo) -> Path:
+def _existing(path: Path, info: ValidationInfo) -> Path:
     """Return a path of the simulation file from its folder; raises ValueError where there is no file."""
     path = path if info.context is None else info.context / path
     if not path.is_file():
         raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
     return path
+
+
+Existing = Annotated[Path, AfterValidator(_existing)]
 
 
 class RandomMotion(Keys):
@@ -196,12 +199,7 @@ class MotionEntry(Keys):
     moves: RandomMotion | None = None
     points: Points | None = None
     fourier: Fourier | None = None
-    csv: Path | None = None
-
-    @field_validator("csv")
-    @classmethod
-    def _existing(cls, csv: Path, info: ValidationInfo) -> Path:
-        return existing(csv, info)
+    csv: Existing | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> MotionEntry:

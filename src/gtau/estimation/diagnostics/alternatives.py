@@ -108,6 +108,14 @@ class Alternative:
         """Make it that of a joint, or of a subject, with the values of its words."""
         return replace(self, causes=(Finding(self.kind, (joint,) if joint else (), subject, values),))
 
+    def by_noise(self) -> Alternative:
+        """Return it at the size that noise alone would give it (rms), and as probable as before the data."""
+        before = replace(self, probability=float(ALTERNATIVE_PRIOR))
+        if not self.std:
+            return before
+        as_found, usual = (support(size, self.std, self.plausible)[1] for size in (self.size, self.std))
+        return replace(before, size=self.std, shifts=np.sqrt(usual / as_found) * self.shifts)
+
     def moving(self, fit: Fit, slopes: np.ndarray) -> Alternative:
         """Add what it does to the estimates: they move by ``slopes`` (k,) for a unit of it."""
         gains, moment = slopes[fit.system.problem.gain_rows], support(self.size, self.std, self.plausible)[1]

@@ -261,8 +261,8 @@ def _by_file(
     estimates, gain = np.zeros((2, len(joints), 3)), 0.0  # coefficient, variance and weight, (N m)^2
     for j, (joint, count) in enumerate(zip(joints, counts, strict=True)):
         first = joint.names < base.count
-        free = joint.own[:, first].any(axis=1)
-        names, W = joint.names[first], joint.own[free][:, first]
+        free = joint.columns[:, first].any(axis=1)
+        names, W = joint.names[first], joint.columns[free][:, first]
         gravity, torque = joint.weight[free][:, first] @ values[names], W @ values[names]
         driven = W[:, [of_drive(base.standard[k], dataset.model.actuated[j]) for k in names]]
         regressed = (gravity, np.column_stack([torque - gravity, driven])), (torque, driven)

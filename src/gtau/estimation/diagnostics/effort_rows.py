@@ -28,13 +28,13 @@ RANK = 1e-8  # of the largest singular value: directions below it are left out
 class JointRows:
     """The K rows of a joint.
 
-    ``own`` (K, p) are its columns, ``weight`` (K, p) gravity's part of them, and ``names`` (p,) their numbers among
+    ``columns`` (K, p) are its own, ``weight`` (K, p) gravity's part of them, and ``names`` (p,) their numbers among
     ``base.standard``, from ``base.count`` on for a second payload, and so on; those without payload are first.
     ``effort`` (K, n + 1) are the columns of all joints, its own as the delay of the model shifts it that fits best, and
     its own again, shifted by the ``lag`` (s) that fits best of all: None where it is such a delay.
     """
 
-    own: np.ndarray
+    columns: np.ndarray
     weight: np.ndarray
     names: np.ndarray
     effort: np.ndarray
@@ -43,12 +43,12 @@ class JointRows:
     @cached_property
     def basis(self) -> np.ndarray:
         """Orthonormal basis of its columns (K, r)."""
-        return basis_of(self.own)
+        return basis_of(self.columns)
 
     @cached_property
     def factor(self) -> np.ndarray:
         """Triangle of its columns, gravity's part of them, and all efforts."""
-        return triangle(np.hstack([self.own, self.weight, self.effort]))
+        return triangle(np.hstack([self.columns, self.weight, self.effort]))
 
     def left(self, effort: np.ndarray) -> np.ndarray:
         """Compute the shares of columns (K, m), or of one, that the equations leave, rms."""
@@ -92,7 +92,7 @@ def joint_rows(dataset: Dataset, slowest: float) -> list[JointRows]:
         _rows(j, dataset, streamed, np.eye(len(names))[places], steps, slowest)
         for j in range(len(dataset.model.actuated))
     ]
-    return [] if any(len(joint.own) < 2 * joint.basis.shape[1] for joint in joints) else joints
+    return [] if any(len(joint.columns) < 2 * joint.basis.shape[1] for joint in joints) else joints
 
 
 Streamed = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -144,12 +144,12 @@ def _rows(
 
     parts = zip(windows, rows, loaded, strict=True)
     stacked = [np.kron(load, entries[:, mine][..., kept].swapaxes(1, 2)) for (entries, *_), kept, load in parts]
-    own, weight = np.concatenate(stacked, axis=1)
-    stated, lag = _lags(own, shifted, reach, slowest)
+    columns, weight = np.concatenate(stacked, axis=1)
+    stated, lag = _lags(columns, shifted, reach, slowest)
     n = len(dataset.model.actuated)
     efforts = [shifted(np.array([stated if k == j else 0.0]), k) for k in range(n)]
     return JointRows(
-        own,
+        columns,
         weight,
         np.concatenate([regressor.columns[mine] + k * dataset.base.count for k in range(loaded.shape[1])]),
         np.hstack([*efforts, shifted(np.array([lag]))]),
@@ -158,12 +158,12 @@ def _rows(
 
 
 def _lags(
-    own: np.ndarray, shifted: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float
+    columns: np.ndarray, shifted: Callable[[np.ndarray], np.ndarray], reach: float, slowest: float
 ) -> tuple[float, float]:
     """Find the lags that leave least: of those that a delay of the model describes, and of all."""
     if not slowest:
         return 0.0, 0.0
-    basis, most = basis_of(own), round(COARSE * reach / slowest)
+    basis, most = basis_of(columns), round(COARSE * reach / slowest)
     coarse = slowest / COARSE * np.arange(-most, most + 1)
     shares = unexplained(basis, shifted(coarse))
     longest = slowest * (1 + 1e-9)  # and rounding

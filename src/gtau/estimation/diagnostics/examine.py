@@ -179,24 +179,26 @@ SILENCES: Mapping[str, Set[str]] = {
 }
 """What a check silences where it finds something, as that explains what they would find: checks that are then not made,
 and hypotheses and kinds of findings that do not count."""
+OF_INTERVALS = ("hypotheses", "other estimators", "two-stage least squares")
+"""Those that widen the intervals of a fit of which nothing is wrong."""
 LIKE_WRENCHES = {GAIN_CHANGE, LENGTHS}
 """Effects that seem to be there where a wrench is wrong, and count if they explain ``OF_BEST`` of what that does."""
 
 
-def examine(fit: Fit, progress: Progress = silent) -> Examination:
-    """Make all checks of a fit; ``progress`` is called as the work goes on."""
+def examine(fit: Fit, progress: Progress = silent, checks: Iterable[str] = CHECKS) -> Examination:
+    """Make the ``checks`` of a fit; ``progress`` is called as the work goes on."""
     rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.values)
     if rows < FEWEST_FOR_TESTS * unknowns:
         return Examination(findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
     findings: list[Finding] = []
     alternatives: list[Alternative] = []
-    effort = rank_meanings(fit.dataset, fit.system.whole.longest_delays.max())
+    effort = rank_meanings(fit.dataset, fit.system.unreduced.longest_delays.max())
     silenced: Set[str] = set()
-    for name, check in CHECKS.items():
+    for name in checks:
         if name in silenced:
             continue
         try:
-            evidence = list(check(fit, Examination(tuple(alternatives), tuple(findings), effort), progress))
+            evidence = list(CHECKS[name](fit, Examination(tuple(alternatives), tuple(findings), effort), progress))
         except GtauError as refusal:
             findings.append(Finding(F.UNTESTED, values={"check": name, "refusal": str(refusal).removesuffix(".")}))
             continue
@@ -206,10 +208,10 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             alternatives = [item for item in alternatives if item.hypothesis not in silent_now]
         findings += [item for item in evidence if isinstance(item, Finding)]
         alternatives += [item for item in evidence if isinstance(item, Alternative)]
-    return _weighed(Examination(tuple(alternatives), tuple(findings), effort))
+    return weighed(Examination(tuple(alternatives), tuple(findings), effort))
 
 
-def _weighed(seen: Examination) -> Examination:
+def weighed(seen: Examination) -> Examination:
     """Assign probabilities to all alternatives together; other estimators compete for each estimate, and come last."""
     of_wrenches = [effect.share for effect in seen.alternatives if effect.hypothesis in WRENCHES and effect.significant]
     least = OF_BEST * max(of_wrenches, default=0.0)  # lengths and single currents look wrong too
@@ -221,8 +223,8 @@ def _weighed(seen: Examination) -> Examination:
             estimators.append(effect)
         elif effect.hypothesis not in LIKE_WRENCHES or effect.share > least:
             models.append(effect)
-    weighed = compete(estimators, lambda effect: (effect.causes[0].joints, effect.causes[0].subject))
-    listed = [effect for effect in weighed if any(effect.moves.values()) or effect.probability > DIFFERENT_PROBABILITY]
+    others = compete(estimators, lambda effect: (effect.causes[0].joints, effect.causes[0].subject))
+    listed = [effect for effect in others if any(effect.moves.values()) or effect.probability > DIFFERENT_PROBABILITY]
     return replace(seen, alternatives=(*ranked(models), *listed), ripple=ripple)
 
 

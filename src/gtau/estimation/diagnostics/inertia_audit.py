@@ -161,15 +161,15 @@ def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 def _errors(fit: Fit, theta: np.ndarray) -> dict[str, float]:
     """Compute the torque errors of the joints, per cent of their rms torque."""
-    whole, solution = fit.system.whole, fit.solution
-    squares = squared(stacked(whole), np.concatenate([theta, solution.gains, solution.delays]))
-    rms = np.sqrt(squares / whole.total_rows)
-    return dict(zip(whole.joints, (100 * rms / whole.balance(theta)).tolist(), strict=False))
+    problem, solution = fit.system.unreduced, fit.solution
+    squares = squared(stacked(problem), np.concatenate([theta, solution.gains, solution.delays]))
+    rms = np.sqrt(squares / problem.total_rows)
+    return dict(zip(problem.joints, (100 * rms / problem.balance(theta)).tolist(), strict=False))
 
 
 def _rows(fit: Fit) -> np.ndarray:
     """Compute the weighted Jacobian of the residuals by the whole problem's parameters, (., n_whole)."""
-    problem, solution = fit.system.whole, fit.solution
+    problem, solution = fit.system.unreduced, fit.solution
     weights = 1 / (solution.gains * np.maximum(solution.sigma, problem.smallest_sigma))
     return np.concatenate([w * R[:, MODEL] for w, R in zip(weights, problem.triangles, strict=True)])
 
@@ -180,7 +180,7 @@ def _kept(fit: Fit, file: np.ndarray, prior: float) -> dict[Parameter, tuple[flo
     What the motions do not separate adds to the parameters that stay: the same sums of the file's.
     """
     base, kept, rows = fit.dataset.base, fit.system.problem.parameters, _rows(fit)
-    places = fit.system.whole.unknowns.at(kept)
+    places = fit.system.unreduced.unknowns.at(kept)
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
     T = T * scale / scale[places][:, None]

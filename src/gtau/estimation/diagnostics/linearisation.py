@@ -93,7 +93,7 @@ class FitWindow:
         """
         system, warm, time = self.fit.system, self.fit.dataset.temperatures, self.window.time
         above = None if warm is None else warm.between(self.run, time[0], time[-1])
-        columns = system.whole.columns_of(system.problem.parameters)
+        columns = system.unreduced.columns_of(system.problem.parameters)
         maps = system.map(self.run, above)[..., columns]
         return weighted(self.fit, rows[..., : maps.shape[1]] @ maps)
 

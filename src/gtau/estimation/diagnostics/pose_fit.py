@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gtau.model.lengths import BodyPose, VariableGeometry
+from gtau.robots.placement import within_a_turn
 from gtau.signals.reading.body_columns import PoseColumns
 
 STEP = 1e-6  # rad: of the differences that turn angular velocities into rates of angles
@@ -146,17 +147,13 @@ def _components(
         by_turn = np.zeros((len(p), count, 6))
         for k, axis in enumerate(np.eye(3)):
             above, below = (angles(Rotation.from_rotvec(sign * STEP * axis).as_matrix() @ R) for sign in (1.0, -1.0))
-            by_turn[:, :, 3 + k] = _wrapped(above - below) / (2 * STEP)
+            by_turn[:, :, 3 + k] = within_a_turn(above - below) / (2 * STEP)
     elif (measured := _orientations(columns, values)) is not None:
         apart = (measured * Rotation.from_matrix(R).inv()).as_rotvec()
         by_turn = np.broadcast_to(np.eye(6)[3:], (len(p), 3, 6))
     else:
         return residual, by_twist
-    return np.hstack([residual, _wrapped(apart)]), np.concatenate([by_twist, by_turn], axis=1)
-
-
-def _wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+    return np.hstack([residual, within_a_turn(apart)]), np.concatenate([by_twist, by_turn], axis=1)
 
 
 def _cross_matrices(vectors: np.ndarray) -> np.ndarray:

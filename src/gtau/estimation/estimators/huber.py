@@ -15,7 +15,7 @@ from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solve
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.factors import Factors, delayed
+from gtau.estimation.regression.factors import delayed
 from gtau.progress import Progress, silent
 from gtau.signals.storage import block, rows_at, spans, stride_of
 
@@ -37,29 +37,27 @@ def reweighted(system: System, solve: Solve, progress: Progress) -> System:
         runs = range(len(system.dataset.runs))
         weigh = [(np.einsum("jpk,jk->jp", system.map(run), of_row), TUNING * sigma) for run in runs]
         system = system.again(system.dataset.reduced(system.loads(solution.theta), progress, weigh))
-        sigma = MAD * _medians(system.dataset.factors)
-        sigma = np.maximum(sigma, system.whole.smallest_sigma)
+        sigma = robust_sigma([run.residuals for run in system.dataset.factors])
+        sigma = np.maximum(sigma, system.unreduced.smallest_sigma)
     return system
 
 
-def _medians(factors: Sequence[Factors]) -> np.ndarray:
-    """Compute the median size (c,) of each channel's residuals, NaN without any."""
-    residuals = [run.residuals for run in factors if run.residuals is not None]
+def robust_sigma(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """Compute the standard deviation (c,) of residuals (K, c) from their median size, NaN without any."""
     stride = stride_of(sum(map(len, residuals)))
     sizes = np.abs(np.concatenate([rows_at(rows, np.arange(0, len(rows), stride)) for rows in residuals]))
     known = [column[np.isfinite(column)] for column in sizes.T]
-    return np.array([np.median(column) if column.size else np.nan for column in known])
+    return MAD * np.array([np.median(column) if column.size else np.nan for column in known])
 
 
-def sandwich_factor(factors: Sequence[Factors]) -> float:
+def sandwich_factor(residuals: Sequence[np.ndarray]) -> float:
     """Compute the ratio of the jackknife's steps to those with fixed weights, ``E[w] / E[psi']``, at least 1.
 
     Leaving out a row changes the weights of the others as well: the curvature of Huber's loss is 1 for the rows below
-    the limit and 0 above it, on average ``E[psi'] < E[w]``. The factors have the residuals of the last pass.
+    the limit and 0 above it, on average ``E[psi'] < E[w]``. The residuals (K, c) are those of the last pass.
     """
-    limit = TUNING * MAD * _medians(factors)
+    limit = TUNING * robust_sigma(residuals)
     weights, curvature = 0.0, 0
-    residuals = [run.residuals for run in factors if run.residuals is not None]
     for sizes in (np.abs(block(rows, *span)) for rows in residuals for span in spans(len(rows))):
         below = sizes <= limit
         weights += float(np.nansum(np.where(below, 1.0, limit / np.maximum(sizes, limit)) * np.isfinite(sizes)))
@@ -71,7 +69,7 @@ def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = s
     unweighted = system.problem
     system = reweighted(system, ml, progress)
     fixed = ml(system.problem)
-    factor = sandwich_factor(system.dataset.factors)
+    factor = sandwich_factor([run.residuals for run in system.dataset.factors])
     solution = replace(fixed, covariance=factor**2 * fixed.covariance, replicates=lambda: factor * fixed.replicates())
     return replace(fit_by(ml, system, True, solution), unweighted=unweighted)
 

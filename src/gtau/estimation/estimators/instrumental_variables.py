@@ -44,18 +44,18 @@ CONVERGED = 1e-8  # of a standard deviation
 class Pair:
     """The same equations along the motion ``measured`` and along the one ``simulated``, row by row the same instants.
 
-    ``whole`` are both (n, p, n_theta + 4) with the units merged.
+    ``merged`` are both (n, p, n_theta + 4) with the units merged.
     """
 
     measured: Problem
     simulated: Problem
-    whole: tuple[np.ndarray, np.ndarray]
+    merged: tuple[np.ndarray, np.ndarray]
 
     def of(self, parameters: Sequence[str]) -> Pair:
         """Keep some parameters only, the others set to zero."""
         gone = [name for name in self.measured.parameters if name not in set(parameters)]
         columns = self.measured.columns_of(name for name in self.measured.parameters if name in set(parameters))
-        measured, simulated = (rows[..., columns] for rows in self.whole)
+        measured, simulated = (rows[..., columns] for rows in self.merged)
         return Pair(self.measured.without(gone), self.simulated.without(gone), (measured, simulated))
 
 
@@ -92,9 +92,9 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 
     for k in range(STEPS):
         free = free_gains and k > 0  # theta comes first: without it the model gives no currents for gains
-        errors = squared(pair.whole[0], values)
+        errors = squared(pair.merged[0], values)
         weights = problem.weights(errors)
-        e, J, Z = linear(*pair.whole)
+        e, J, Z = linear(*pair.merged)
         norms = np.linalg.norm(Z, axis=0)
         norms[norms == 0] = 1.0
         Q, R = np.linalg.qr(Z / norms)
@@ -133,14 +133,14 @@ def paired(system: System, solution: Solution) -> Pair:
         for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.prepared.edges, strict=True)
     ]
     measured, instruments = (
-        system.again(replace(dataset, factors=factors)).whole for factors in zip(*pairs, strict=True)
+        system.again(replace(dataset, factors=factors)).unreduced for factors in zip(*pairs, strict=True)
     )
-    whole, of_instruments, b = [], [], len(measured.parameters) + 1
+    of_motion, of_instruments, b = [], [], len(measured.parameters) + 1
     for j in range(len(measured.joints)):
         R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
-        whole.append(R[:, b:])
+        of_motion.append(R[:, b:])
         of_instruments.append(np.hstack([R[:, :b], R[:, SIGNALS]]))
-    return Pair(measured, instruments, (np.stack(whole), np.stack(of_instruments))).of(system.problem.parameters)
+    return Pair(measured, instruments, (np.stack(of_motion), np.stack(of_instruments))).of(system.problem.parameters)
 
 
 def _reduced(

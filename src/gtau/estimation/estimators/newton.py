@@ -145,8 +145,8 @@ def delays_lost_in_noise(problem: Problem, solution: Solution) -> np.ndarray:
     share = of_motion.sum(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
     # the error of a ratio, from its scatter over the units
     error = np.linalg.norm(of_motion - share * squares, axis=0)
-    own = zip(problem.own_currents, problem.own_delays, strict=True)
-    errors = np.array([[np.linalg.norm(delayed_signal(T, d)) for d in (delay, -delay)] for T, delay in own])
+    channels = zip(problem.own_currents, problem.own_delays, strict=True)
+    errors = np.array([[np.linalg.norm(delayed_signal(T, d)) for d in (delay, -delay)] for T, delay in channels])
     mirrored = errors[:, 0] >= (1 - MIRRORED) * errors[:, 1]
     return np.asarray((of_motion.sum(axis=0) <= DELAY_MOTION * error) & mirrored)
 

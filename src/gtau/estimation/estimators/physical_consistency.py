@@ -84,7 +84,7 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     ``solution`` is without constraints; ``priors`` are those of standard parameters. Raises GtauError where no rigid
     bodies agree with the priors and payloads, or the programme does not converge.
     """
-    problem, n, base = system.whole, len(system.whole.joints), system.dataset.base
+    problem, n, base = system.unreduced, len(system.unreduced.joints), system.dataset.base
     of_base = of_theta(base, system.dataset.model.parameter_names, problem.parameters, priors)
     unknowns, triangles = standard_unknowns(system, solution, priors), stacked(problem)
     free, channels = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays]), len(triangles)
@@ -124,7 +124,7 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
 
 def _moves(system: System, solution: Solution, values: np.ndarray, free_gains: bool) -> tuple[Move, ...]:
     """List how far each parameter, and each gain that is free, is moved from its ``solution``, the most moved first."""
-    consistent = dict(zip(system.whole.unknowns, values, strict=True))
+    consistent = dict(zip(system.unreduced.unknowns, values, strict=True))
     names = [name for name in system.problem.parameters if name.run is None]
     names += system.problem.unknowns[system.problem.gain_rows] if free_gains else ()
     std = np.sqrt(np.diag(solution.jackknife))

@@ -191,7 +191,7 @@ class StandardUnknowns:
 
 def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, Prior]) -> StandardUnknowns:
     """List the standard parameters behind the problem's, with their priors."""
-    robot, problem = system.dataset.robot, system.whole
+    robot, problem = system.dataset.robot, system.unreduced
     bodies, names, S = _regrouped(system)
     length = characteristic_length(robot)
     mass = _mass_scale(robot, problem, solution, length)
@@ -221,7 +221,7 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
 
 def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]:
     """List the bodies, payloads last, the unknowns (c,), and what these add to the problem's parameters, (., c)."""
-    base, problem, kinds = system.dataset.base, system.whole, len(INERTIAL)
+    base, problem, kinds = system.dataset.base, system.unreduced, len(INERTIAL)
     names = list(system.dataset.model.parameter_names)
     place = {name: k for k, name in enumerate(names)}
     bodies = [

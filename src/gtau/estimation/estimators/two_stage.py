@@ -76,13 +76,9 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[floa
     The equations are weighed at the gains and delays of ``solution``; ``lack`` are standard deviations over those for
     independent residuals, 1 at least, which reduces the number of independent rows.
 
-    Returns
-    -------
-    strength : float
-        Cragg-Donald statistic: the F of the combination of gains explained least; infinite where no gain is free or the
-        equations leave no instrument to spare.
-    bias : ndarray
-        (n,) Relative bias of the joints' gains to first order (Nagar 1959).
+    The strength is the statistic of Cragg and Donald: the F of the combination of gains explained least, infinite where
+    no gain is free or the equations leave no instrument to spare. The bias (n,) is that of the joints' gains, relative
+    and to first order (Nagar 1959).
     """
     of_theta, of_gains, free = problem.unknowns.theta, problem.unknowns.gains, problem.unknown_gains
     parts = []

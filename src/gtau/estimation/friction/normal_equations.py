@@ -19,7 +19,7 @@ from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.filters import Decimator
-from gtau.signals.storage import block, spans
+from gtau.signals.storage import Store, block, spans
 
 # Widths, of a joint's travel, and speeds, of its rms speed, that are tried. Presliding of real joints was found at 4e-5
 # to 1e-3 of the travel (UR10e, TX40, Panda), friction that bends at 0.1 to 1 of the rms speed; simulators smooth the
@@ -137,6 +137,7 @@ class FrictionGroup:
     last, all times the ``weights`` (m,) of the motors: one over their residuals. ``cross`` (p, gains and base
     parameters) are products with what gains and base parameters add to the torque. ``motors`` are the numbers of the
     actuated joints, ``signals`` (m, 2) count the rows of each and add up the squares of its measured torque.
+    ``residuals`` (K, m) are those of weighted rows, times the ``weights`` of the motors.
     """
 
     joints: tuple[FrictionJoint, ...]
@@ -145,6 +146,7 @@ class FrictionGroup:
     G: np.ndarray
     cross: np.ndarray
     signals: np.ndarray
+    residuals: np.ndarray
 
 
 def groups_of(joints: Sequence[FrictionJoint]) -> list[tuple[tuple[FrictionJoint, ...], tuple[int, ...]]]:
@@ -163,21 +165,27 @@ def groups_of(joints: Sequence[FrictionJoint]) -> list[tuple[tuple[FrictionJoint
 
 
 def normal_equations(
-    fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint], finer: int = 1
+    fit: Fit,
+    law: FrictionLaw,
+    joints: Sequence[FrictionJoint],
+    finer: int = 1,
+    weigh: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
 ) -> tuple[FrictionGroup, ...]:
     """Stream all runs and reduce the torque that friction has to explain, to ``finer`` rows for one of identification.
 
     Rows count where speeds rest on good samples and some joint of the group moves: at rest, anything within the band of
-    friction holds it. Raises GtauError.
+    friction holds it. With ``weigh``, for each group coefficients (p + 1,) and limits (m,), rows have Huber's weights
+    ``min(1, limit / |residual|)``, as in :func:`gtau.estimation.regression.factors.reduce_rows`. Raises GtauError.
     """
     dataset, n, runs = fit.dataset, len(fit.gains), len(fit.dataset.prepared)
     count = max(min(BLOCKS, MOST_BLOCKS // runs), 1)
     weights = 1 / np.maximum(np.abs(fit.gains) * fit.solution.sigma[:n], 1e-300)
-    groups = []
+    groups, residuals = [], []
     for members, motors in groups_of(joints):
         p, m = sum(joint.count for joint in members), len(motors)
         G, cross = np.zeros((runs * count, m, p + 1, p + 1)), np.zeros((p, n + dataset.base.count))
-        groups.append(FrictionGroup(members, motors, weights[list(motors)], G, cross, np.zeros((m, 2))))
+        residuals.append(Store((m,)))
+        groups.append(FrictionGroup(members, motors, weights[list(motors)], G, cross, np.zeros((m, 2)), np.empty(0)))
     regressor = dataset.model.columns(dataset.base.standard)
     for run, prepared in enumerate(dataset.prepared):
         decimator = dataset.preparation.at(prepared.run.rate).decimator
@@ -188,14 +196,26 @@ def normal_equations(
             valid = decimator.keep(prepared.valid(first, last + 2 * decimator.support + 1)[:, :n]).T
             blocks = run * count + np.arange(part.outputs.start, part.outputs.stop) * count // outputs
             W = part.matrix(regressor, n)
-            for group in groups:
+            for k, group in enumerate(groups):
                 moving = np.any([columns[joint][-1] > RESTING * joint.speed for joint in group.joints], axis=0)
+                e = np.full((len(blocks), len(group.motors)), np.nan)
                 for m, j in enumerate(group.motors):
                     if (kept := valid[j] & moving).any():
                         base = np.vstack([part.currents[0, j, kept], -W[j, kept].T])
                         friction = [joint.ratios[j] * columns[joint][:-1, kept] for joint in group.joints]
-                        _add(group, m, np.vstack([*friction, torques[:, j, kept]]), base, blocks[kept])
-    return tuple(replace(group, G=group.G[group.G.any(axis=(1, 2, 3))]) for group in groups)
+                        rows = np.vstack([*friction, torques[:, j, kept]])
+                        if weigh is not None:
+                            coefficients, limit = weigh[k]
+                            e[kept, m] = group.weights[m] * (coefficients @ rows[:-1])
+                            root = np.sqrt(np.minimum(1.0, limit[m] / np.maximum(np.abs(e[kept, m]), 1e-300)))
+                            rows[:-1], base = root * rows[:-1], root * base
+                        _add(group, m, rows, base, blocks[kept])
+                if weigh is not None:
+                    residuals[k].append(e)
+    return tuple(
+        replace(group, G=group.G[group.G.any(axis=(1, 2, 3))], residuals=rows.array())
+        for group, rows in zip(groups, residuals, strict=True)
+    )
 
 
 def _rows_along(
@@ -225,7 +245,7 @@ def _rows_along(
         assert part.friction is not None
         *made, speeds, effort, rest = np.split(part.friction, ends)
         measured = fit.gains[:, None] * delayed_signal(np.moveaxis(part.currents[:, :n], 0, -1), solution.delays[:n])
-        columns = {joint: np.vstack([own, speed]) for joint, own, speed in zip(joints, made, speeds, strict=True)}
+        columns = {joint: np.vstack([A, speed]) for joint, A, speed in zip(joints, made, speeds, strict=True)}
         yield part, columns, np.stack([measured - effort - rest, measured])
 
 

@@ -202,22 +202,22 @@ class Dataset:
 class System:
     """The problem of a dataset, and the meaning of its parameters.
 
-    ``whole`` has also the parameters that these motions cannot separate from those before them. ``effects`` are the
+    ``unreduced`` has also the parameters that these motions cannot separate from those before them. ``effects`` are the
     column blocks, ``terms`` the friction terms taken.
     """
 
     dataset: Dataset
     problem: Problem
-    whole: Problem
+    unreduced: Problem
     effects: tuple[ColumnBlock, ...]
     payloads: tuple[PayloadColumns, ...]
     terms: tuple[Parameter, ...]
 
     @property
     def unexcited(self) -> tuple[Parameter, ...]:
-        """Parameters of ``whole`` that are not identifiable."""
+        """Parameters of ``unreduced`` that are not identifiable."""
         kept = set(self.problem.parameters)
-        return tuple(name for name in self.whole.parameters if name not in kept)
+        return tuple(name for name in self.unreduced.parameters if name not in kept)
 
     @property
     def stated(self) -> tuple[str, ...]:
@@ -239,7 +239,7 @@ class System:
     def of_wrenches(self) -> np.ndarray | None:
         """Part of measured wrenches in the problem's column ``known``, (U, c, p); None without wrenches."""
         parts = [factor.R[..., KNOWN] for factor in self.dataset.factors]
-        return np.concatenate(parts)[self._filled] if self.whole.wrenches else None
+        return np.concatenate(parts)[self._filled] if self.unreduced.wrenches else None
 
     def again(
         self,
@@ -249,9 +249,9 @@ class System:
         delays: np.ndarray | None = None,
     ) -> System:
         """Assemble the same effects for another dataset, with other friction terms, payloads or delayed channels."""
-        per_run = any(name.run is not None for name in self.whole.parameters)
+        per_run = any(name.run is not None for name in self.unreduced.parameters)
         terms = self.terms if terms is None else terms
-        delays = self.whole.longest_delays > 0 if delays is None else delays
+        delays = self.unreduced.longest_delays > 0 if delays is None else delays
         return (dataset or self.dataset).system(terms, per_run, delays, payloads)
 
     def map(self, run: int, above: np.ndarray | None = None) -> np.ndarray:
@@ -261,7 +261,7 @@ class System:
         """
         if above is None:
             return self._maps[run]
-        channels = self.whole.channels
+        channels = self.unreduced.channels
         return np.stack([column_map(self.effects, run, channel, above[channel.row]) for channel in channels])
 
     @cached_property
@@ -272,13 +272,13 @@ class System:
 
     def full(self, theta: np.ndarray) -> np.ndarray:
         """Extend parameters of the problem to those of ``whole`` and a 1 for the known column, (n_theta + 1,)."""
-        values = np.zeros(len(self.whole.parameters))
-        values[self.whole.unknowns.at(self.problem.parameters)] = theta
+        values = np.zeros(len(self.unreduced.parameters))
+        values[self.unreduced.unknowns.at(self.problem.parameters)] = theta
         return np.append(values, 1.0)
 
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
-        base, joints = self.dataset.base, self.whole.joints
+        base, joints = self.dataset.base, self.unreduced.joints
         of_joints = self.map(run)[: len(joints), : base.count, : KNOWN + 1] @ self.full(theta)
         rows = [joints.index(name.body) if name.body in joints else 0 for name in base.standard]  # of their friction
         return np.asarray(of_joints[rows, np.arange(len(rows))])

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -103,7 +103,7 @@ class Factors:
     R: np.ndarray
     rows: np.ndarray
     distances: np.ndarray | None = None
-    residuals: np.ndarray | None = None
+    residuals: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
     speeds: np.ndarray | None = None
 
     @cached_property

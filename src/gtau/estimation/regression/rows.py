@@ -20,11 +20,6 @@ ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
 
 
-def term_columns(qd: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Build the columns of the terms, (2, n, N), from speeds and transmitted torques (n, N)."""
-    return np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
-
-
 @dataclass(frozen=True)
 class Rows:
     """Rows of all channels, the joints' and then the torque sensors', at K output instants.
@@ -77,24 +72,25 @@ def stream_rows(
     size = max(fast, 8 * decimator.warm_up) // decimator.factor
     blocks = list(decimator.blocks(n, size))
     windows = _along(idm, prepared, (decimator.samples(outputs, n) for outputs in blocks))
-    for outputs, (of, c) in zip(blocks, windows, strict=True):
+    for outputs, (window, c) in zip(blocks, windows, strict=True):
         kept = decimator.at(outputs)
-        motion, measured, external = _measured(idm, prepared.run, of, c)
-        currents = measured[:, : of.usable.shape[1]]
-        entries, qd = regressor(idm.layout, motion), of.qd.T
+        motion, measured, external = _measured(idm, prepared.run, window, c)
+        currents = measured[:, : window.usable.shape[1]]
+        entries, qd = regressor(idm.layout, motion), window.qd.T
         effort = currents[0, : len(qd)]
         if load is not None:
             effort = regressor.torques(entries, load, len(idm.actuated)) - external[0]
+        terms = np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
         yield Rows(
-            of.time[kept],
-            decimator.keep(of.usable, outputs).T,
+            window.time[kept],
+            decimator.keep(window.usable, outputs).T,
             decimator.apply(entries, outputs),
             decimator.apply(currents, outputs),
-            decimator.apply(term_columns(qd, effort), outputs),
+            decimator.apply(terms, outputs),
             decimator.apply(external[0], outputs),
             outputs,
             motion[kept],
-            None if friction is None else decimator.apply(friction(of.time, motion, effort), outputs),
+            None if friction is None else decimator.apply(friction(window.time, motion, effort), outputs),
         )
 
 
@@ -111,10 +107,10 @@ def stream_torques(
     measured wrenches; friction alone; and the commands. Raises GtauError.
     """
     joints = len(idm.actuated)
-    for of, c in _along(idm, prepared, _every_sample(prepared)):
-        motion, measured, external = _measured(idm, prepared.run, of, c)
+    for window, c in _along(idm, prepared, _every_sample(prepared)):
+        motion, measured, external = _measured(idm, prepared.run, window, c)
         effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
-        friction_torque = friction(of.time, motion, effort)
+        friction_torque = friction(window.time, motion, effort)
         yield np.stack([effort + friction_torque, friction_torque, measured[0, :joints]])
 
 
@@ -122,13 +118,15 @@ def _every_sample(prepared: PreparedRun) -> Iterator[slice]:
     return (slice(*span) for span in spans(len(prepared), ALL_SAMPLES))
 
 
-def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -> tuple[Motion, np.ndarray, np.ndarray]:
+def _measured(
+    idm: InverseDynamics, run: Run, window: SampleWindow, c: np.ndarray
+) -> tuple[Motion, np.ndarray, np.ndarray]:
     """Compute the motion at samples, their commands (3, ., M) with derivatives, and the torques of wrenches (3, n, M).
 
     All external forces on a base are one signal, its command, wherever they are applied.
     """
-    motion = idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), instants(run.name, of.time))
-    measured = np.stack([of.command.T, of.command_d.T, of.command_dd.T])
+    motion = idm.rates(c, window.qd.T.copy(), window.qdd.T.copy(), instants(run.name, window.time))
+    measured = np.stack([window.command.T, window.command_d.T, window.command_dd.T])
     external = external_torques(idm, run, motion, measured)
     base = [idm.actuated.index(joint) for joint in idm.robot.base]
     measured[:, base] += external[:, base]
@@ -138,8 +136,8 @@ def _measured(idm: InverseDynamics, run: Run, of: SampleWindow, c: np.ndarray) -
 
 def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:
     """Compute the motion at every sample of a run, behind no low-pass but that of the positions; raises GtauError."""
-    for of, c in _along(idm, prepared, _every_sample(prepared)):
-        yield of, idm.rates(c, of.qd.T.copy(), of.qdd.T.copy(), instants(prepared.run.name, of.time))
+    for window, c in _along(idm, prepared, _every_sample(prepared)):
+        yield window, idm.rates(c, window.qd.T.copy(), window.qdd.T.copy(), instants(prepared.run.name, window.time))
 
 
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
@@ -159,15 +157,15 @@ def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: n
 
 def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
     """Compute the configurations (n_c, N) of a model along a window; raises GtauError."""
-    whole, first = window.part_of or (window, 0)
-    return _along_whole(idm, whole)[:, first : first + len(window)]
+    run, first = window.part_of or (window, 0)
+    return _along_whole(idm, run)[:, first : first + len(window)]
 
 
 def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> np.ndarray:
     """Compute the configurations along a whole run, which factors, friction and windows of hypotheses share."""
     if idm not in prepared.paths:
-        samples = prepared.all_samples if isinstance(prepared, PreparedRun) else prepared
-        prepared.paths[idm] = idm.path(samples.q.T.copy(), instants(prepared.run.name, samples.time))
+        window = prepared.all_samples if isinstance(prepared, PreparedRun) else prepared
+        prepared.paths[idm] = idm.path(window.q.T.copy(), instants(prepared.run.name, window.time))
     return prepared.paths[idm]
 
 
@@ -175,23 +173,23 @@ def _along(
     idm: InverseDynamics, prepared: PreparedRun | SampleWindow, blocks: Iterable[slice]
 ) -> Iterator[tuple[SampleWindow, np.ndarray]]:
     """Stream blocks of samples with their configurations, made for longer stretches, which is faster."""
-    begin, end = 0, 0  # the stretch that ``of`` and ``c`` are for
+    begin, end = 0, 0  # the stretch that ``window`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
-        end, c, of = len(prepared), _along_whole(idm, prepared), prepared.all_samples
+        end, c, window = len(prepared), _along_whole(idm, prepared), prepared.all_samples
     for at in blocks:
         if at.stop > end:
             known = max(end - at.start, 0) if c.size else 0
             stop = min(max(at.start + PATH, at.stop), len(prepared))
-            of = prepared.samples(at.start, stop)
+            window = prepared.samples(at.start, stop)
             if isinstance(prepared, SampleWindow) and prepared.part_of is not None:
                 c = configurations(idm, prepared)[:, at.start : stop]
             else:
-                labels = instants(prepared.run.name, of.time[known:])
-                path = idm.path(of.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
+                labels = instants(prepared.run.name, window.time[known:])
+                path = idm.path(window.q[known:].T.copy(), labels, c[:, -1] if c.size else None)
                 c = np.hstack([c[:, c.shape[1] - known :], path])
             begin, end = at.start, stop
-        yield of[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
+        yield window[at.start - begin : at.stop - begin], c[:, at.start - begin : at.stop - begin]
 
 
 def instants(run: str, time: np.ndarray) -> Labels:

@@ -126,10 +126,10 @@ def _always_carried(bodies: Sequence[str], other: str) -> str:
 def _with_scale(problem: Problem) -> np.ndarray:
     """Stack weighted rows ``[W_theta | known]``, of sensors with the torque that their own columns explain."""
     rows = []
-    for j, (R, own, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
+    for j, (R, kept, sigma) in enumerate(zip(problem.triangles, problem.own_columns, problem.own_sigma, strict=True)):
         known = R[:, KNOWN]
         if not problem.unknown_gains[j]:
-            torque, columns = R[:, SIGNAL], R[:, own]
+            torque, columns = R[:, SIGNAL], R[:, kept]
             known = known - columns @ np.linalg.lstsq(columns, torque, rcond=None)[0]
         rows.append(np.column_stack([R[:, MODEL], known]) / sigma)
     return np.concatenate([*rows, problem.known * np.append(np.ones(len(problem.parameters)), -1.0)])

@@ -109,9 +109,7 @@ class Named(dict[Key, Estimate], Generic[Key]):
             return self[str(name)]  # type: ignore[index]
         raise UnknownName(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
 
-    def _repr_html_(self) -> str:
-        html: str = display.views().html(self)
-        return html
+    _repr_html_ = display.html
 
 
 @dataclass(frozen=True)

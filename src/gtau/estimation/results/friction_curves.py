@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
+from gtau.estimation.estimators.huber import CONVERGED, PASSES, TUNING, robust_sigma, sandwich_factor
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.friction.normal_equations import FINER, FrictionGroup, friction_joints, normal_equations
+from gtau.estimation.friction.normal_equations import (
+    FINER,
+    FrictionGroup,
+    FrictionJoint,
+    friction_joints,
+    normal_equations,
+)
 from gtau.estimation.friction.selection import (
     KINDS,
     WORDS,
@@ -32,29 +39,12 @@ BETWEEN = {"width": 0.09, "speed": 0.07}
 def friction_step(
     fit: Fit, estimates: Estimates
 ) -> tuple[Estimates, dict[str, FrictionCurve], dict[str, tuple[float, float]]]:
-    """Identify the friction of every joint on all samples.
+    """Identify the friction of every joint on all samples; gains and inertial parameters of the fit stay as they are.
 
-    Parameters
-    ----------
-    fit : Fit
-        Whose gains and inertial parameters stay as they are.
-    estimates : Estimates
-        Of the fit, whose friction is replaced; its covariance has a share in that of the new friction through the
-        torque left to it.
-
-    Returns
-    -------
-    Estimates
-        The updated ones, without the terms of the equations that the curves replace.
-    dict
-        Joint to its curve; without curves the plain law predicts.
-    dict
-        Motor to the rms of error and torque over all samples, N m or N.
-
-    Raises
-    ------
-    GtauError
-        Where the closures refuse a sample.
+    The friction of the ``estimates`` is replaced; their covariance has a share in that of the new friction through the
+    torque left to it. Returned are the updated ones, without the terms of the equations that the curves replace; the
+    curve of each joint (without curves the plain law predicts); and of each motor the rms of error and torque over all
+    samples, N m or N. Raises GtauError.
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
     joints = friction_joints(fit.dataset, law)
@@ -64,7 +54,7 @@ def friction_step(
     errors: dict[str, tuple[float, float]] = {}
     of_rows = normal_equations(fit, law, joints)  # behind whose filter errors are stated
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
-    for group, rows in zip(normal_equations(fit, law, joints, FINER), of_rows, strict=True):
+    for group, rows in zip(_on_all_samples(fit, law, joints), of_rows, strict=True):
         if len(group.G):
             candidate, plain, evidence = choose(group)
             names, values, slopes, scatter = group_estimates(group, candidate)
@@ -79,6 +69,27 @@ def friction_step(
         replaced = set(fit.system.terms).difference(names_of_curves)
         estimates = estimates.select([name for name in estimates.unknowns if name not in replaced])
     return estimates, {joint.name: curves[joint.name] for joint in joints if joint.name in curves}, errors
+
+
+def _on_all_samples(fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint]) -> tuple[FrictionGroup, ...]:
+    """Reduce all samples, with Huber's weights until the friction they lead to settles if the fit has weighted rows."""
+    groups, before = normal_equations(fit, law, joints, FINER), None
+    if fit.unweighted is None:
+        return groups
+    limits = [np.full(len(group.motors), TUNING) for group in groups]
+    for _ in range(PASSES):
+        errors = [_error(choose(group)[0]) if len(group.G) else np.zeros(len(group.cross) + 1) for group in groups]
+        if before is not None and np.allclose(np.hstack(errors), before, rtol=CONVERGED, atol=0):
+            break
+        before = np.hstack(errors)
+        groups = normal_equations(fit, law, joints, FINER, list(zip(errors, limits, strict=True)))
+        limits = [TUNING * robust_sigma([group.residuals]) for group in groups]
+    return groups
+
+
+def _error(candidate: FrictionFit) -> np.ndarray:
+    """Return what makes the residual of the columns and the torque, (p + 1,)."""
+    return np.append(-candidate.M @ candidate.x, 1.0)
 
 
 def reference_temperatures(fit: Fit) -> ReferenceTemperatures | None:
@@ -100,7 +111,7 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
 
 def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, float]]:
     """Compute the rms of error and torque of each motor over all its rows."""
-    error = np.append(-candidate.M @ candidate.x, 1.0)
+    error = _error(candidate)
     squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
@@ -144,25 +155,18 @@ def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) ->
 def group_estimates(
     group: FrictionGroup, candidate: FrictionFit
 ) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
-    """Estimate the friction of the joints of a group.
+    """Estimate the friction of the joints of a group: names, values, slopes and scatter.
 
-    Returns
-    -------
-    names : list of Parameter
-        ``off``, ``fv``, ``fs``, ``fb``, ``fl``, ``fvt``, ``fst``, ``width`` and ``vs`` of each joint, those that it
-        has, (m,).
-    values : ndarray
-        (m,), zero for one that would be negative.
-    slopes : ndarray
-        (m, gains and base parameters) derivatives by these.
-    scatter : ndarray
-        (m, m) covariance at given gains and base parameters.
+    Names are those of ``off``, ``fv``, ``fs``, ``fb``, ``fl``, ``fvt``, ``fst``, ``width`` and ``vs`` that each joint
+    has, values (m,) are zero where they would be negative, slopes (m, gains and base parameters) derivatives by these,
+    and the scatter (m, m) is the covariance at given ones.
     """
     shaped = with_shapes(group, candidate)
     A = np.einsum("pa,pq,qc->ac", shaped.M, group.G.sum(axis=(0, 1))[:-1, :-1], shaped.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (shaped.M.T @ group.cross / size) / size
-    covariance = jackknife(shaped.replicates) + _between_values(group, shaped, A)
+    factor = sandwich_factor([group.residuals])
+    covariance = factor**2 * jackknife(shaped.replicates) + _between_values(group, shaped, A)
     place = {name: k for k, name in enumerate(shaped.names)}
     names: list[Parameter] = []
     values: list[float] = []

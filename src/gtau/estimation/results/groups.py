@@ -97,9 +97,7 @@ class PayloadEstimate:
             f"PayloadEstimate({self.name!r} of run {self.run!r}: mass {self.parameters.get('m', 'not identifiable')})"
         )
 
-    def _repr_html_(self) -> str:
-        html: str = display.views().html(self)
-        return html
+    _repr_html_ = display.html
 
     @takes(frame=("the name of a link, 'x y z roll pitch yaw', or a pose", (str, Pose)), file=PATH)
     def in_frame(self, frame: str | Pose = "", file: str | Path | None = None) -> PayloadBody:

@@ -41,13 +41,7 @@ def save(result: Result, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Result:
-    """Read a result.
-
-    Raises
-    ------
-    GtauError
-        Where the file cannot be read, or is no model of this schema.
-    """
+    """Read a result; raises GtauError where the file cannot be read, or is no model of this schema."""
     refuse_other_kind(path, MODEL)
     path = Path(path)
     with system_refusals(path, "give the model.json that 'gtau identify' wrote"):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.display import views
+from gtau.display import html
 from gtau.estimation.results.estimate import BandError, TorqueError
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
@@ -108,9 +108,7 @@ class Prediction:
             }
         )
 
-    def _repr_html_(self) -> str:
-        html: str = views().html(self)
-        return html
+    _repr_html_ = html
 
 
 def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tuple[TorqueError, ...]:

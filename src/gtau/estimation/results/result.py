@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overloa
 
 import numpy as np
 
-from gtau.display import late, views
+from gtau.display import html, late, views
 from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, FrictionLaw
@@ -267,9 +267,7 @@ class Result:
         frame: pl.DataFrame = late("estimation.results.table").estimates_frame(self)
         return frame
 
-    def _repr_html_(self) -> str:
-        html: str = views().html(self)
-        return html
+    _repr_html_ = html
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, atomically; see :mod:`gtau.estimation.results.model_file`."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FiniteFloat, Tag, field_validator
 
-from gtau.documents.validation import Keys, Positive
+from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.robots.placement import DEGREES_ADVICE, in_degrees
 from gtau.robots.readers.expressions import evaluate
 
@@ -84,9 +84,5 @@ class RobotSource(BaseModel):
     gravity: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
 
 
-def _text_or_group(value: Any) -> str:
-    return "text" if isinstance(value, str) else "group"
-
-
-AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("group")], Discriminator(_text_or_group)]
+AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("group")], Discriminator(text_or_group)]
 """What a key 'robot' holds: a file or catalog name, or the group of a ``RobotSource``."""

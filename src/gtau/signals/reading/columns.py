@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, FiniteFloat, Tag, create_model, field_validator, model_validator
 
-from gtau.documents.validation import Keys, Positive
+from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.signals.channel import LINK_SIDE, Channel, ChannelKind, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
 
@@ -58,11 +58,6 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
         for key in wanted
     }
     return {"time": preset["time"]} | columns | given
-
-
-def text_or_group(value: Any) -> str:
-    """Discriminate, for pydantic, one text for all joints from a group of texts by joint."""
-    return "text" if isinstance(value, str) else "group"
 
 
 def _kind_of_time(value: Any) -> str:

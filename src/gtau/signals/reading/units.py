@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
-from gtau.documents.validation import Keys, Positive
+from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.documents.yaml_document import Document
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
-from gtau.signals.reading.columns import PRESETS, Signals, of_link_side, text_or_group
+from gtau.signals.reading.columns import PRESETS, Signals, of_link_side
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 
