@@ -20,7 +20,7 @@ from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import APART
+from gtau.estimation.thresholds.refutation import APART
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
 from gtau.progress import Progress
