@@ -176,7 +176,7 @@ def test_runs_of_half_a_second_give_no_gain(here: Path, rows: int) -> None:
 
 @pytest.mark.slow
 def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
-    """Without a word of a method: currents taken for torques have a scale, and without a mass none is tested."""
+    """Currents taken for torques have a scale; without a mass none is tested, but that the joints' differ is seen."""
     declared = EXPERIMENT.replace("current:", "torque:").replace(bad_input.PRIOR, "")
     (here / "torques.yaml").write_text(declared)
     shown = " ".join(run("identify", "torques.yaml", "--out", "scaled").stdout.split())
@@ -188,8 +188,10 @@ def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
         each["interval"][0] < true < each["interval"][1] for each, true in zip(scale.values(), GAINS, strict=True)
     )
     (here / "torques.yaml").write_text(declared.replace("{name: steel, mass: 1.2}", "{name: steel}"))
-    found = document("identify", "torques.yaml", "--out", "torques")
-    assert (found["method"], found["kind"]) == ("wls", "torque")
+    done = run("identify", "torques.yaml", "--out", "torques", "--json")
+    found = json.loads(done.stdout)
+    assert (done.exit_code, found["method"], found["kind"]) == (3, "wls", "torque")
+    assert "torques of 'left' in another scale than those of the other joints" in done.stdout
     assert {(gain["value"], gain["std"], gain["unit"]) for gain in found["drive_gains"]} == {(1.0, None, "1")}
     shown = " ".join(run("identify", "torques.yaml", "--verbose").stdout.split())
     assert "their scale was not tested" in shown

@@ -13,7 +13,7 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import DOMINANT
+from gtau.estimation.thresholds.refutation import DOMINANT
 from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Joint, Mdh, Robot

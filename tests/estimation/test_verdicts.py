@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant, pair
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import gtau.estimation.diagnostics.diagnose
@@ -200,6 +200,7 @@ def test_verdicts_of_masses() -> None:
 GAIN_KINDS = list(OUTCOMES)[: list(OUTCOMES).index(F.COUPLED) + 1]
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])  # on a machine that others use
 @given(
     st.lists(
         st.builds(

@@ -40,7 +40,7 @@ SHAPES = """clearance: 0.05
   floor: none
   shapes:
     turret: []
-    ground: [{capsule: [[0.45, 0, -0.6], [0.45, 0, -0.35]], radius: 0.05}]
+    ground: [{capsule: [[0.55, 0.5, -0.2], [0.55, 0.5, 0.4]], radius: 0.05}]
     arm: [{capsule: [[0.05, 0, 0], [0.4, 0, 0]], radius: 0.05}]
     forearm: [{capsule: [[0.1, 0, 0], [0.5, 0, 0]], radius: 0.04}]
 """
@@ -130,7 +130,7 @@ def test_neighbours_may_touch(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_design_keeps_its_distance(tmp_path: Path) -> None:
     """Without shapes the forearm swings into the post; with them every sample of a run, approach included, is clear."""
-    free, _ = read_design(written(tmp_path, "share: 1\n  shapes: none"))
+    free, _ = read_design(written(tmp_path, "share: 1\n  floor: none\n  shapes: none"))
     task, _ = read_design(written(tmp_path, SHAPES))
     touching = design(free, starts=1, seed=1)
     pair = ("ground", "forearm")

@@ -21,7 +21,7 @@ from gtau.estimation.diagnostics.hypotheses.drives import FRICTION_DRIFT, GAIN_D
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import APART, PROBABLE
+from gtau.estimation.thresholds.refutation import APART, PROBABLE
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
 from gtau.progress import Progress
@@ -134,7 +134,7 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
     if alone is not None and (apart := _apart(alone, rounds)):
         return Decision(BLOCKED, apart, gains)
     if reached:
-        return Decision(DONE, f"{within}, and the last round agrees; they scale with the payload's mass as stated", gains)
+        return Decision(DONE, f"{within}, and the last round agrees; they scale with the payload's mass", gains)
     limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
     said = f"'{joint}' is {size}, {accuracy:g} % is asked for; its {limited} is the larger one"
     if len(rounds) >= ROUNDS:

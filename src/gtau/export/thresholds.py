@@ -67,9 +67,10 @@ def export_thresholds(
         ],
         "check": {"seconds": total, "expected_alarms": CHECKS, "alarms": alarms, "factor": factor},
     }
+    raising = f", so all are raised by {100 * (factor - 1):.0f} %" if factor > 1 else ""
     note = (
         f"from {total:.3g} s without contact: with the thresholds of the others the logs have {alarms} alarms where "
-        f"{CHECKS:.0f} are expected, so all are raised by a factor of {factor:.2f}; longer times are extrapolated"
+        f"{CHECKS:.0f} are expected{raising}; longer times are extrapolated"
     )
     return Exported(written(out, {"thresholds.json": json.dumps(document, indent=1) + "\n"}), (note,))
 

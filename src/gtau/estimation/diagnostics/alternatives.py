@@ -22,7 +22,8 @@ from gtau.estimation.diagnostics.linearisation import Offer
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, REFUTED_STD
+from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR
+from gtau.estimation.thresholds.refutation import REFUTED_STD
 from gtau.findings import Finding
 from gtau.findings.finding import named_causes
 from gtau.signals.reading.statements import Payload

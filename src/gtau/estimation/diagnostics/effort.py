@@ -28,17 +28,18 @@ from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, beside,
 from gtau.estimation.diagnostics.linearisation import least_squares_step
 from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.thresholds.estimates import (
+from gtau.estimation.thresholds.estimates import MISFIT
+from gtau.estimation.thresholds.logs import LATE
+from gtau.estimation.thresholds.refutation import (
     GRAVITY_MISFIT,
     HARDLY_NEGATIVE,
     LIKELY_SHARES,
-    MISFIT,
     RETRIED,
     SIGN_STD,
     SWAPPED,
     TINY,
 )
-from gtau.estimation.thresholds.logs import AS_WELL, LATE, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
+from gtau.estimation.thresholds.torques import AS_WELL, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import of_drive

@@ -30,12 +30,11 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.estimation.thresholds.estimates import (
+from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS, LACKING
+from gtau.estimation.thresholds.refutation import (
     DIFFERENT_PROBABILITY,
     DOMINANT,
-    FEWEST_FOR_TESTS,
     GRAVITY_MISFIT,
-    LACKING,
     OF_BEST,
     OF_REPEATING,
     PROBABLE,

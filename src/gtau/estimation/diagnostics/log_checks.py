@@ -23,14 +23,11 @@ from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import MISFIT, UNFELT_PAYLOAD
-from gtau.estimation.thresholds.logs import (
-    DELAY_MOTION,
+from gtau.estimation.thresholds.estimates import MISFIT
+from gtau.estimation.thresholds.logs import DELAY_MOTION, LAG_LEAST, LAG_LOSS, LAG_SAMPLES, LAG_STD
+from gtau.estimation.thresholds.refutation import UNFELT_PAYLOAD
+from gtau.estimation.thresholds.torques import (
     GRAVITY_FELT,
-    LAG_LEAST,
-    LAG_LOSS,
-    LAG_SAMPLES,
-    LAG_STD,
     LIMIT_SHARE,
     STEPS,
     UNFELT,

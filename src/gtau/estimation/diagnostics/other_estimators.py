@@ -44,7 +44,8 @@ from gtau.estimation.regression.run_blocks import (
     usable_rows,
     window_clusters,
 )
-from gtau.estimation.thresholds.estimates import DIFFERENT_STD, FEWEST_FOR_TESTS, NOISE_STD, WEAK_INSTRUMENTS
+from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
+from gtau.estimation.thresholds.refutation import DIFFERENT_STD, NOISE_STD, WEAK_INSTRUMENTS
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE

@@ -42,7 +42,8 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.estimation.thresholds.estimates import (
+from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_SHARE, LENGTH_TRIED
+from gtau.estimation.thresholds.refutation import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
     GRAVITY_SHARE,
@@ -52,7 +53,7 @@ from gtau.estimation.thresholds.estimates import (
     REFUTED_SHARE,
     REFUTED_STD,
 )
-from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_MOST, LENGTH_SHARE, LENGTH_TRIED
+from gtau.estimation.thresholds.torques import LENGTH_MOST
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE

@@ -33,7 +33,7 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.run_blocks import BLOCKS, SAMPLES
-from gtau.estimation.thresholds.estimates import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
+from gtau.estimation.thresholds.refutation import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 

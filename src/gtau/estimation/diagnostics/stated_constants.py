@@ -31,7 +31,8 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import FIXED, KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import APART, MISFIT_GIVEN, PAYLOAD_MOVES
+from gtau.estimation.thresholds.estimates import MISFIT_GIVEN, PAYLOAD_MOVES
+from gtau.estimation.thresholds.refutation import APART
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import independent_columns

@@ -10,8 +10,9 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.estimation.thresholds.estimates import APART, NEGATIVE_STD, WEAK_PARAMETER
+from gtau.estimation.thresholds.estimates import NEGATIVE_STD, WEAK_PARAMETER
 from gtau.estimation.thresholds.logs import DELAY_STD
+from gtau.estimation.thresholds.refutation import APART
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings import Outcome as Outcome  # which verdicts have

@@ -14,7 +14,7 @@ from gtau.estimation.diagnostics.alternatives import Alternative, Hypothesis, co
 from gtau.estimation.diagnostics.linearisation import Linearised, linearise, on_channels, side_by_side, slopes_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.run_blocks import WINDOWS
-from gtau.estimation.thresholds.estimates import SAME_EFFECT, TOGETHER_SHARE
+from gtau.estimation.thresholds.refutation import SAME_EFFECT, TOGETHER_SHARE
 from gtau.findings import Finding
 
 HYPOTHESES: tuple[Hypothesis, ...] = tuple(

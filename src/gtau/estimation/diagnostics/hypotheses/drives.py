@@ -45,7 +45,8 @@ from gtau.estimation.regression.column_blocks import is_transmitted
 from gtau.estimation.regression.factors import KNOWN, modelled
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.thresholds import Threshold
-from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, DOMINANT, PLAUSIBLE_GAIN_CHANGE, SCALED, TIE
+from gtau.estimation.thresholds.estimates import ALTERNATIVE_PRIOR, PLAUSIBLE_GAIN_CHANGE
+from gtau.estimation.thresholds.refutation import DOMINANT, SCALED, TIE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE
