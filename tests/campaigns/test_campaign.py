@@ -422,7 +422,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         return Design(task, "gains", x, 1.0, (), 0)
 
     home = "gtau.campaigns.campaign"
-    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}))
+    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}), alternatives=())
     monkeypatch.setattr(f"{home}.design", drawn)
     monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ()))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
