@@ -27,6 +27,7 @@ DESIGN, SETTINGS, MOTION, PLAYED, DECISION, ASIDE = (
     "decision.json",
     "set-aside.txt",
 )
+WARM_UP = "warm-up"  # name of a run that is played and not evaluated
 RATE = 250.0  # Hz, which common controllers take
 PAYLOAD = "payload"
 ORDER = (False, True, True, False)  # of loaded runs: drift is in both loads alike, and the payload is mounted once
@@ -72,6 +73,11 @@ class Round:
     def number(self) -> int:
         """Number of the round, from 1."""
         return int(self.folder.name)
+
+    @property
+    def runs(self) -> tuple[PlayedRun, ...]:
+        """The runs played, without the warm-up."""
+        return tuple(run for run in self.played.runs if run.name != WARM_UP) if self.played else ()
 
     @property
     def complete(self) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from gtau.campaigns.contacts import check_contacts
-from gtau.campaigns.folder import MOTION, digest, scene, write_json
+from gtau.campaigns.folder import MOTION, WARM_UP, digest, scene, write_json
 from gtau.documents.files import folder_of, write_table
 from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
@@ -142,12 +142,14 @@ def write_motion(
 ) -> None:
     """Write ``motion.csv``, then ``motion.json``, without which the round does not exist; see docs/lookup/players.md.
 
-    ``decided`` says after which decision and for what the motion was designed.
+    ``decided`` says after which decision and for what the motion was designed, and whether a warm-up run comes first.
     """
     task, robot = design.task, design.task.model.robot
     ((time, joints),) = Outlook(design, {}).motions
     write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
     allowed = tolerances(design)
+    names = [*([WARM_UP] if decided["warm_up"] else []), *(f"run{k + 1}" for k in range(len(task.payloads)))]
+    loads = (task.payloads[0], *task.payloads)[-len(names) :]
     files = digest([folder / CSV, *scene(folder.parent, file)], folder)
     write_json(
         folder / MOTION,
@@ -169,8 +171,8 @@ def write_motion(
                 for name, row in zip(robot.actuated, joints[0], strict=True)
             ],
             "runs": [
-                {"name": f"run{k + 1}", "payload": None if load is None else {"name": load.name, "mass": load.mass}}
-                for k, load in enumerate(task.payloads)
+                {"name": name, "payload": None if load is None else {"name": load.name, "mass": load.mass}}
+                for name, load in zip(names, loads, strict=True)
             ],
             "guards": [*task.guards, *rehearsal.notes],
             "rehearsal": asdict(rehearsal),
