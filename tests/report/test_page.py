@@ -145,7 +145,7 @@ def test_a_path_in_a_plane_is_drawn_in_that_plane() -> None:
     turn = np.linspace(0.0, 1.0, 5)
     path = np.column_stack([np.cos(turn), 0.0 * turn, np.sin(turn)])
     assert [panel.title for panel in paths_chart([("free", path)]).panels] == ["x-z plane of the base"]
-    assert len(paths_chart([("free", path), ("loaded", path + [0.0, 1.0, 0.0])]).panels) == 3
+    assert len(paths_chart([("free", path), ("loaded", path + np.array([0.0, 1.0, 0.0]))]).panels) == 3
 
 
 # HTML
