@@ -340,6 +340,17 @@ def test_no_motion_through_a_wall_or_the_robot_itself(tmp_path: Path) -> None:
         check(1.3, 0.0, 3.1)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_joint_without_limits_of_position_is_named_and_no_number_is_invalid(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(wall=2).replace('name="b"', 'name="b" range="-90 90" limited="true"'))
+    limits = "limits: {shapes: none, velocity: {a: 1, b: 1}}"
+    (tmp_path / "design.yaml").write_text(DESIGN.replace("robot: five-bar", "robot: arm.xml") + limits)
+    task, _ = read_design(tmp_path / "design.yaml")
+    assert task.series.half == pytest.approx([np.pi, 0.8 * np.pi / 2])
+    assert any(guard.startswith("position: no limit in the file for 'a'") for guard in task.guards)
+    assert random_start(task, np.random.default_rng(0), 0.5) is not None
+
+
 @pytest.mark.parametrize(
     ("robot", "payload", "says"), [("nosuch", 1.0, "no robot is called"), ("five-bar", 0.0, "0.0 is out of range")]
 )

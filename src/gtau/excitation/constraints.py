@@ -112,7 +112,7 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
     for j, joint in enumerate(task.model.actuated):
         unit = task.model.robot.joint(joint).unit
         low, high = limits.position[j]
-        middle, half = (low + high) / 2, (high - low) / 2
+        middle, half = ((low + high) / 2, (high - low) / 2) if np.isfinite(high - low) else (0.0, np.inf)
         scales = [(middle, half), *((0.0, float(getattr(limits, order)[j])) for order in ORDERS[1:])]
         for order, (offset, scale) in enumerate(scales):
             if not np.isfinite(scale):

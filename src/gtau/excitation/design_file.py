@@ -173,10 +173,11 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     if file.space == "platform":
         series = _platform_series(robot, file.limits, period, file.harmonics)
     else:
-        center, half = limits.position.mean(axis=1), np.ptp(limits.position, axis=1) / 2
-        home = np.array([robot.joint(name).home for name in robot.actuated])
-        free = ~np.isfinite(half)
-        series = FourierSeries(np.where(free, home, center), np.where(free, TURN, half), 1 / period, file.harmonics)
+        home = np.array([[robot.joint(name).home] for name in robot.actuated])
+        reach = np.where(
+            np.isfinite(limits.position).all(axis=1)[:, None], limits.position, np.add(home, (-TURN, TURN))
+        )
+        series = FourierSeries(reach.mean(axis=1), np.ptp(reach, axis=1) / 2, 1 / period, file.harmonics)
     start, one = rest if file.approach else None, file.motions == "one"
     problem = DesignProblem(model, base, series, file.rate, file.repetitions, start, file.payloads, one, limits, prior)
     return problem, assumed
