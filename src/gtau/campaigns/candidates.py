@@ -23,8 +23,9 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 
+# of 23 choices between eight motions of five-bars and Orthoglides fourteen were of the longer and six of a slower one,
+# none of one with 70 or 50 % of the amplitude or with the other load first, which are not tried any more
 SPEEDS = (0.7, 0.5)
-AMPLITUDES = (0.7, 0.5)
 HEAVIER = 2.0  # times the mass, of a payload that is not at hand
 
 
@@ -38,28 +39,16 @@ class Candidate:
 
 
 def candidates(design: Design) -> Iterator[Candidate]:
-    """Vary speed, amplitude, length, order of runs and payload of a design, within the limits."""
+    """Vary speed, length and payload of a design, within the limits."""
     task, x = design.task, design.x
     yield Candidate("as designed", design)
     for part in SPEEDS:
         slower = replace(task.series, base_frequency=part * task.series.base_frequency)
         yield from _within(f"at {100 * part:g} % of the speed", design, replace(task, series=slower), x)
-    for part in AMPLITUDES:
-        smaller = x.reshape(-1, task.series.free).copy()
-        smaller[:, 1:] *= part
-        yield from _within(f"with {100 * part:g} % of the amplitude", design, task, smaller.ravel())
     yield from _within("twice as long", design, replace(task, repetitions=2 * task.repetitions), x)
-    yield from _within("the other load first", design, replace(task, payloads=_exchanged(task.payloads)), x)
     masses = [payload.mass for payload in task.payloads if payload is not None and payload.mass]
     heavier = task.with_payload_mass(HEAVIER * max(masses))
     yield from _within(f"with a payload of {HEAVIER * max(masses):g} kg", design, heavier, x, at_hand=False)
-
-
-def _exchanged(payloads: Sequence[Payload | None]) -> tuple[Payload | None, ...]:
-    """Begin and end with the payload that is in the middle."""
-    kinds = list(dict.fromkeys(payload and payload.name for payload in payloads))
-    by_name = {payload and payload.name: payload for payload in payloads}
-    return tuple(by_name[kinds[(kinds.index(payload and payload.name) + 1) % len(kinds)]] for payload in payloads)
 
 
 def _within(
