@@ -16,6 +16,7 @@ At a reduced speed nothing is written: that is the dry run.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import mujoco
@@ -33,6 +34,8 @@ class Machine:
     """A robot with one payload, or none, under a PID controller with the robot's own inertia matrix."""
 
     def __init__(self, file: Path, joints: list[str], payload: str | None):
+        if not file.is_file():
+            sys.exit(f"{file} describes the robot and does not exist; name another with --robot.")
         truth = yaml.safe_load(file.read_text())
         spec = mujoco.MjSpec.from_file(str(file.parent / truth["model"]))
         if payload is not None:

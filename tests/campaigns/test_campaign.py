@@ -24,7 +24,7 @@ from gtau.campaigns.campaign import CampaignState, campaign
 from gtau.campaigns.candidates import candidates
 from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on, warming, write_experiment
-from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, write_json
+from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, void, write_json
 from gtau.campaigns.page import campaign_page
 from gtau.campaigns.rehearsal import Rehearsal, write_motion
 from gtau.cli.commands import app
@@ -102,6 +102,26 @@ def test_a_player_refuses_a_void_motion_a_wrong_start_and_writes_nothing_when_sl
     with (copied / "design.yaml").open("a") as file:
         file.write("limits: {shapes: none}\n")
     assert "has changed, so the rehearsal is void" in play(copied / "01").stderr
+
+
+def test_files_that_are_not_as_they_were_written_are_named(copied: Path) -> None:
+    path = copied / "01" / "motion.json"
+    written = path.read_text()
+    path.write_text(written.replace('"tracking_tolerance": 0', '"tracking_tolerance": 9'))
+    assert f"{path} has changed, so the rehearsal is void" in play(copied / "01").stderr
+    assert void(read_rounds(copied)[0]) == "motion.json"
+    for content in (written[:300].encode(), b"{}", b"\xff\xfe", b"[]"):
+        path.write_bytes(content)
+        with pytest.raises(GtauError, match=r"motion\.json is not as it was written; remove it, and run the command"):
+            campaign(copied)
+        assert "Traceback" not in play(copied / "01").stderr
+    path.write_text(written)
+    for name in ("played.json", "decision.json"):
+        (copied / "01" / name).write_text('{"kind": "done"}')
+        with pytest.raises(GtauError, match=rf"{name} is not as it was written"):
+            assert read_rounds(copied)[0].decision
+        (copied / "01" / name).unlink()
+    assert "does not exist; name another with --robot" in play(copied / "01", "--robot", "none.yaml").stderr
 
 
 @pytest.mark.slow
