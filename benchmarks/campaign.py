@@ -84,7 +84,7 @@ def one_shot(folder: Path, beside: Path, x: np.ndarray | None, rounds: int, trut
         else:
             design = Design(make_task(file)[0], "gains", x, 1.0, (), 0)
             rehearsal = rehearse(design, file, None, lambda *_: None)
-            write_motion(place, file, design, rehearsal, {"purpose": "first", "after": ""})
+            write_motion(place, file, design, rehearsal, {"purpose": "first", "after": "", "warm_up": False})
         if not play(place, seed + 1000):
             return {"refused": "not played"}
     try:

@@ -129,11 +129,11 @@ def numbers(found: Result) -> str:
     """Gains and masses that were found."""
     parts = []
     if found.kind == "current":
-        parts.append(", ".join(f"{g.value:.4g} ± {g.std:.1g}" for g in found.drive_gains.values()))
+        parts.append(", ".join(f"{g.value:.4g} ({g.std:.1g})" for g in found.drive_gains.values()))
     for payload in found.payloads:
         mass = payload.parameters.get("m")
         if mass is not None and mass.value is not None and mass.std:
-            parts.append(f"{payload.name} {mass.value:.3f} ± {mass.std:.3f} kg")
+            parts.append(f"{payload.name} {mass.value:.3f} ({mass.std:.3f}) kg")
     return ": " + "; ".join(parts) if parts else ""
 
 
@@ -323,7 +323,7 @@ ENTRIES = (
     Entry("tx40", "Stäubli TX40", "torques of the motors", "6.7, 6.4, 10.8, 9.4, 30, 22 % (WLS, last third)", tx40),
     Entry("panda", "Franka Panda, polled", "link torques", "8.7, 1.4, 3.7, 1.2, 6.8, 3.4, 19.6 % (WLS behind 10 Hz)", panda),
     Entry("panda_rosbag2", "Franka Panda, ROS", "link torques", "none published", panda_rosbag2),
-    Entry("dvrk", "da Vinci PSM", "gains of nominal currents", "near 1 by make; 1.12 ± 0.09, 1.02 ± 0.08, 0.75 ± 0.07 behind a 15 Hz filter by hand", dvrk("current", [("no_weight", ""), ("205_grams_parallel", G205 % ", mass: 0.205")])),
+    Entry("dvrk", "da Vinci PSM", "gains of nominal currents", "near 1 by make; 1.12 (0.09), 1.02 (0.08), 0.75 (0.07) behind a 15 Hz filter by hand", dvrk("current", [("no_weight", ""), ("205_grams_parallel", G205 % ", mass: 0.205")])),
     Entry("dvrk_weigh", "da Vinci PSM", "masses", "0.105 and 0.205 kg on the scales", dvrk("torque", [("no_weight", ""), ("105_grams_parallel", G105 % ""), ("205_grams_parallel", G205 % "")])),
     Entry("kuka_med7", "KUKA LBR Med 7", "link torques", "none published", kuka),
     Entry("rokae_sensor", "Rokae xMate 3 Pro, sensors", "link torques", "none published", rokae("torque")),

@@ -224,10 +224,10 @@ def page(study: Study) -> str:
             ),
             "\n## A second payload of 1.136 kg\n",
             _table(
-                ("drive gains", "paper, kg", "found, kg"),
+                ("drive gains", "paper, kg (std)", "found, kg (std)"),
                 [
-                    ("manufacturer's (case 1)", "1.09 ± 0.02", _with_std(study.weighings["prior"])),
-                    ("identified (case 2)", "1.14 ± 0.02", _with_std(study.weighings["identified"])),
+                    ("manufacturer's (case 1)", "1.09 (0.02)", _with_std(study.weighings["prior"])),
+                    ("identified (case 2)", "1.14 (0.02)", _with_std(study.weighings["identified"])),
                 ],
             ),
             "\n![Masses weighed](../images/case-study-payload.png)\n",
@@ -277,7 +277,7 @@ def _table_4(comparison: ControlComparison, trajectory: str) -> list[str]:
 
 
 def _with_std(mass: Estimate) -> str:
-    return f"{mass.value:.4f} ± {mass.std:.4f}"
+    return f"{mass.value:.4f} ({mass.std:.4f})"
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -78,14 +78,28 @@ class Motion:
         return ""
 
 
+def hashed(path: Path) -> str:
+    """Return the SHA-256 of a file, empty where there is none."""
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def seal(file: dict) -> str:
+    """Return the SHA-256 of what motion.json holds beside its ``hash``."""
+    content = {key: value for key, value in file.items() if key != "hash"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
 def read_motion(folder: str | Path) -> Motion:
     """Read a round's motion; end the program where its rehearsal is void, because a file changed since."""
-    folder = Path(folder)
-    file = json.loads((folder / "motion.json").read_text())
-    for name, digest in file["files"].items():
-        path = folder / name
-        if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-            sys.exit(f"{path} has changed, so the rehearsal is void; run 'gtau campaign {folder.parent}' again.")
+    folder, again = Path(folder), f"run 'gtau campaign {Path(folder).parent}' again."
+    try:
+        file = json.loads((folder / "motion.json").read_text())
+        intact = seal(file) == file["hash"]
+    except (OSError, ValueError, KeyError, AttributeError):
+        sys.exit(f"{folder / 'motion.json'} cannot be read; {again}")
+    for name, digest in file["files"].items() if intact else [("motion.json", "another")]:
+        if hashed(folder / name) != digest:
+            sys.exit(f"{folder / name} has changed, so the rehearsal is void; {again}")
     with (folder / "motion.csv").open() as lines:
         header = next(csv.reader(lines))
         columns = dict(zip(header, np.loadtxt(lines, delimiter=",").T, strict=True))

@@ -8,6 +8,7 @@
     bandwidth: 60                       # rad/s, of the controller
     drives: {shoulder: {gain: 2.7, delay: 0.001, noise: 0.01, quantum: 1e-5}}   # N m/A, s, A, rad
     payloads: {disc: {body: wrist, mass: 2.0, center: [0.05, 0, 0.03]}}
+    cold: {more: 0.3, fades: 60}        # friction at the round's start beyond that when warm, s of its time constant
 
 At a reduced speed nothing is written: that is the dry run.
 """
@@ -15,6 +16,7 @@ At a reduced speed nothing is written: that is the dry run.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import mujoco
@@ -32,6 +34,8 @@ class Machine:
     """A robot with one payload, or none, under a PID controller with the robot's own inertia matrix."""
 
     def __init__(self, file: Path, joints: list[str], payload: str | None):
+        if not file.is_file():
+            sys.exit(f"{file} describes the robot and does not exist; name another with --robot.")
         truth = yaml.safe_load(file.read_text())
         spec = mujoco.MjSpec.from_file(str(file.parent / truth["model"]))
         if payload is not None:
@@ -49,6 +53,8 @@ class Machine:
         self.model, self.drives = spec.compile(), [drives[name] for name in joints]
         self.model.opt.timestep = STEP
         self.bandwidth, self.at = truth.get("bandwidth", 60.0), truth.get("at", {})
+        self.cold = {"more": 0.0, "fades": 1.0} | truth.get("cold", {})
+        self.warm = self.model.dof_frictionloss.copy(), self.model.dof_damping.copy()
         self.data = mujoco.MjData(self.model)
         if self.model.nkey:  # a pose in which loops are closed
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
@@ -74,8 +80,10 @@ class Machine:
             pushed.append(self.trial.qacc[self.v].copy())
         return np.linalg.inv(np.array(pushed[1:]) - pushed[0])
 
-    def play(self, motion: Motion, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
-        """Follow the motion; return time, positions and currents as logged, and how it ended."""
+    def play(
+        self, motion: Motion, rng: np.random.Generator, moved: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, str]:
+        """Follow the motion, having ``moved`` for some s; return time, positions, currents as logged, and the end."""
         gain, zero, quantum, bend = map(self.column, ("gain", "zero", "quantum", "saturation"))
         if not self.model.neq:
             self.data.qpos[self.q] = [self.at.get(joint["name"], joint["start"]) for joint in motion.file["joints"]]
@@ -100,6 +108,8 @@ class Machine:
             current = inertia @ (qdd + kp * e + kd * ed + integral) / gain
             seen = np.array([past[d][j] for j, d in enumerate(late)]) + zero
             rows.append((k / rate, seen, current))
+            cold = 1 + self.cold["more"] * np.exp(-(moved + k / rate) / self.cold["fades"])
+            self.model.dof_frictionloss[:], self.model.dof_damping[:] = (cold * friction for friction in self.warm)
             self.data.qfrc_applied[self.v] = gain * current * (1 - bend * np.abs(current))
             for _ in range(steps):
                 mujoco.mj_step(self.model, self.data)
@@ -124,7 +134,7 @@ def main() -> None:
 
     def one_run(run: dict, motion: Motion) -> tuple[str, str]:
         machine = Machine(file, motion.joints, (run["payload"] or {}).get("name"))
-        *log, end = machine.play(motion, rng)
+        *log, end = machine.play(motion, rng, motion.file["runs"].index(run) * motion.time[-1])
         return write_log(motion, run["name"], *log), end
 
     play_round(options.round, options.speed, one_run)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -21,13 +23,15 @@ import gtau
 from gtau.campaigns.campaign import CampaignState, campaign
 from gtau.campaigns.candidates import candidates
 from gtau.campaigns.contacts import check_contacts
-from gtau.campaigns.decision import Decision, decide, refuse_to_go_on
-from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, write_json
+from gtau.campaigns.decision import Decision, decide, refuse_to_go_on, warming, write_experiment
+from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, void, write_json
 from gtau.campaigns.page import campaign_page
-from gtau.campaigns.rehearsal import Rehearsal
+from gtau.campaigns.rehearsal import Rehearsal, write_motion
 from gtau.cli.commands import app
+from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
+from gtau.estimation.diagnostics.hypotheses.drives import FRICTION_DRIFT
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design
@@ -98,6 +102,26 @@ def test_a_player_refuses_a_void_motion_a_wrong_start_and_writes_nothing_when_sl
     with (copied / "design.yaml").open("a") as file:
         file.write("limits: {shapes: none}\n")
     assert "has changed, so the rehearsal is void" in play(copied / "01").stderr
+
+
+def test_files_that_are_not_as_they_were_written_are_named(copied: Path) -> None:
+    path = copied / "01" / "motion.json"
+    written = path.read_text()
+    path.write_text(written.replace('"tracking_tolerance": 0', '"tracking_tolerance": 9'))
+    assert f"{path} has changed, so the rehearsal is void" in play(copied / "01").stderr
+    assert void(read_rounds(copied)[0]) == "motion.json"
+    for content in (written[:300].encode(), b"{}", b"\xff\xfe", b"[]"):
+        path.write_bytes(content)
+        with pytest.raises(GtauError, match=r"motion\.json is not as it was written; remove it, and run the command"):
+            campaign(copied)
+        assert "Traceback" not in play(copied / "01").stderr
+    path.write_text(written)
+    for name in ("played.json", "decision.json"):
+        (copied / "01" / name).write_text('{"kind": "done"}')
+        with pytest.raises(GtauError, match=rf"{name} is not as it was written"):
+            assert read_rounds(copied)[0].decision
+        (copied / "01" / name).unlink()
+    assert "does not exist; name another with --robot" in play(copied / "01", "--robot", "none.yaml").stderr
 
 
 @pytest.mark.slow
@@ -212,6 +236,35 @@ def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
     twice = decide(result, 3.0, [before, round_of("model part")], None)
     assert twice.kind == "stopped"
     assert twice.say.startswith("another motion does not help: ")
+
+
+def test_a_drift_asks_for_a_warm_up_run_which_is_played_and_not_evaluated(copied: Path) -> None:
+    cause = Finding("drifting Coulomb friction", ("left",))
+    drift = Alternative(FRICTION_DRIFT.name, (cause,), -0.2, 0.02, "", probability=1.0, share=0.2)
+    cold, file = read_rounds(copied)[0], read_design_file(copied)
+    assert warming(SimpleNamespace(alternatives=(replace(drift, size=-0.1),)), cold) == ""
+    drifting = SimpleNamespace(drive_gains={"left": gain("left", 1.0, 0.01, 0.3)}, alternatives=(drift,))
+    assert warming(drifting, cold).startswith("the data show Coulomb friction of 'left' changing along the runs, so")
+    assert decide(drifting, 3.0, [round_of("first")], None).suspect == ""
+    task, _ = read_design(copied / "design.yaml")
+    x = random_start(task, np.random.default_rng(0), 0.5)
+    purpose = {"purpose": "random part", "after": "01", "warm_up": True}
+    done = Rehearsal(0.5, "", 0.1, {}, {}, ())
+    write_motion(copied / "02", file, Design(task, "gains", x, 1.0, (), 0), done, purpose)
+    with (copied / "mujoco.yaml").open("a") as truth:
+        truth.write("cold: {more: 6.0, fades: 4.0}\n")
+    assert play(copied / "02").returncode == 0
+    logs = [np.loadtxt(copied / "02" / "logs" / f"{run}.csv", delimiter=",", skiprows=1) for run in ("warm-up", "run1")]
+    first, second = (np.sqrt(np.mean(log[:, 3:] ** 2, axis=0)) for log in logs)
+    assert (first > 1.1 * second).all()
+    warm = read_rounds(copied)[1]
+    write_experiment(copied / "experiment.yaml", file, [warm])
+    assert [run["log"] for run in read_yaml(copied / "experiment.yaml").data["runs"]] == [
+        f"02/logs/run{k}.csv" for k in (1, 2, 3, 4)
+    ]
+    assert (
+        warming(SimpleNamespace(alternatives=()), warm) == "the next round begins with a warm-up run, as this one did"
+    )
 
 
 def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
@@ -346,24 +399,34 @@ def test_a_campaign_ends_with_gains_whose_intervals_hold(
 
 
 @pytest.mark.slow
-def test_a_campaign_that_is_killed_at_any_moment_goes_on(copied: Path) -> None:
-    """Files appear whole or not at all, so a call that is cut off leaves what the next one makes up for."""
-    rng, folder = np.random.default_rng(0), copied
-    assert play(folder / "01").returncode == 0
-    logs = {path: path.read_bytes() for path in (folder / "01" / "logs").iterdir()}
-    command = [sys.executable, "-m", "gtau", "campaign", str(folder)]
-    for _ in range(8):
-        run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+@pytest.mark.parametrize(("killed", "moments"), [("first call", 10), ("player", 10), ("call after a round", 20)])
+def test_killed_at_any_moment_a_command_is_made_up_for_by_the_next(killed: str, moments: int, copied: Path) -> None:
+    """Killed at moments spread over a whole call, and called again, it ends where one that was not killed does."""
+    command = [sys.executable, "-m", "gtau", "campaign", "."]
+    if killed == "first call":
+        shutil.rmtree(copied / "01")
+    elif killed == "player":
+        command = [sys.executable, str(PLAYER), "01"]
+    else:
+        assert play(copied / "01").returncode == 0
+
+    def called(folder: Path, until: float | None = None) -> dict[str, bytes]:
+        run = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, start_new_session=True)
         try:
-            run.wait(float(rng.uniform(1, 40)))
+            assert run.wait(until) == 0
         except subprocess.TimeoutExpired:
-            run.kill()
+            os.killpg(run.pid, signal.SIGKILL)
             run.wait()
-        read_rounds(folder)  # nothing half written
-        assert all(path.read_bytes() == content for path, content in logs.items())
-    state = campaign(folder)
-    assert state.next in ("play", "stopped")
-    assert len(state.rounds) <= 2
+        kept = {name: content for name, content in files_of(folder).items() if not Path(name).name.startswith(".")}
+        return kept | {"report.html": b""}  # it says how long the call took
+
+    whole, begun = Path(shutil.copytree(copied, copied.with_name("whole"))), time.monotonic()
+    wanted = called(whole)
+    duration = time.monotonic() - begun
+    for moment in range(moments):
+        folder = Path(shutil.copytree(copied, copied.with_name(f"killed {moment}")))
+        called(folder, (moment + 0.5) / moments * duration)
+        assert called(folder) == wanted
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
@@ -379,7 +442,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         return Design(task, "gains", x, 1.0, (), 0)
 
     home = "gtau.campaigns.campaign"
-    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}))
+    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}), alternatives=())
     monkeypatch.setattr(f"{home}.design", drawn)
     monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ()))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)

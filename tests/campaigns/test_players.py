@@ -37,8 +37,8 @@ def motion(tmp_path: Path) -> contract.Motion:
     np.savetxt(tmp_path / "motion.csv", np.column_stack([time, q, qd, qdd]), delimiter=",", header=header, comments="")
     joint = {"unit": "rad", "start": 0.0, "start_tolerance": 0.02, "tracking_tolerance": 0.05}
     runs = [{"name": "run1", "payload": None}]
-    file = {"rate": RATE, "hash": "h", "files": {}, "runs": runs, "joints": [{"name": n, **joint} for n in "ab"]}
-    (tmp_path / "motion.json").write_text(json.dumps(file))
+    file = {"rate": RATE, "files": {}, "runs": runs, "joints": [{"name": n, **joint} for n in "ab"]}
+    (tmp_path / "motion.json").write_text(json.dumps(file | {"hash": contract.seal(file)}))
     return contract.read_motion(tmp_path)
 
 
@@ -153,7 +153,7 @@ def test_what_was_played_is_written_whole(motion: contract.Motion) -> None:
     log = contract.write_log(motion, "run1", motion.time, motion.q, motion.q)
     contract.write_played(motion, [{"name": "run1", "log": log, "end": "completed"}], "completed")
     played = json.loads((motion.folder / "played.json").read_text())
-    assert (played["hash"], played["runs"][0]["log"]) == ("h", "logs/run1.csv")
+    assert (played["hash"], played["runs"][0]["log"]) == (contract.seal(motion.file), "logs/run1.csv")
     assert (motion.folder / log).read_text().startswith("t,q_a,q_b,i_a,i_b\n")
     assert not list(motion.folder.rglob("*.part"))
 

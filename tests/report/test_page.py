@@ -13,6 +13,7 @@ from matplotlib.colors import to_hex
 
 from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
+from gtau.report.motion import paths_chart
 from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
 from gtau.report.render.charts import figure_of, palette
 from gtau.report.render.html import arrays_for, frame, html, spec_of
@@ -133,6 +134,18 @@ def test_findings_are_listed_by_severity() -> None:
         "Information:",
         "- a clock",
     ]
+
+
+def test_no_zero_is_negative() -> None:
+    assert Column("moved", Kind.NUMBER, decimals=2).text(-0.001) == "0.00"
+    assert Column("position", Kind.INTERVAL).text((-3.0, -0.01)) == "-3.0 to 0.0"
+
+
+def test_a_path_in_a_plane_is_drawn_in_that_plane() -> None:
+    turn = np.linspace(0.0, 1.0, 5)
+    path = np.column_stack([np.cos(turn), 0.0 * turn, np.sin(turn)])
+    assert [panel.title for panel in paths_chart([("free", path)]).panels] == ["x-z plane of the base"]
+    assert len(paths_chart([("free", path), ("loaded", path + np.array([0.0, 1.0, 0.0]))]).panels) == 3
 
 
 # HTML

@@ -19,6 +19,7 @@ from gtau.campaigns.decision import (
     identified,
     refuse_to_go_on,
     slower,
+    warming,
     write_experiment,
 )
 from gtau.campaigns.folder import (
@@ -145,7 +146,7 @@ def campaign(
         return _judge(place, settings.accuracy, file, used, progress)
     designed = design(make_task(file)[0], starts=STARTS, seed=int(place.name), progress=progress)
     rehearsal = rehearse(designed, file, None, progress)
-    write_motion(folder_of(place), file, designed, rehearsal, {"purpose": "first", "after": ""})
+    write_motion(folder_of(place), file, designed, rehearsal, {"purpose": "first", "after": "", "warm_up": False})
     return _to_play(folder, settings.accuracy, read_rounds(folder))
 
 
@@ -252,7 +253,9 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
         designed, decision = chosen.design, refuse_to_go_on(result, decision, widths)
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
-        purpose = {"purpose": decision.kind, "after": last.folder.name}
+        warm_up = warming(result, last)
+        decision = replace(decision, say="; ".join(filter(None, (decision.say, warm_up))))
+        purpose = {"purpose": decision.kind, "after": last.folder.name, "warm_up": bool(warm_up)}
         write_motion(folder_of(place), file, designed, rehearse(designed, file, trusted, progress), purpose)
     return decision
 

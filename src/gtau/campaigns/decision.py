@@ -12,15 +12,16 @@ from typing import Any
 import numpy as np
 
 from gtau.campaigns.candidates import widths
-from gtau.campaigns.folder import Round
+from gtau.campaigns.folder import WARM_UP, Round
 from gtau.documents.files import write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.diagnostics.hypotheses.drives import FRICTION_DRIFT, GAIN_DRIFT
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.refutation import APART
+from gtau.estimation.thresholds.refutation import APART, PROBABLE
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
 from gtau.progress import Progress
@@ -30,6 +31,7 @@ ROUNDS = 5  # at which a campaign ends
 WORTH = 0.9  # of the widest interval: a motion is to bring it below this part, or the campaign ends
 SHOWN = 0.05  # of the residual variance: nine results of three healthy five-bars 0.00, a falling torque constant 0.41
 STRETCHED = 0.9  # of its speed, below which a motion was not played as it was designed
+DRIFTS = {FRICTION_DRIFT.name, GAIN_DRIFT.name}  # which a warm-up lessens
 RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
 
 
@@ -68,7 +70,7 @@ def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> P
         assert round_.played is not None
         signals = round_.played.signals or signals
         carried = {run["name"]: run["payload"] for run in round_.motion["runs"]}
-        for run in round_.played.runs:
+        for run in round_.runs:
             load = carried.get(run.name)
             log = Path(relpath(round_.folder / run.log, path.parent)).as_posix()
             stated = {"payload": loads[load["name"]].model_dump(exclude_defaults=True)} if load else {}
@@ -132,7 +134,7 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
     if alone is not None and (apart := _apart(alone, rounds)):
         return Decision(BLOCKED, apart, gains)
     if reached:
-        return Decision(DONE, f"{within}, and the last round agrees", gains)
+        return Decision(DONE, f"{within}, and the last round agrees; they scale with the payload's mass", gains)
     limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
     said = f"'{joint}' is {size}, {accuracy:g} % is asked for; its {limited} is the larger one"
     if len(rounds) >= ROUNDS:
@@ -150,13 +152,10 @@ def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
     """Note the rounds that a controller stretched; their logs are used as they were played."""
     runs, notes = iter(result.data), []
     for round_ in rounds:
-        assert round_.played is not None
         names = [f"q_{joint['name']}" for joint in round_.motion["joints"]]
         log = read_log(round_.folder / "motion.csv", ("t", *names)).arrays()
         designed = _moving(log["t"], np.column_stack([log[name] for name in names]))
-        share = designed / max(
-            _moving(run.time, run.position) for _, run in zip(round_.played.runs, runs, strict=False)
-        )
+        share = designed / max(_moving(run.time, run.position) for _, run in zip(round_.runs, runs, strict=False))
         if share < STRETCHED:
             notes.append(
                 f"round {round_.folder.name} was played at {100 * share:.0f} % of its speed and is used as such"
@@ -200,9 +199,19 @@ def _cause(result: Result, joint: str) -> str:
 
 
 def _suspect(result: Result) -> Alternative | None:
-    """Find the effect that the data show most clearly, None where none is shown."""
+    """Find the effect that the data show most clearly and no warm-up lessens, None where none is shown."""
     shown = [one for one in result.alternatives if one.significant and one.share >= SHOWN]
-    return max(shown, key=lambda one: one.share, default=None)
+    return max((one for one in shown if one.hypothesis not in DRIFTS), key=lambda one: one.share, default=None)
+
+
+def warming(result: Result, last: Round) -> str:
+    """Say why the next round begins with a warm-up run, empty if it needs none."""
+    drifts = (one for one in result.alternatives if one.hypothesis in DRIFTS and one.significant)
+    drift = max((one for one in drifts if one.probability > PROBABLE), key=lambda one: one.share, default=None)
+    if drift is not None:
+        return f"the data show {drift.subject}, so the next round begins with a warm-up run"
+    warmed = any(run["name"] == WARM_UP for run in last.motion["runs"])
+    return "the next round begins with a warm-up run, as this one did" if warmed else ""
 
 
 def _apart(alone: Result, rounds: Sequence[Round]) -> str:

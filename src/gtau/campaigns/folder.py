@@ -27,6 +27,7 @@ DESIGN, SETTINGS, MOTION, PLAYED, DECISION, ASIDE = (
     "decision.json",
     "set-aside.txt",
 )
+WARM_UP = "warm-up"  # name of a run that is played and not evaluated
 RATE = 250.0  # Hz, which common controllers take
 PAYLOAD = "payload"
 ORDER = (False, True, True, False)  # of loaded runs: drift is in both loads alike, and the payload is mounted once
@@ -74,6 +75,11 @@ class Round:
         return int(self.folder.name)
 
     @property
+    def runs(self) -> tuple[PlayedRun, ...]:
+        """The runs played, without the warm-up."""
+        return tuple(run for run in self.played.runs if run.name != WARM_UP) if self.played else ()
+
+    @property
     def complete(self) -> bool:
         """Whether all runs were played to their end."""
         return self.played is not None and self.played.end == "completed"
@@ -81,7 +87,7 @@ class Round:
     @property
     def decision(self) -> Mapping[str, Any] | None:
         """What was decided from this round and those before, if anything was."""
-        return _json(self.folder / DECISION)
+        return _json(self.folder / DECISION, "kind say next gains candidates notes suspect inputs")
 
 
 def read_settings(folder: Path, robot: str | Path | None, payload: float | None, accuracy: float | None) -> Settings:
@@ -132,7 +138,8 @@ def read_rounds(folder: Path) -> list[Round]:
     """Read the rounds that have a motion; a folder without one was interrupted, and is made again."""
     rounds = []
     for path in sorted(path for path in folder.iterdir() if re.fullmatch(r"\d\d", path.name)):
-        motion, played, aside = _json(path / MOTION), _json(path / PLAYED), path / ASIDE
+        motion = _json(path / MOTION, "hash files joints runs guards rehearsal purpose after")
+        played, aside = _json(path / PLAYED, "hash"), path / ASIDE
         if motion is None:
             continue
         read = None if played is None else validate(Played, Document(path / PLAYED, played))
@@ -141,17 +148,17 @@ def read_rounds(folder: Path) -> list[Round]:
     return rounds
 
 
-def _json(path: Path) -> Mapping[str, Any] | None:
+def _json(path: Path, keys: str) -> Mapping[str, Any] | None:
+    """Read a JSON document with these keys, None where there is no file."""
     if not path.exists():
         return None
-    with system_refusals(path):
-        text = path.read_text(encoding="utf-8")
     try:
-        content = json.loads(text)
+        with system_refusals(path):
+            content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
         content = None
-    if not isinstance(content, dict):
-        raise GtauError(f"{path} is no JSON document; remove it, and run the command that wrote it again.")
+    if not isinstance(content, dict) or not {*keys.split()} <= content.keys():
+        raise GtauError(f"{path} is not as it was written; remove it, and run the command that wrote it again.")
     return content
 
 
@@ -168,6 +175,12 @@ def digest(paths: Iterable[Path], base: Path) -> dict[str, str]:
     }
 
 
+def seal(motion: Mapping[str, Any]) -> str:
+    """Hash a motion.json, with the hashes of its files (SHA-256 of all but its ``hash``, keys sorted)."""
+    content = {key: value for key, value in motion.items() if key != "hash"}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
 def scene(folder: Path, file: DesignFile) -> list[Path]:
     """List the files on which a rehearsal rests beside its motion: design file, robot, meshes of shapes."""
     shapes = {} if file.limits.shapes == "none" else file.limits.shapes
@@ -178,6 +191,8 @@ def scene(folder: Path, file: DesignFile) -> list[Path]:
 
 def void(this: Round) -> str:
     """Name the first file that has changed since a round's motion was rehearsed, empty if none has."""
+    if seal(this.motion) != this.motion["hash"]:
+        return MOTION
     files: Mapping[str, str] = this.motion["files"]
     now = digest((this.folder / name for name in files), this.folder)
     return next((name for name, known in files.items() if now[name] != known), "")

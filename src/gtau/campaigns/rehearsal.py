@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gtau.campaigns.contacts import check_contacts
-from gtau.campaigns.folder import MOTION, digest, scene, write_json
+from gtau.campaigns.folder import MOTION, WARM_UP, digest, scene, seal, write_json
 from gtau.documents.files import folder_of, write_table
 from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
@@ -142,38 +141,37 @@ def write_motion(
 ) -> None:
     """Write ``motion.csv``, then ``motion.json``, without which the round does not exist; see docs/lookup/players.md.
 
-    ``decided`` says after which decision and for what the motion was designed.
+    ``decided`` says after which decision and for what the motion was designed, and whether a warm-up run comes first.
     """
     task, robot = design.task, design.task.model.robot
     ((time, joints),) = Outlook(design, {}).motions
     write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
     allowed = tolerances(design)
+    names = [*([WARM_UP] if decided["warm_up"] else []), *(f"run{k + 1}" for k in range(len(task.payloads)))]
+    loads = (task.payloads[0], *task.payloads)[-len(names) :]
     files = digest([folder / CSV, *scene(folder.parent, file)], folder)
-    write_json(
-        folder / MOTION,
-        {
-            "schema": "gtau-motion/1",
-            "hash": hashlib.sha256("".join(files.values()).encode()).hexdigest(),
-            "files": files,
-            "robot": robot.name,
-            "rate": task.rate,
-            "duration": float(time[-1]),
-            "joints": [
-                {
-                    "name": name,
-                    "unit": robot.joint(name).unit,
-                    "start": float(row[0]),
-                    "start_tolerance": NEAR[robot.joint(name).turns],
-                    "tracking_tolerance": allowed[name],
-                }
-                for name, row in zip(robot.actuated, joints[0], strict=True)
-            ],
-            "runs": [
-                {"name": f"run{k + 1}", "payload": None if load is None else {"name": load.name, "mass": load.mass}}
-                for k, load in enumerate(task.payloads)
-            ],
-            "guards": [*task.guards, *rehearsal.notes],
-            "rehearsal": asdict(rehearsal),
-            **decided,
-        },
-    )
+    motion = {
+        "schema": "gtau-motion/1",
+        "files": files,
+        "robot": robot.name,
+        "rate": task.rate,
+        "duration": float(time[-1]),
+        "joints": [
+            {
+                "name": name,
+                "unit": robot.joint(name).unit,
+                "start": float(row[0]),
+                "start_tolerance": NEAR[robot.joint(name).turns],
+                "tracking_tolerance": allowed[name],
+            }
+            for name, row in zip(robot.actuated, joints[0], strict=True)
+        ],
+        "runs": [
+            {"name": name, "payload": None if load is None else {"name": load.name, "mass": load.mass}}
+            for name, load in zip(names, loads, strict=True)
+        ],
+        "guards": [*task.guards, *rehearsal.notes],
+        "rehearsal": asdict(rehearsal),
+        **decided,
+    }
+    write_json(folder / MOTION, motion | {"hash": seal(motion)})

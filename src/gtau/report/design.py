@@ -180,7 +180,7 @@ def design_page(outlook: Outlook) -> Page:
         f"Exciting motion for {outlook.robot.name}",
         section("Verdict", _verdict(outlook), Facts(facts), id="verdict"),
         section("Drive gains to expect", gains, id="gains"),
-        section("Parameters to expect", parameters, unknown, id="parameters"),
+        section("Parameters to expect", parameters, unknown, id="parameters", folded=True),
         section("Limits", limits, id="limits"),
         _masses(outlook),
         section("Assumptions", said, id="assumed"),

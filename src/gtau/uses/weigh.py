@@ -16,7 +16,7 @@ from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.least_squares import fit_by, wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.experiment_runs import options_of, read
+from gtau.estimation.experiment_runs import Subject, options_of, read
 from gtau.estimation.preconditions import given_gains
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
@@ -87,23 +87,13 @@ def weigh(
         raise GtauError(f"gains is '{gains}'; write 'identified' or 'prior'.")
     of_file = isinstance(source, (str, Path))
     subject = read(source, runs, options_of(prior_gains), progress)
-    where, robot = f"{source}: " if of_file else "", model.robot
+    where = f"{source}: " if of_file else ""
     require_same(model, subject.robot, subject.runs[0].kind, str(source) if of_file else "this experiment")
     if not any(run.payload is not None and run.payload.mass is None for run in subject.runs):
         raise GtauError(f"{where}no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
-    if gains == "prior" and model.kind == "current" and not subject.options.gains:
-        raise GtauError(f"{where}there are no 'prior_gains'; add them, or weigh with the identified gains.")
     bare = any(run.payload is None for run in subject.runs)
     chosen = [run for run in subject.runs if run.payload is None or run.payload.mass is None or not bare]
-    if gains == "prior":
-        g_tau = given_gains(robot, chosen, subject.options.gains, "wls")
-        stated = subject.options.prior_gains or {}
-        stds = [stated[joint].std if joint in stated else None for joint in robot.actuated]
-        covariance = np.diag([(std or 0.0) ** 2 for std in stds])
-    else:
-        g_tau = model.gains
-        rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in robot.actuated]
-        covariance = model.covariance[np.ix_(rows, rows)]
+    g_tau, covariance = _prior_gains(model, subject, where) if gains == "prior" else _identified_gains(model)
     dataset = _reduced(model, chosen, progress)
     moving = sum(factor.rows.sum(axis=0) for factor in dataset.factors) >= FEWEST_ROWS
     if not np.any(moving):
@@ -139,6 +129,22 @@ def weigh(
         for payload in payload_estimates(system, vector, {})
         if "m" not in payload.known
     )
+
+
+def _identified_gains(model: Result) -> tuple[np.ndarray, np.ndarray]:
+    """Return the gains (n,) of a model and their covariance (n, n)."""
+    rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in model.robot.actuated]
+    return model.gains, model.covariance[np.ix_(rows, rows)]
+
+
+def _prior_gains(model: Result, subject: Subject, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return prior gains (n,) and their covariance (n, n), zero where none is stated; raises GtauError without any."""
+    if model.kind == "current" and not subject.options.gains:
+        raise GtauError(f"{where}there are no 'prior_gains'; add them, or weigh with the identified gains.")
+    stated = subject.options.prior_gains or {}
+    stds = [stated[joint].std if joint in stated else None for joint in model.robot.actuated]
+    gains = given_gains(model.robot, subject.runs, subject.options.gains, "wls")
+    return gains, np.diag([(std or 0.0) ** 2 for std in stds])
 
 
 def _reduced(model: Result, runs: Sequence[Run], progress: Progress) -> Dataset:
