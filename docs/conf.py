@@ -75,7 +75,8 @@ sphinx_gallery_conf = {
     "within_subsection_order": "FileNameSortKey",
     "default_thumb_file": str(DOCS / "images" / "demo-gains.png"),
     "download_all_examples": True,
-    "image_scrapers": ("matplotlib", "site_hooks.draw_figures"),
+    "image_scrapers": ("site_hooks.draw_figures", "matplotlib"),  # pyplot's figures are pyplot's until it draws them
+    "capture_repr": ("_repr_html_",),
     "reset_modules": ("matplotlib",),
     "write_computation_times": False,
 }

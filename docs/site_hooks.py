@@ -118,11 +118,11 @@ def draw_figures(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str,
     """Draw the figures of ``result.plot`` that a block of a script of the gallery makes; pyplot does not list them."""
     paths = []
     for figure in block_vars["example_globals"].values():
-        if isinstance(figure, Figure) and figure.canvas.manager is None and figure.get_gid() is None:
-            path = next(block_vars["image_path_iterator"])
-            figure.savefig(path, dpi=100)
-            figure.set_gid(path)  # drawn
-            paths.append(path)
+        if isinstance(figure, Figure) and figure.get_gid() is None:
+            figure.set_gid("drawn")
+            if figure.canvas.manager is None:
+                paths.append(next(block_vars["image_path_iterator"]))
+                figure.savefig(paths[-1], dpi=100)
     return figure_rst(paths, gallery_conf["src_dir"])
 
 

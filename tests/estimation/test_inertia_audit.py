@@ -155,3 +155,9 @@ def test_priors_that_alone_give_the_scale_are_held_against_the_data(true: Robot,
     for believed, contradicted in ((true, False), (robot(tmp_path, {"j3": 2 * MASSES["j3"]}), True)):
         result = identify(believed, [made.run(1)], prior_inertias=0.02)
         assert any(note.kind == FindingKind.PRIOR_INERTIA for note in result.notes) == contradicted
+
+
+def test_rounding_in_the_file_is_no_inertia(true: Robot) -> None:
+    """Frames that a program turned leave values such as 3e-73, which no prior may have."""
+    rounded = tuple((name, 3e-73 if name == "mx_j2" else value) for name, value in true.file.inertias)
+    assert inertia_priors(replace(true, file=replace(true.file, inertias=rounded)), 0.3)["mx_j2"].value == 0.0

@@ -90,6 +90,7 @@ addEventListener("load", async () => {
   say.themes = [background()];
   document.getElementById("theme").click();
   say.themes.push(background());
+  for (const event of ["beforeprint", "afterprint"]) { dispatchEvent(new Event(event)); say.themes.push(background()); }
   const seen = (each) => each.getBoundingClientRect().right <= document.documentElement.clientWidth;
   say.verdicts = [...document.querySelectorAll("td .badge")].map(seen);
   say.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
@@ -229,7 +230,9 @@ def test_a_report_in_a_browser(probed: dict[str, dict], command: str) -> None:
     assert said["blank"] == 0
     assert (said["charts"] > 0) == (command in ("identify", "validate", "check", "excite"))
     assert said["synced"]
-    assert said["themes"][0] != said["themes"][1]
+    light, dark, paper, after = said["themes"]
+    assert (paper, after) == (light, dark)
+    assert light != dark
     assert said["wide"] <= 0  # nothing sticks out at the width of a phone
     assert all(said["verdicts"])  # and no verdict is out of sight
     assert said["verdicts"] or command not in ("identify", "compare", "fleet")

@@ -126,8 +126,8 @@ def reduced(
         priors=options.priors if estimator.takes_priors else {},
         prior_inertias=options.prior_inertias or 0.0,
     )
-    asked = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")
-    if asked and not dataset.stated_priors and not any(map(_has_scale, dataset.runs)):
+    demanded = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")
+    if demanded and not dataset.stated_priors and not any(map(_has_scale, dataset.runs)):
         return replace(dataset, priors={})
     return dataset
 

@@ -96,9 +96,9 @@ def seen_by_sensor(names: Sequence[Parameter], joint: str) -> np.ndarray:
 def base_parameters(
     idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress = silent
 ) -> BaseParameters:
-    """Find the base parameters chi of eq. (21) from the structure of the robot's model.
+    """Find the base parameters from the structure of the robot's model.
 
-    The regressor of random feasible states is factorised by QR without pivoting, its columns
+    Those are chi of eq. (21). The regressor of random feasible states is factorised by QR without pivoting, its columns
     normalised and in the symmetric order of eq. (23); a column that depends on those kept before it is
     skipped, and its parameter regrouped with theirs (eq. 22). States are drawn until one more draw keeps the rank.
 

@@ -244,7 +244,7 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
     for joint, known in priors.items():
         if known.source not in ("given", "assumed"):
             sources[joint] = "{}, {:.4g} to {:.4g}".format(known.source, *known.interval)
-    whole = {
+    shares = {
         gain.name: 100 * np.hypot(gain.std, priors[gain.name].model) / abs(gain.value)
         for gain in unknowns
         if gain.name in priors and priors[gain.name].model
@@ -255,7 +255,7 @@ def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: boo
         (Column("prior value", Kind.NUMBER, 4), lambda value: None if hidden else value.value),
         (Column("std", Kind.NUMBER, 3), lambda value: None if hidden else _finite(value.std)),
         (Column("%", Kind.NUMBER, 3), lambda value: None if _meaningless(value, assumed) else _finite(value.relative)),
-        *([(Column("with model part, %", Kind.NUMBER, 3), lambda gain: whole[gain.name])] if whole else []),
+        *([(Column("with model part, %", Kind.NUMBER, 3), lambda gain: shares[gain.name])] if shares else []),
         (Column("unit"), outlook.unit),
         (Column("prior value is"), lambda value: sources[value.name]),
         name=name,

@@ -57,8 +57,8 @@ class Plots:
         end = seconds(evidence.run) if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
-        whole, prediction = start <= 0 and stop is None, evidence.prediction.of(joints)
-        return figure_of(stretch_chart(self.result, evidence.run, prediction, start, end, whole))
+        complete, prediction = start <= 0 and stop is None, evidence.prediction.of(joints)
+        return figure_of(stretch_chart(self.result, evidence.run, prediction, start, end, complete))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Draw a joint's residuals along a run, their histogram, spectrum and autocorrelation."""

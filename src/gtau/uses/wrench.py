@@ -171,9 +171,9 @@ def _along(result: Result, run: Run) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     columns = model.columns(tuple(base.standard[k] for k in chosen))
     wrenches = model.wrenches([WrenchFrame(result.robot.tool)])
     prepared, _ = prepared_for(result, run)
-    for of, motion in stream_motions(model, prepared):
+    for samples, motion in stream_motions(model, prepared):
         W = _dense(model, columns, motion)
-        currents = -of.command[:, : len(joints), None] * np.eye(len(joints))
+        currents = -samples.command[:, : len(joints), None] * np.eye(len(joints))
         slopes = np.concatenate([W, currents], axis=2)
         covariance = np.einsum("ikp,pq,ilq->ikl", slopes, spread, slopes, optimize=True)
         yield _dense(model, wrenches, motion), covariance

@@ -26,6 +26,7 @@ from gtau.signals.channel import Channel, channels_of
 from gtau.signals.reading.statements import Payload, Prior
 
 RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
+ROUNDING = 1e-12  # of the size of a body's parameter: less is rounding of the file's frames
 FEWEST_ROWS = 50  # of a joint, in all runs together
 
 
@@ -165,7 +166,8 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
     for body in _heavy(robot):
         sizes |= {Parameter(kind, body): size for kind, size in (sizes_of(stated, body) or {}).items()}
     sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
-    return {name: Prior(value=stated[name], std=std * size) for name, size in sizes.items()}
+    exact = {name: 0.0 if abs(stated[name]) < ROUNDING * size else stated[name] for name, size in sizes.items()}
+    return {name: Prior(value=exact[name], std=std * size) for name, size in sizes.items()}
 
 
 def file_sums(model: InverseDynamics, base: BaseParameters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -206,8 +206,8 @@ def _ground(panel: Panel, x: Scale, y: Scale) -> Iterator[str]:
 
 def _frame(panel: Panel, x: Scale, y: Scale, width: float, height: float) -> Iterator[str]:
     """Draw the axes, their ticks and labels, and the labels of rules."""
-    left = f"M{x.start:.1f} {y.stop:.1f}V{y.start:.1f}" if panel.matrix is not None or not panel.y.names else ""
-    yield _path(f"{left}M{x.start:.1f} {y.start:.1f}H{x.stop:.1f}", "soft", 0.9)
+    ordinate = f"M{x.start:.1f} {y.stop:.1f}V{y.start:.1f}" if panel.matrix is not None or not panel.y.names else ""
+    yield _path(f"{ordinate}M{x.start:.1f} {y.start:.1f}H{x.stop:.1f}", "soft", 0.9)
     for axis, scale in ((panel.x, x), (panel.y, y)):
         pitch = abs(scale.stop - scale.start) / max(len(axis.names), 1)
         names = list(axis.names.items())[:: ceil(SMALLEST / pitch)]

@@ -146,14 +146,23 @@
   addEventListener("hashchange", reveal);
   reveal();
 
-  // ---- paper: everything is drawn and opened
+  // ---- paper: everything is drawn in the light theme, and opened
+  let theme;
   const beforePaper = () => {
+    theme = root.dataset.theme;
+    root.dataset.theme = "light";
     document.querySelectorAll("details").forEach((each) => { each.dataset.was = each.open; each.open = true; });
     charts.forEach(draw);
     fit();
+    repaint();
+  };
+  const afterPaper = () => {
+    if (theme) root.dataset.theme = theme; else delete root.dataset.theme;
+    document.querySelectorAll("details").forEach((each) => { each.open = each.dataset.was === "true"; });
+    repaint();
   };
   addEventListener("beforeprint", beforePaper);
-  addEventListener("afterprint", () => document.querySelectorAll("details").forEach((each) => { each.open = each.dataset.was === "true"; }));
+  addEventListener("afterprint", afterPaper);
 
   // ---- tables that sort and search
   for (const table of document.querySelectorAll("table.sortable")) {
