@@ -280,10 +280,11 @@ def test_a_motion_that_brings_less_than_a_tenth_ends_the_campaign() -> None:
     result = result_of(gain("a", 1.0, 0.01, 0.03))
     decision = Decision("model part", "'a' is wide")
     worth = [{"motion": "as designed", "half_width": 5.0, "at_hand": True}]
-    assert refuse_to_go_on(result, decision, worth).kind == "model part"
+    assert refuse_to_go_on(result, decision, worth, 0.0).kind == "model part"
     worthless = [{"motion": "as designed", "half_width": 6.1, "at_hand": True},
                  {"motion": "with a payload of 2 kg", "half_width": 3.1, "at_hand": False}]  # fmt: skip
-    ended = refuse_to_go_on(result, decision, worthless)
+    assert refuse_to_go_on(result, decision, worthless, 9.0).kind == "model part"  # its interval is narrow by chance
+    ended = refuse_to_go_on(result, decision, worthless, 5.0)
     assert ended.kind == "stopped"
     assert ended.say.startswith(
         "no motion narrows the widest interval by a tenth, but with a payload of 2 kg it would be +-3.1 %: 'a' is wide"

@@ -250,7 +250,7 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
             return expected_width(candidate, result, last.number)
 
         chosen, widths = best(offered, width_of)
-        designed, decision = chosen.design, refuse_to_go_on(result, decision, widths)
+        designed, decision = chosen.design, refuse_to_go_on(result, decision, widths, expected_width(None, result, 0))
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
         warm_up = warming(result, last)
