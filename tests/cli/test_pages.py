@@ -176,7 +176,9 @@ def keys(heading: str) -> set[str]:
     section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
     rows = re.search(r"(^\|.*\n)+", section, re.MULTILINE)
     assert rows is not None
-    return set(re.findall(r"^\| `(\w+)` \|", rows[0], re.MULTILINE))
+    return {
+        key for cell in re.findall(r"^\| (`.*?`) \|", rows[0], re.MULTILINE) for key in re.findall(r"`(\w+)`", cell)
+    }
 
 
 def documented(heading: str, document: dict) -> None:

@@ -75,7 +75,7 @@ def assemble_problem(
 
 def require_rows(problem: Problem) -> None:
     """Check that every channel has enough equations; raises GtauError."""
-    for channel, equations in zip(problem.channels, problem.total_rows, strict=True):
+    for channel, equations in zip(problem.channels, problem.rows.sum(axis=0), strict=True):
         if equations < FEWEST_ROWS:
             raise GtauError(
                 f"joint '{channel.joint}' has {equations} usable rows in all runs together, away from its reversals "
