@@ -35,7 +35,7 @@ from gtau.estimation.experiment_runs import describe, read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.results.conclusions import findings
-from gtau.estimation.thresholds.torques import BEYOND_GEARS, GEARED
+from gtau.estimation.thresholds.refutation import BEYOND_GEARS, GEARED
 from gtau.findings import FindingKind as F
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Limits, Mdh, Robot

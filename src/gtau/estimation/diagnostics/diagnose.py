@@ -44,8 +44,18 @@ from gtau.estimation.diagnostics.verdict import (
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, LOST_GAIN, MISFIT, MISFIT_GIVEN, NAMED_SHARE, NEGATIVE_STD
-from gtau.estimation.thresholds.refutation import APART, APART_REFUTED, OTHER_SCALE, REFUTED_SHARE, SCALED
-from gtau.estimation.thresholds.torques import ALIKE, BEYOND_GEARS, FRICTIONLESS, GEARED, MODEL_RESIDUAL
+from gtau.estimation.thresholds.refutation import (
+    ALIKE,
+    APART,
+    APART_REFUTED,
+    BEYOND_GEARS,
+    FRICTIONLESS,
+    GEARED,
+    MODEL_RESIDUAL,
+    OTHER_SCALE,
+    REFUTED_SHARE,
+    SCALED,
+)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped, whole_mass

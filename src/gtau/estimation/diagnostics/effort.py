@@ -31,15 +31,18 @@ from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.thresholds.estimates import MISFIT
 from gtau.estimation.thresholds.logs import LATE
 from gtau.estimation.thresholds.refutation import (
+    AS_WELL,
     GRAVITY_MISFIT,
     HARDLY_NEGATIVE,
     LIKELY_SHARES,
+    MEANING_CLOSE,
+    NO_GRAVITY,
     RETRIED,
     SIGN_STD,
     SWAPPED,
     TINY,
+    WITH_GRAVITY,
 )
-from gtau.estimation.thresholds.torques import AS_WELL, MEANING_CLOSE, NO_GRAVITY, WITH_GRAVITY
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import of_drive

@@ -24,10 +24,13 @@ from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import MISFIT
-from gtau.estimation.thresholds.logs import DELAY_MOTION, LAG_LEAST, LAG_LOSS, LAG_SAMPLES, LAG_STD
-from gtau.estimation.thresholds.refutation import UNFELT_PAYLOAD
-from gtau.estimation.thresholds.torques import (
+from gtau.estimation.thresholds.logs import (
+    DELAY_MOTION,
     GRAVITY_FELT,
+    LAG_LEAST,
+    LAG_LOSS,
+    LAG_SAMPLES,
+    LAG_STD,
     LIMIT_SHARE,
     STEPS,
     UNFELT,
@@ -35,6 +38,7 @@ from gtau.estimation.thresholds.torques import (
     UNSEEN_RATIO,
     WHOLE,
 )
+from gtau.estimation.thresholds.refutation import UNFELT_PAYLOAD
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.robot import Robot

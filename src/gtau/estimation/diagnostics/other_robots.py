@@ -47,13 +47,13 @@ from gtau.estimation.thresholds.refutation import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
     GRAVITY_SHARE,
+    LENGTH_MOST,
     LOAD_ALIKE,
     LOAD_LEFT,
     MASS_ABSENT,
     REFUTED_SHARE,
     REFUTED_STD,
 )
-from gtau.estimation.thresholds.torques import LENGTH_MOST
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import RELATIVE

@@ -165,7 +165,7 @@ def group_estimates(
     A = np.einsum("pa,pq,qc->ac", shaped.M, group.G.sum(axis=(0, 1))[:-1, :-1], shaped.M)
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))[:, None]
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (shaped.M.T @ group.cross / size) / size
-    factor = sandwich_factor([group.residuals])
+    factor = sandwich_factor([group.residuals]) if group.residuals.size else 1.0
     covariance = factor**2 * jackknife(shaped.replicates) + _between_values(group, shaped, A)
     place = {name: k for k, name in enumerate(shaped.names)}
     names: list[Parameter] = []

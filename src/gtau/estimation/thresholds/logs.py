@@ -246,3 +246,44 @@ POSE_DELAY_STD = Threshold(
     "standard deviation of the delay of a pose, s, above which it is not shown",
     evidence="a choice: two samples of a camera at 100 Hz",
 )
+GRAVITY_FELT = Threshold(
+    0.06,
+    "torque of gravity over the whole, rms, of the joint that feels it most, below which none is tried",
+    healthy="0.04 (Orthoglide), 0.05 (delta, simulated), 0.08 and more (all other logs and robots)",
+    faulty="0.001 to 0.035 (logs made without gravity)",
+    evidence="zoo, benchmarks/effort.py; it decides on a second of work and on a note, not on an outcome",
+)
+UNFELT = Threshold(
+    1e-6,
+    "the same, below which no motion of the robot changes what gravity asks of it",
+    healthy="0 (SCARA)",
+    evidence="rounding",
+)
+LIMIT_SHARE = Threshold(
+    0.02,
+    "largest torque over its limit of effort, of the joint that comes nearest, below which torques are those of motors",
+    healthy="0.27 (KUKA LBR Med 7), 0.33 (UPV), 1.2 (xMate 7 Pro)",
+    faulty="0.003 to 0.012 (the same before gears of 100:1)",
+    evidence="zoo",
+)
+STEPS = Threshold(
+    3.0, "largest whole number of commands that are all whole, from which they are shares or counts", evidence="a level"
+)
+WHOLE = Threshold(
+    0.9,
+    "share of commands that are whole numbers, from which all were",
+    healthy="0 (zoo); 0.5 (steps of 0.5 N m)",
+    faulty="0.995 and more (per cent of the rated torque, stale samples interpolated)",
+    evidence="zoo, benchmarks/effort.py",
+)
+UNSEEN_RATIO = Threshold(
+    4.0,
+    "share of a joint's current that its own equations leave unexplained in a run in which another joint's position "
+    "never changes, over the largest in runs in which that one moves",
+    faulty="10 to 22 (five joints of a UR10e frozen in one run), 2.4 (its first joint, which gravity does not feel)",
+    evidence="UR10e pair, the loaded run; tests/estimation/test_still_joints.py. In its logs of single joints, held "
+    "ones move by 2 quanta",
+)
+UNSEEN_MISFIT = Threshold(
+    0.1, "that share itself", healthy="up to 0.04 (UR10e)", faulty="0.23 to 0.52", evidence="the same"
+)

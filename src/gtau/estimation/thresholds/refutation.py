@@ -1,4 +1,4 @@
-"""Thresholds of what refutes the description of robot and logs, or the choice of the estimator."""
+"""Thresholds of what refutes the description of robot and logs, the meaning of torques, or the choice of estimator."""
 
 from __future__ import annotations
 
@@ -220,4 +220,69 @@ UNFELT_PAYLOAD = Threshold(
     healthy="16 (UR10e, actual currents)",
     faulty="1.03 (UR10e, target currents, which never feel the payload)",
     evidence="UR10e logs",
+)
+ALIKE = Threshold(
+    0.05,
+    "probability that the torque scales of joints which share one differ by as much",
+    healthy="0.4 to 0.9 (five-bar with a mass 25 % off)",
+    faulty="below 1e-4 (AIRBOT Play: 1.5 beside 0.83)",
+    evidence="tests/estimation/test_torque_scale.py",
+)
+NO_GRAVITY = Threshold(
+    0.1,
+    "coefficient of gravity, that of inertia being 1, down to which its interval reaches if torques may have none",
+    healthy="0.35 and more, or 0 excluded by 118 of log likelihood (dVRK, slow) in 13 sets of shared logs",
+    faulty="0 to 0.1 (the same without gravity)",
+    evidence="benchmarks/effort.py",
+)
+WITH_GRAVITY = Threshold(
+    0.75,
+    "coefficient of gravity that the interval excludes if torques have none",
+    healthy="1",
+    evidence="a choice: nearer to 1 it is a scale",
+)
+MEANING_CLOSE = Threshold(
+    3.0,
+    "log likelihood by which a meaning of effort is likelier, up to which the other is said too",
+    evidence="a level: 20 times as likely",
+)
+AS_WELL = Threshold(
+    1.1,
+    "the same, up to which torques show no gravity, if it could be compensated as well as balanced",
+    healthy="2.2 and more",
+    faulty="1.002 (five-bar)",
+    evidence="zoo, benchmarks/effort.py",
+)
+FRICTIONLESS = Threshold(
+    0.02,
+    "friction over torque, rms, of the joint with most of it, below which torques are those of a model",
+    healthy="0.66 and more (zoo, UPV), 0.2 (delta, simulated)",
+    faulty="0.003 (target moments of a UR10e), 0.005 (simulated)",
+    evidence="zoo, benchmarks/effort.py",
+)
+MODEL_RESIDUAL = Threshold(
+    0.02,
+    "unexplained share of the joint with most of it, below which torques are those of a model",
+    healthy="0.05 and more (zoo; 0.0024 simulated, with friction)",
+    faulty="0.006 (target moments of a UR10e), 0.01 (simulated)",
+    evidence="zoo, benchmarks/effort.py",
+)
+GEARED = Threshold(
+    5.0,
+    "least torque scale of the joints, from which torques are those of motors before their gears",
+    healthy="up to 4 (constants of firmware: Piper)",
+    faulty="83 (Rokae xMate 3 Pro), 6 (the smallest gears of such arms)",
+    evidence="zoo; threads of users",
+)
+BEYOND_GEARS = Threshold(
+    1000.0,
+    "largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes",
+    evidence="a choice: gears of arms have 30 to 300",
+)
+LENGTH_MOST = Threshold(
+    0.3,
+    "relative change beyond which a length explains nothing: it is extrapolated from one per cent",
+    healthy="0.02 (the lengths of tests)",
+    faulty="18 (currents without gravity)",
+    evidence="tests/acceptance/test_faults.py, tests/estimation/test_effort_meaning.py",
 )
