@@ -80,7 +80,7 @@ def test_the_file_gives_the_scale_where_nothing_else_does(true: Robot, tmp_path:
     result = identify(heavy, [plant(true).run(seed) for seed in (1, 2)], prior_inertias=std)
     for gain in result.drive_gains.values():
         assert gain.value == pytest.approx(1.25, rel=0.02)
-        assert gain.verdict.finding.kind == FindingKind.WIDE_SCALE if std > 0.1 else gain.half_width > 196 * std
+        assert gain.verdict.finding.kind == FindingKind.WIDE_SCALE
         assert 196 * std < gain.half_width < 3 * 100 * std
     assert {source for shares in result.scale.values() for source in shares} == {"the inertias of the robot's file"}
 
