@@ -28,8 +28,8 @@ CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])  # of a joint, in which
 GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)  # of a box
 LETTERS = 14  # of a name in the key
 DRIVEN, PASSIVE = (8.2, RED), (6.1, "page")  # size and colour of marks
+# corners of marks, by how much of one they are turned, and their radius, as a share of the size
 OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0, 0.71), "hexagon": (6, 0.0, 0.5)}
-"""Corners of marks, by how much of one they are turned, and their radius, as a share of the size."""
 COILS = 8  # turns of a spring
 PARALLEL = 1e-6  # of a cosine
 FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
@@ -41,17 +41,12 @@ def robot_figure(robot: Robot) -> Figure:
 
 
 def sketch_of(robot: Robot) -> Sketch:
-    """Sketch a robot at home, gravity pointing down the page.
+    """Sketch a robot at home, gravity pointing down the page; raises GtauError where its loops close nowhere.
 
     Pale lines are the base, grey ones the travel of prismatic joints, blue ones links, from a joint to the next, and
     filled faces platforms; the body that carries the payload is green, with the axes of its frame. Discs are revolute
     joints, with their axis through them, and squares prismatic ones, red and named where a motor moves them; diamonds
     close loops, zigzags are springs. Below are the axes of the base, a scale and a key.
-
-    Raises
-    ------
-    GtauError
-        The loops close nowhere.
     """
     largest = scene_of(robot)
     for share in (1.0, 0.8, 0.6):  # long names beside the robot need room, too
@@ -184,16 +179,12 @@ def _draw_names(pen: Pen, scene: Scene) -> None:
     for place, names in named.values():
         names = [text] if len(text := ", ".join(names)) <= LETTERS else names
         half = np.array([LETTER[0] * max(map(len, names)), LETTER[1] * len(names)]) / 2
-        centres = place + CORNERS * (half + AWAY)
-        best = min(centres, key=lambda centre: (_within(marks, centre, half + 4.0), _within(strokes, centre, half)))
+        centres = (place + CORNERS * (half + AWAY))[:, None]
+        hidden = [(np.abs(points - centres) < half + 2.0).all(axis=2).sum(axis=1) for points in (strokes, marks)]
+        best = centres[np.lexsort(hidden)[0], 0]
         for k, name in enumerate(names):
             pen.word(name, best + np.array([0.0, LETTER[1] * ((len(names) - 1) / 2 - k)]))
         marks = np.vstack([marks, best + half * GRID])  # no name hides another
-
-
-def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:
-    """Count the points (N, 2) that are in a box."""
-    return int((np.abs(points - centre) < half).all(axis=1).sum())
 
 
 def _draw_compass(pen: Pen, scene: Scene, place: np.ndarray) -> None:
