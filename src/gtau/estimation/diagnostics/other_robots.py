@@ -17,7 +17,7 @@ a linear test points anywhere: the robot is fitted again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from math import hypot, isclose
@@ -62,6 +62,7 @@ from gtau.model.inverse_dynamics import InverseDynamics, models_alike
 from gtau.model.kinematics import SAME_LENGTH
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import moved_ends
+from gtau.robots.parameter import Parameter, payload_label
 from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
 from gtau.signals.reading.statements import Payload
 
@@ -97,14 +98,18 @@ def _loaded(fit: Fit, runs: tuple[int, ...]) -> Fit | None:
     declared = [run.payload for run in fit.dataset.runs]
     loads = [Payload(name=f"of run {k}") if k in runs else payload for k, payload in enumerate(declared)]
     other = refitted(fit, loads)
-    if other is None or not {f"m_L{run + 1}" for run in runs} <= set(other.system.problem.parameters):
+    if other is None or not set(_masses(fit, runs)) <= set(other.system.problem.parameters):
         return None
     return other if set(other.system.unexcited) <= set(fit.system.unexcited) else None
 
 
+def _masses(fit: Fit, runs: Iterable[int]) -> list[Parameter]:
+    return [Parameter("m", payload_label(fit.dataset.robot, run)) for run in runs]
+
+
 def _places(other: Fit, runs: Sequence[int]) -> list[int]:
     """Numbers of the masses of unknown loads among the parameters."""
-    return [other.system.problem.parameters.index(f"m_L{run + 1}") for run in runs]
+    return other.system.problem.unknowns.at(_masses(other, runs))
 
 
 def _added(other: Fit, runs: Sequence[int]) -> np.ndarray:
