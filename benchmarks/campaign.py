@@ -36,6 +36,7 @@ from gtau.excitation.design_file import make_task  # noqa: E402
 from gtau.excitation.nlp import Programme, random_start  # noqa: E402
 
 PLAYER = ROOT / "examples" / "players" / "play_mujoco.py"
+PLANT = ("design.yaml", "mujoco.yaml", "robot.xml", "robot.urdf")
 MASSES = {"five-bar": 1.0, "orthoglide": 2.0, "ur10e": 5.0, "panda": 2.0}
 RESTS = {  # where such arms stand before work; stretched out level, hardly any motion is within the limits of torque
     "ur10e": {"shoulder_lift_joint": -1.5708, "wrist_1_joint": -1.5708},
@@ -74,8 +75,8 @@ def judged(gains: dict[str, dict], truth: dict[str, float]) -> dict:
 def one_shot(folder: Path, beside: Path, x: np.ndarray | None, rounds: int, truth: dict[str, float], seed: int) -> dict:
     """Play one motion as often as the campaign had rounds, the first of it where x is None, and identify."""
     file = read_design_file(folder)
-    for name in ("design.yaml", "mujoco.yaml", "robot.xml"):
-        (folder_of(beside) / name).write_text((folder / name).read_text())
+    for source in filter(Path.is_file, (folder / name for name in PLANT)):
+        (folder_of(beside) / source.name).write_text(source.read_text())
     for k in range(rounds):
         place = folder_of(beside / f"{k + 1:02d}")
         if x is None:

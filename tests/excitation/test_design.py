@@ -198,7 +198,7 @@ def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path
 
 
 def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
-    low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
+    low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:") + "approach: false\n"
     task, _ = read_design(write(tmp_path, low))
     with pytest.raises(GtauError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
         design(task, starts=1)
@@ -234,7 +234,7 @@ def test_progress_counts_iterations(search: tuple[Design, list[tuple[str, int, i
 
 
 def test_a_search_stopped_before_it_has_found_anything_does_not_blame_the_limits(tmp_path: Path) -> None:
-    low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:")
+    low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:") + "approach: false\n"
     task, _ = read_design(write(tmp_path, low))
     with pytest.raises(Stopped, match="the search was stopped before it had found a motion within the limits"):
         design(task, starts=3, stop=lambda: True)

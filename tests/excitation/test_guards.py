@@ -22,6 +22,7 @@ from gtau.excitation.evaluation import design_grid, evaluate
 from gtau.excitation.forecast import Outlook, sampled_motions
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import COULOMB, ERROR, ROTOR, VISCOUS, KnownGain, identified_gains
+from gtau.excitation.task import DesignProblem
 from gtau.findings import Outcome
 from gtau.report.design import design_page
 from gtau.report.render.terminal import plain
@@ -204,6 +205,34 @@ def test_a_capsule_bounds_points(rng: np.random.Generator) -> None:
         line = found.end - found.start
         part = np.clip((points - found.start) @ line / max(line @ line, 1e-300), 0, 1)
         assert np.linalg.norm(points - found.start - part[:, None] * line, axis=1).max() <= found.radius + 1e-9
+
+
+def level(folder: Path, effort: int) -> DesignProblem:
+    """Return the task of an arm that rests stretched out level, and holds 8 kg with about 95 N m there."""
+    path = written(folder, "limits: {shapes: none, share: 1}\nrest: {forearm: 0}")
+    path.write_text(path.read_text().replace("mass: 2", "mass: 8"))
+    arm = (folder / "arm.yaml").read_text()
+    (folder / "arm.yaml").write_text(
+        arm.replace("velocity: 2, effort: 200}}\n  f", f"velocity: 5, effort: {effort}}}}}\n  f")
+    )
+    return read_design(path)[0]
+
+
+def test_an_approach_is_as_slow_as_its_torques_ask_for(tmp_path: Path) -> None:
+    x = np.zeros((4, 5))
+    x[1, 0] = 0.5  # lifts the arm
+    torques = [
+        {usage.what: usage.excess for usage in check(task, x.ravel())}["torque of joint 'arm' with payload 'disc'"]
+        * effort
+        for effort in (125, 400)
+        for task in [level(tmp_path, effort)]
+    ]
+    assert torques[0] <= 125 < torques[1]  # the second one is free to be fast
+
+
+def test_a_pose_at_rest_that_exceeds_a_limit_is_refused_before_a_search(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match="torque of joint 'arm' with payload 'disc' must be at most 80 N m"):
+        design(level(tmp_path, 80), progress=lambda *_: pytest.fail("searched"))
 
 
 HEAVY = """<inertial><origin xyz="0 0.05 %g" rpy="0.2 0 0.1"/><mass value="%g"/>

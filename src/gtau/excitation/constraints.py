@@ -10,13 +10,14 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.excitation.clearance import FLOOR, Clearance, Nearest
-from gtau.excitation.evaluation import Grid, Point
+from gtau.excitation.evaluation import Grid, Point, along
 from gtau.excitation.task import DesignProblem, close
 from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 APPROACH = 12  # poses between rest and the motion's beginning in which distances are kept while searching
+SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # approaches; at four times the duration a sixteenth of the acceleration is left
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,15 +240,26 @@ def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[C
         yield ConstraintUsage(what, task.limits.away, "of the time", share[[j]] / task.limits.away, rows, True)
 
 
-def whole_run(task: DesignProblem, period: np.ndarray, rate: float) -> np.ndarray:
-    """Sample a run at ``rate``, Hz, (4, n, N): approach, all periods of the joints (4, n, .), and return."""
-    periods = np.concatenate([np.tile(period, task.repetitions), period[:, :, :1]], axis=2)
+def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
+    """Sample a run at ``rate``, Hz, (4, n, N): approach, all periods of a motion on a grid, and return."""
+    joints = period.joints
+    periods = np.concatenate([np.tile(joints, task.repetitions), joints[:, :, :1]], axis=2)
     if task.rest is None:
         return periods
-    home, start, limits = task.rest, period[0, :, 0], task.limits
-    span = approach_duration(start - home, limits.velocity, limits.acceleration, limits.jerk)
-    count = int(np.ceil(span * rate))
+    home, start = task.rest, joints[0, :, 0]
+    count = int(np.ceil(_approach_duration(task, home, start, period.runs) * rate))
     time = np.arange(count) / rate
     there = np.stack(quintic(home, start, count / rate, time))
     back = np.stack(quintic(start, home, count / rate, time + 1 / rate))
     return np.concatenate([there, periods, back], axis=2)
+
+
+def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray, runs: tuple[int, ...]) -> float:
+    """Compute the duration, s, of an approach: slower where its torques ask for that and it helps."""
+    span = approach_duration(start - home, task.limits.velocity, task.limits.acceleration, task.limits.jerk)
+    for slower in SLOWER:
+        duration = slower * span
+        joints = np.stack(quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH)))
+        if all(usage.excess <= 1 for usage in _drives(along(task, joints, duration, runs))):
+            return duration
+    return span

@@ -108,6 +108,7 @@ def design(
         Where no motion within the limits is found, with the limit that is exceeded;
         :class:`gtau.excitation.design.Stopped` where it was stopped before one was found.
     """
+    require_rest(task)
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failure: ConstraintUsage | None = None
@@ -227,12 +228,27 @@ def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) ->
     return Design(task, criterion, x, float(np.exp(Programme(task, criterion, {}).value(x)[0])), usages, start)
 
 
+def require_rest(task: DesignProblem) -> None:
+    """Refuse a pose at rest, in which every run begins and ends, that exceeds a limit whatever the motion."""
+    if task.rest is None:
+        return
+    joints = np.zeros((4, len(task.rest), 2))
+    joints[0] = task.rest[:, None]
+    points = [along(task, joints, 1.0, runs) for runs in task.motions]
+    moving = [np.full(len(task.rest), np.inf)] * len(points)  # reversals are a matter of the motion
+    if worst := _most_exceeded(constraint_usages(points, moving), 1e-6):
+        raise GtauError(
+            f"robot '{task.model.robot.name}': no motion can begin or end at rest there: the {worst.what} must be "
+            f"{worst.allowed}, and is {worst.reached:.4g}; start from another pose ('rest'), or relax the limit."
+        )
+
+
 def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:
     """Compute the usage of limits of whole runs, approach and return included, on a grid ``finer`` times finer."""
     grid = design_grid(task, finer)
     points, shares = [], []
     for period in evaluate(task, x, grid):
-        joints = whole_run(task, period.joints, 1 / grid.step)
+        joints = whole_run(task, period, 1 / grid.step)
         points.append(along(task, joints, grid.step, period.runs))
         rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))
         shares.append(share_away(task, period.joints[1], grid.step, rms))

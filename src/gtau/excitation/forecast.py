@@ -54,7 +54,7 @@ def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarra
     samples = round(task.series.period * task.rate)
     time = np.arange(samples) / task.rate
     periods = evaluate(task, x, Grid(1 / task.rate, task.series.basis(time)))
-    wholes = [whole_run(task, period.joints, task.rate) for period in periods]
+    wholes = [whole_run(task, period, task.rate) for period in periods]
     return tuple((np.arange(joints.shape[2]) / task.rate, joints) for joints in wholes)
 
 
