@@ -326,7 +326,9 @@ def test_a_link_may_have_the_name_of_a_payload(runs: list[Run], result: Result) 
     ]
     closures = (replace(FIVE_BAR.closures[0], a=ties[0], b=ties[1]),)
     robot = replace(FIVE_BAR, joints=tuple(map(renamed, FIVE_BAR.joints)), closures=closures)
-    renamed_runs = [Run(run.name, ("L2", "L3"), run.time, run.position, run.command, payload=run.payload) for run in runs]
+    renamed_runs = [
+        Run(run.name, ("L2", "L3"), run.time, run.position, run.command, payload=run.payload) for run in runs
+    ]
     found = identify(robot, renamed_runs, consistent=True)
     for gain, before in zip(found.drive_gains.values(), result.drive_gains.values(), strict=True):
         np.testing.assert_allclose((gain.value, gain.std), (before.value, before.std), rtol=1e-9)

@@ -342,6 +342,10 @@ SENTENCES = [  # finding, reason, advice
      "the first moments of the links are 998 times those of the robot's file (rms of 14)",
      "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is wrong, state "
      "'prior_gains'"),
+    (Finding(F.MODEL_APART, (), "", {"apart": 4.96}),
+     "the log contradicts the model, whose parameters it would move by 5 standard deviations (rms)",
+     "add a log without payload of the same day; check signs, units and zeros of its columns, and that the robot is "
+     "mounted as before; otherwise identify the robot again, as torque constants fall while motors warm up"),
     (Finding(F.NEGATIVE_PAYLOAD, (), "neg", {"mass": -5.0, "std": 0.03}),
      "its mass of -5 kg (standard deviation 0.03) is negative, which no body has",
      "check which runs carry it, as the others may be the loaded ones, the signs of the commands, and gravity"),

@@ -144,6 +144,7 @@ class FindingKind(StrEnum):
     INSEPARABLE = "not separable", Outcome.NOT_IDENTIFIABLE
     NEAR_ZERO = "near zero", Outcome.NOT_IDENTIFIABLE
     UNCERTAIN = "uncertain parameter", Outcome.WEAK
+    MODEL_APART = "log apart from the model", Outcome.CONTRADICTORY
     NEGATIVE_PAYLOAD = "payload of negative mass", Outcome.CONTRADICTORY
     PAYLOAD_MASS = "payload mass", Outcome.CONTRADICTORY
     PAYLOAD_PARAMETER = "payload parameter", Outcome.CONTRADICTORY

@@ -29,7 +29,7 @@ class Unknowns(tuple[Parameter, ...]):
     @cached_property
     def places(self) -> Mapping[str, int]:
         """Place of each unknown in the vector; raises GtauError where two have one name."""
-        places = {unknown: k for k, unknown in enumerate(self)}
+        places: dict[str, int] = {unknown: k for k, unknown in enumerate(self)}
         if alike := [name for k, name in enumerate(self) if places[name] != k]:
             bodies = " and ".join(f"'{name.body}'" for name in self if name == alike[0])
             raise GtauError(f"parameters of {bodies} are both called '{alike[0]}'; rename one of these joints.")
