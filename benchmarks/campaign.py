@@ -132,9 +132,13 @@ def run(robot: str, seed: int, out: Path, fault: str, accuracy: float, compare: 
         if not play(state.rounds[-1].folder, seed):
             return {"seed": seed, "end": "not played", "rounds": len(state.rounds)}
         state = campaign(folder)
-    gains = state.decision["gains"] if state.decision else {}
+    gains, notes = (state.decision["gains"], state.decision["notes"]) if state.decision else ({}, [])
     line = {"seed": seed, "fault": fault, "end": state.next, "say": state.say, "rounds": len(state.rounds)}
-    line |= judged(gains, truth) | {"seconds": round(time.time() - begun), "cpu": round(processor() - used)}
+    line |= judged(gains, truth) | {
+        "notes": notes,
+        "seconds": round(time.time() - begun),
+        "cpu": round(processor() - used),
+    }
     if compare:
         line["one_shot"] = one_shot(folder, folder / "shot", None, len(state.rounds), truth, seed)
         x = best_random(folder)

@@ -15,6 +15,7 @@ import re
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import floor, log10
 from pathlib import Path
 from time import perf_counter
 
@@ -129,12 +130,18 @@ def numbers(found: Result) -> str:
     """Gains and masses that were found."""
     parts = []
     if found.kind == "current":
-        parts.append(", ".join(f"{g.value:.4g} ({g.std:.1g})" for g in found.drive_gains.values()))
+        parts.append(", ".join(rounded(gain.value, gain.std) for gain in found.drive_gains.values()))
     for payload in found.payloads:
         mass = payload.parameters.get("m")
         if mass is not None and mass.value is not None and mass.std:
             parts.append(f"{payload.name} {mass.value:.3f} ({mass.std:.3f}) kg")
     return ": " + "; ".join(parts) if parts else ""
+
+
+def rounded(value: float, std: float) -> str:
+    """Write a value to the first digit of its standard deviation."""
+    digits = -floor(log10(std))
+    return f"{round(value, digits):.{max(digits, 0)}f} ({round(std, digits):.{max(digits, 0)}f})"
 
 
 def said(found: Result) -> str:
@@ -333,7 +340,7 @@ ENTRIES = (
     Entry("xmate7p_1k", "Rokae xMate 7 Pro, 1 kHz", "link torques", "none published", xmate7p("50Hz_5periods", 1000)),
     Entry("upv", "UPV 3UPS+RPU", "forces of the legs", "12.1, 13.4, 16.2, 11.3 % (fit of the three, without a filter)", upv),
     Entry("upv_gains", "UPV 3UPS+RPU, CAD masses", "gains of forces", "1 by the maker's gains", upv_gains),
-    Entry("aliengo", "Unitree Aliengo", "torques of the commands", "friction as PACE's, see below", aliengo),
+    Entry("aliengo", "Unitree Aliengo", "torques of the commands", "friction as PACE's", aliengo),
 )  # fmt: skip
 
 

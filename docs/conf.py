@@ -28,6 +28,7 @@ exclude_patterns = ["images/README.md", "gallery/**/*.py", "gallery/**/*.ipynb",
 templates_path = ["_templates"]
 nitpicky = True
 smartquotes = False  # they make a dash of --method
+highlight_language = "text"  # of indented blocks: commands, C and YAML
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4

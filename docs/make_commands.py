@@ -20,8 +20,9 @@ Commands with `--json` print one JSON document instead of tables.
 
 def prose(text: str) -> str:
     """Write help as Markdown: its paragraphs, what is typed in quotes as code."""
-    text = re.sub(r"'(gtau [^']+)'|'(--[^']+)'", r"`\1\2`", text.replace("\b", ""))
-    return re.sub(r"(?<!`)<(?=\w)", r"\\<", text)
+    text = re.sub(r"'(gtau [^']+)'|'?(?<!\w)(--[a-z-]+)'?", r"`\1\2`", text.replace("\b", ""))
+    text = re.sub(r"docs/lookup/(\w+\.md)|docs/(\w+/\w+\.md)", lambda at: f"[{at[0]}]({at[1] or '../' + at[2]})", text)
+    return re.sub(r"(?<!`)<(?=\w)", r"\\<", text).replace("+-", "±")
 
 
 def rows(records: list[tuple[str, str]]) -> str:

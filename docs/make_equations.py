@@ -116,13 +116,21 @@ def collect() -> dict[int, list[str]]:
     return {number: sorted(functions[number] or modules[number]) for number in functions.keys() | modules.keys()}
 
 
+def by_module(places: list[str]) -> str:
+    """Write places into a cell, a line for each module."""
+    named: dict[str, list[str]] = defaultdict(list)
+    for place in places:
+        parts = place.split(".")
+        paths = ((ROOT / "src").joinpath(*parts[:k]).with_suffix(".py") for k in range(len(parts), 0, -1))
+        depth = len(parts) - [path.is_file() for path in paths].index(True)
+        named[".".join(parts[:depth])].append(f"`{'.'.join(parts[depth:])}`")
+    return "<br>".join(f"`{module}`: {', '.join(names)}" for module, names in named.items())
+
+
 def page() -> str:
     """Return the page with the table."""
     found = collect()
-    rows = [
-        f"| ({number}) | {what} | {'<br>'.join(f'`{place}`' for place in found.get(number, []))} |"
-        for number, what in EQUATIONS.items()
-    ]
+    rows = [f"| ({number}) | {what} | {by_module(found.get(number, []))} |" for number, what in EQUATIONS.items()]
     return "\n".join(
         [
             "# Equations of the paper in the code",

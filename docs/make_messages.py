@@ -50,8 +50,8 @@ def shortened(text: str) -> str:
 
 
 def cell(text: str) -> str:
-    """Write a text into a table."""
-    text = text[:1].upper() + text[1:] if text else "-"
+    """Write a text into a table, what is typed as code."""
+    text = re.sub(r"(?<![\w'])(--[a-z-]+)", r"`\1`", (text[:1].upper() + text[1:]).replace("+-", "±")) or "-"
     return re.sub(r"([|<*_\[\]])", r"\\\1", text)
 
 

@@ -215,6 +215,7 @@ def page(study: Study) -> str:
             TABLE_3_NOTES,
             "## Torques on a run that was not used (Fig. 5)\n",
             "![Measured and predicted torques](../images/case-study-torques.png)\n",
+            "The picture shows raw torques, the table errors in the band of the identification, away from reversals.\n",
             _table(
                 ("joint", "signal rms, N", "error rms, N", "error, %"),
                 [

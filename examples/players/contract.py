@@ -10,6 +10,7 @@ import select
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from os.path import normpath
 from pathlib import Path
 
 import numpy as np
@@ -91,15 +92,15 @@ def seal(file: dict) -> str:
 
 def read_motion(folder: str | Path) -> Motion:
     """Read a round's motion; end the program where its rehearsal is void, because a file changed since."""
-    folder, again = Path(folder), f"run 'gtau campaign {Path(folder).parent}' again."
+    folder, again = Path(folder), f"run 'gtau campaign {normpath(Path(folder) / '..')}' again."
     try:
         file = json.loads((folder / "motion.json").read_text())
         intact = seal(file) == file["hash"]
     except (OSError, ValueError, KeyError, AttributeError):
-        sys.exit(f"{folder / 'motion.json'} cannot be read; {again}")
+        sys.exit(f"{folder / 'motion.json'} cannot be read; give the folder of a round, such as camp/01, or {again}")
     for name, digest in file["files"].items() if intact else [("motion.json", "another")]:
         if hashed(folder / name) != digest:
-            sys.exit(f"{folder / name} has changed, so the rehearsal is void; {again}")
+            sys.exit(f"{normpath(folder / name)} has changed, so the rehearsal is void; {again}")
     with (folder / "motion.csv").open() as lines:
         header = next(csv.reader(lines))
         columns = dict(zip(header, np.loadtxt(lines, delimiter=",").T, strict=True))
@@ -127,6 +128,9 @@ def play_round(
     ``play_run`` plays one run and returns its log (path from the round's folder) and how it ended.
     """
     motion, runs, end = read_motion(folder).slower(speed), [], "completed"
+    played = Path(folder) / "played.json"
+    if speed == 1.0 and played.exists():
+        sys.exit(f"{folder} was played already; remove {played} to play it again, which replaces its logs.")
     for run in motion.file["runs"]:
         log, end = play_run(run, motion)
         print(f"{run['name']}: {end}")

@@ -2,12 +2,13 @@
 
     python play_mujoco.py camp/01 [--speed 0.1] [--robot camp/mujoco.yaml]
 
-``mujoco.yaml`` names an MJCF file, whose joints have friction and armature of their own, and says what no log shows:
+``mujoco.yaml`` names an MJCF file, whose joints have friction and armature of their own and the same names as in the
+robot's file, and says what no log shows:
 
     model: arm.xml
     bandwidth: 60                       # rad/s, of the controller
     drives: {shoulder: {gain: 2.7, delay: 0.001, noise: 0.01, quantum: 1e-5}}   # N m/A, s, A, rad
-    payloads: {disc: {body: wrist, mass: 2.0, center: [0.05, 0, 0.03]}}
+    payloads: {payload: {body: wrist, mass: 2.0, center: [0.05, 0, 0.03]}}   # by name, as in design.yaml
     cold: {more: 0.3, fades: 60}        # friction at the round's start beyond that when warm, s of its time constant
 
 At a reduced speed nothing is written: that is the dry run.
@@ -17,12 +18,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+from os.path import normpath
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import yaml
-from contract import Motion, play_round, write_log
+from contract import Motion, play_round, read_motion, write_log
 
 STEP = 2.5e-4  # s
 AHEAD = 1.0  # s that it holds the first position before it moves, and the last one after
@@ -30,14 +32,35 @@ HELD = 0.02  # s between two inertia matrices of the controller
 ZERO = {"delay": 0.0, "noise": 0.0, "quantum": 0.0, "zero": 0.0, "saturation": 0.0, "unsigned": False}
 
 
+def described(file: Path, joints: list[str], payload: str | None) -> tuple[mujoco.MjSpec, dict]:
+    """Read mujoco.yaml and its MJCF file; end the program where they lack a joint or the payload, or are wrong."""
+    if not file.is_file():
+        sys.exit(f"{file} describes the robot and does not exist; name another with --robot.")
+    try:
+        truth = yaml.safe_load(file.read_text())
+        spec = mujoco.MjSpec.from_file(str(file.parent / truth["model"]))
+        drives = {
+            str(name): ZERO | {key: float(drive[key]) for key in drive} for name, drive in truth["drives"].items()
+        }
+        lacking = [f"joint '{joint}' in the model" for joint in joints if spec.joint(joint) is None]
+        lacking += [f"drive '{joint}'" for joint in joints if joint not in drives]
+        lacking += [f"gain of drive '{name}'" for name, drive in drives.items() if "gain" not in drive]
+        if payload is not None and payload not in (loads := truth.get("payloads", {})):
+            lacking.append(f"payload '{payload}'")
+        elif payload is not None and spec.body(loads[payload]["body"]) is None:
+            lacking.append(f"body '{loads[payload]['body']}' in the model")
+    except (AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
+        sys.exit(f"{file} is not as this player's --help describes it: {' '.join(str(error).split())}")
+    if lacking:
+        sys.exit(f"{file} lacks: {', '.join(lacking)}.")
+    return spec, truth | {"drives": drives}
+
+
 class Machine:
     """A robot with one payload, or none, under a PID controller with the robot's own inertia matrix."""
 
     def __init__(self, file: Path, joints: list[str], payload: str | None):
-        if not file.is_file():
-            sys.exit(f"{file} describes the robot and does not exist; name another with --robot.")
-        truth = yaml.safe_load(file.read_text())
-        spec = mujoco.MjSpec.from_file(str(file.parent / truth["model"]))
+        spec, truth = described(file, joints, payload)
         if payload is not None:
             load = truth["payloads"][payload]
             size = load["mass"] * 0.05**2 * np.ones(3) * 0.4  # a ball
@@ -49,8 +72,7 @@ class Machine:
                 inertia=size,
                 explicitinertial=True,
             )
-        drives = {str(name): ZERO | drive for name, drive in truth["drives"].items()}
-        self.model, self.drives = spec.compile(), [drives[name] for name in joints]
+        self.model, self.drives = spec.compile(), [truth["drives"][name] for name in joints]
         self.model.opt.timestep = STEP
         self.bandwidth, self.at = truth.get("bandwidth", 60.0), truth.get("at", {})
         self.cold = {"more": 0.0, "fades": 1.0} | truth.get("cold", {})
@@ -60,8 +82,9 @@ class Machine:
             mujoco.mj_resetDataKeyframe(self.model, self.data, 0)
         places = [self.model.joint(name) for name in joints]
         self.q, self.v = (np.array([getattr(joint, key)[0] for joint in places]) for key in ("qposadr", "dofadr"))
-        self.free = spec.compile()  # without friction, for the controller
+        self.free = spec.compile()  # without friction and ends of travel, for the controller
         self.free.dof_frictionloss[:] = 0.0
+        self.free.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
         self.trial = mujoco.MjData(self.free)
 
     def column(self, key: str) -> np.ndarray:
@@ -123,13 +146,16 @@ class Machine:
 
 def main() -> None:
     """Play all runs of a round."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("round", type=Path)
     parser.add_argument("--speed", type=float, default=1.0)
     parser.add_argument("--robot", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    file = options.robot or options.round.parent / "mujoco.yaml"
+    file = options.robot or Path(normpath(options.round / ".." / "mujoco.yaml"))
+    motion = read_motion(options.round)
+    for run in motion.file["runs"]:
+        described(file, motion.joints, (run["payload"] or {}).get("name"))
     rng = np.random.default_rng([options.seed, int(options.round.resolve().name)])
 
     def one_run(run: dict, motion: Motion) -> tuple[str, str]:

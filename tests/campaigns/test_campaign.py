@@ -20,11 +20,11 @@ from mujoco_robots import write_robot
 from typer.testing import CliRunner
 
 import gtau
-from gtau.campaigns.campaign import CampaignState, campaign
+from gtau.campaigns.campaign import CampaignState, _to_play, campaign
 from gtau.campaigns.candidates import candidates
 from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on, warming, write_experiment
-from gtau.campaigns.folder import Round, read_design_file, read_rounds, read_settings, void, write_json
+from gtau.campaigns.folder import Played, Round, read_design_file, read_rounds, read_settings, void, write_json
 from gtau.campaigns.page import campaign_page
 from gtau.campaigns.rehearsal import Rehearsal, write_motion
 from gtau.cli.commands import app
@@ -81,6 +81,7 @@ def test_the_first_call_writes_a_rehearsed_motion(begun: tuple[Path, CampaignSta
     assert motion["rehearsal"]["used"] <= 1
     assert set(motion["files"]) == {"motion.csv", "../design.yaml"}
     assert any(guard.startswith("jerk: not limited") for guard in motion["guards"])
+    assert "rest: runs begin and end at 'left' 2.094 rad, 'right' 1.047 rad; state rest" in motion["guards"]
     before = (folder / "01" / "motion.json").stat().st_mtime_ns
     assert campaign(folder).say == state.say  # and nothing is done twice
     assert (folder / "01" / "motion.json").stat().st_mtime_ns == before
@@ -181,9 +182,16 @@ def test_a_robot_file_is_named_from_the_new_folder(tmp_path: Path, monkeypatch: 
     file = read_design_file(Path("camp"))
     assert Path(file.robot).samefile("arm.yaml")
     assert [load and load.mass for load in file.payloads] == [None, 2.0, 2.0, None]
-    with pytest.raises(GtauError, match=r"there is no file 'other\.yaml'"):
+    with pytest.raises(GtauError, match=r"other\.yaml cannot be read: no such file or directory; check the path"):
         read_settings(Path("another"), "other.yaml", 2.0, None)
     assert not Path("another").exists()
+    with pytest.raises(GtauError, match=r"camp/design\.yaml states robot arm\.yaml and payloads of 2 kg"):
+        read_settings(Path("camp"), "five-bar", 2.0, None)
+    Path("arms").mkdir()
+    Path("arms/robot.urdf").write_text(URDF)
+    for _ in range(2):
+        read_settings(Path("third"), "arms", 2.0, None)
+    assert read_yaml(Path("third/design.yaml")).data["robot"] == "../arms/robot.urdf"
 
 
 def gain(joint: str, value: float | None, random: float, model: float, outcome: Outcome = Outcome.GOOD) -> Estimate:
@@ -196,7 +204,7 @@ def result_of(*gains: Estimate) -> SimpleNamespace:
 
 
 def round_of(purpose: str, half: float = 10.0, value: float = 1.0) -> Round:
-    known = {"gains": {"a": {"value": value, "half_width": half}}}
+    known = {"gains": {"a": {"value": value, "half_width": half, "unit": "N m/A"}}}
     this = Round(Path("01"), {"purpose": purpose}, None, "")
     return type("Judged", (Round,), {"decision": known})(**vars(this))
 
@@ -208,7 +216,9 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
     )
     limited = decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, first, None)
     assert limited.kind == "model part"
-    assert "'a' is +-6.2 %, 3 % is asked for; its model part is the larger one" in limited.say
+    assert limited.say == (
+        "'a' is known to +-6.2 %, 3 % is asked for; the model part of its interval is the larger one"
+    )
     assert decide(result_of(gain("a", 1.0, 0.005, 0.005)), 3.0, first, None).kind == "confirm"
     five = [round_of("random part") for _ in range(5)]
     assert decide(result_of(gain("a", 1.0, 0.03, 0.01)), 3.0, five, None).say.startswith("five rounds are over")
@@ -230,7 +240,7 @@ def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
     result = SimpleNamespace(drive_gains={"a": gain("a", 1.0, 0.01, 0.3)}, alternatives=(effect,))
     once = decide(result, 3.0, [round_of("first")], None)
     assert (once.kind, once.suspect) == ("model part", effect.subject)
-    assert "the data speak for a falling torque constant (40 % of the residual variance); log the current" in once.say
+    assert once.notes == (f"the data speak for {effect.subject} (40 % of the residual variance)", "log the current")
     before = round_of("first", 90.0)
     before.decision["suspect"] = effect.subject
     twice = decide(result, 3.0, [before, round_of("model part")], None)
@@ -273,7 +283,9 @@ def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
     assert decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.01, 0.01, 0.01))).kind == "done"
     apart = decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.08, 0.01, 0.01)))
     assert apart.kind == "blocked"
-    assert apart.say.startswith("the last round contradicts those before: 'a' 1.08 now, 1 then")
+    assert apart.say == (
+        "the last round contradicts those before: 'a' is 1.080 +- 0.028 N m/A by itself, and was 1.000 +- 0.014 N m/A"
+    )
 
 
 def test_a_motion_that_brings_less_than_a_tenth_ends_the_campaign() -> None:
@@ -314,6 +326,8 @@ def test_what_noise_makes_of_effects_does_not_choose_a_candidate() -> None:
         np.testing.assert_allclose(usual.shifts, np.sqrt(support(0.2, 0.2, 0.5)[1]) * slopes)
 
 
+URDF = """<robot name="arm"><link name="base"/><link name="bar"/><joint name="a" type="revolute"><parent link="base"/>
+<child link="bar"/><axis xyz="0 1 0"/><limit lower="0" upper="2" effort="9" velocity="1"/></joint></robot>"""
 ARM = """<mujoco><worldbody>
 <geom name="wall" type="box" size="0.9 0.01 0.5" pos="0 {wall} 0"/><geom name="socket" type="sphere" size="0.1"/>
 <body name="arm"><joint name="a" axis="0 0 1"/><geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.02"/>
@@ -351,12 +365,80 @@ def test_a_joint_without_limits_of_position_is_named_and_no_number_is_invalid(tm
 
 
 @pytest.mark.parametrize(
-    ("robot", "payload", "says"), [("nosuch", 1.0, "no robot is called"), ("five-bar", 0.0, "0.0 is out of range")]
+    ("robot", "payload", "accuracy", "says"),
+    [
+        ("nosuch", 1.0, 3.0, "no robot is called"),
+        ("five-bar", 0.0, 3.0, r"design\.yaml, runs\.2\.payload\.mass: 0\.0 is out of range"),
+        ("five-bar", 1.0, 80.0, r"campaign\.yaml, accuracy: 80\.0 is out of range"),
+    ],
 )
-def test_a_campaign_that_cannot_begin_leaves_nothing(tmp_path: Path, robot: str, payload: float, says: str) -> None:
+def test_a_campaign_that_cannot_begin_leaves_nothing(
+    tmp_path: Path, robot: str, payload: float, accuracy: float, says: str
+) -> None:
     with pytest.raises(GtauError, match=says):
-        campaign(tmp_path / "camp", robot=robot, payload=payload)
+        campaign(tmp_path / "camp", robot=robot, payload=payload, accuracy=accuracy)
     assert not (tmp_path / "camp").exists()
+
+
+def test_what_a_robots_file_lacks_is_to_be_stated_in_the_design_file_that_was_begun(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM.format(wall=2))
+    for given in ({"robot": tmp_path / "arm.xml", "payload": 2.0}, {}):
+        with pytest.raises(GtauError, match=r"camp/design\.yaml: joint 'a' has no velocity limit; add it under limits"):
+            campaign(tmp_path / "camp", **given)
+
+
+def test_a_round_that_was_not_played_cannot_be_set_aside(copied: Path) -> None:
+    """It would be designed at every call, and its logs never used."""
+    (copied / "01" / "set-aside.txt").write_text("not yet\n")
+    with pytest.raises(GtauError, match=r"01 was not played, so there is nothing to set aside; remove its set-aside"):
+        campaign(copied)
+
+
+def test_a_round_confirms_nothing_where_those_before_are_set_aside(
+    copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from gtau.campaigns import campaign as module
+
+    this = read_rounds(copied)[0]
+    last = replace(
+        this, motion={**this.motion, "purpose": "confirm"}, played=Played(schema="", hash="", end="completed")
+    )
+    compared = []
+
+    def decided(result: object, accuracy: float, rounds: list[Round], alone: object) -> Decision:
+        compared.append(alone)
+        return Decision("stopped", "")
+
+    found = SimpleNamespace(save=lambda path: None)
+    monkeypatch.setattr(module, "identified", lambda *_: found)
+    monkeypatch.setattr(module, "slower", lambda *_: ())
+    monkeypatch.setattr(module, "decide", decided)
+    for used in ([last], [last, last]):
+        module._decided(copied / "02", 3.0, read_design_file(copied), used, silent)
+    assert compared == [None, found]
+
+
+def test_the_page_says_in_short_sentences_what_to_do_and_why(copied: Path) -> None:
+    """What one needs next, why, where the model is, and which rounds were judged on other grounds."""
+    gains = {"left": {"value": 1.0, "unit": "N m/A", "half_width": 2.0, "random": 1.0, "model": 0.1, "verdict": "good"}}
+    decision = {"kind": "model part", "say": "'left' is wide", "next": "02", "gains": gains, "candidates": []}
+    inputs = {"design.yaml": "1"}
+    write_json(copied / "01" / "decision.json", decision | {"notes": ["of heat"], "suspect": "", "inputs": inputs})
+    shutil.copytree(copied / "01", copied / "02")
+    (copied / "02" / "decision.json").unlink()
+    waiting = _to_play(copied, 3.0, read_rounds(copied))
+    said = plain(campaign_page(waiting))
+    assert waiting.say.startswith(f"play {copied / '02'}: first at a tenth of its speed")
+    assert "- 'left' is wide\n- of heat\n" in said
+    assert "the model is" not in said
+    done = decision | {"kind": "done", "notes": [], "suspect": "", "inputs": {"design.yaml": "2"}}
+    write_json(copied / "02" / "decision.json", done)
+    rounds = tuple(read_rounds(copied))
+    said = plain(campaign_page(CampaignState(copied, 3.0, "done", "done: all", rounds, rounds[-1].decision)))
+    assert f"- the model is {copied / '02' / 'model.json'}; 'gtau validate'" in said.replace("\n  ", " ")
+    assert "- round 01 was judged before a change of design.yaml" in said
+    (copied / "01" / "set-aside.txt").write_text("slipped")
+    assert _to_play(copied, 3.0, read_rounds(copied)).decision is None
 
 
 def test_parameters_that_are_those_of_no_robot_are_not_rehearsed(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:

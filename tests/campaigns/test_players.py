@@ -149,6 +149,30 @@ def test_ros2_sends_all_samples_with_tolerances_and_ends_the_recording(motion: c
     assert play_ros2.signals(motion)["current"] == {"a": "/joint_states.effort.a", "b": "/joint_states.effort.b"}
 
 
+def test_a_round_is_not_played_twice_over_its_logs(motion: contract.Motion) -> None:
+    def log(run: dict[str, Any], motion: contract.Motion) -> tuple[str, str]:
+        return contract.write_log(motion, run["name"], motion.time, motion.q, motion.q), "completed"
+
+    for speed in (1.0, 0.1):  # a dry run writes nothing
+        with pytest.raises(SystemExit) as ended:
+            contract.play_round(motion.folder, speed, log)
+        assert ended.value.code == 0
+    with pytest.raises(SystemExit, match=r"was played already; remove .*played\.json to play it again, which replaces"):
+        contract.play_round(motion.folder, 1.0, log)
+
+
+def test_a_folder_that_is_no_round_is_refused(
+    motion: contract.Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("motion.json").write_text(json.dumps(motion.file | {"rate": 60}))
+    with pytest.raises(SystemExit, match=r"^motion\.json has changed, .* is void; run 'gtau campaign \.\.' again"):
+        contract.read_motion(".")
+    monkeypatch.setattr(sys, "argv", ["play_mujoco.py", str(tmp_path.parent)])
+    with pytest.raises(SystemExit, match="cannot be read; give the folder of a round, such as camp/01, or run"):
+        play_mujoco.main()
+
+
 def test_what_was_played_is_written_whole(motion: contract.Motion) -> None:
     log = contract.write_log(motion, "run1", motion.time, motion.q, motion.q)
     contract.write_played(motion, [{"name": "run1", "log": log, "end": "completed"}], "completed")
@@ -179,6 +203,40 @@ def test_a_round_that_the_controller_stretched_is_noted(motion: contract.Motion)
         notes = slower(SimpleNamespace(data=(SimpleNamespace(time=time, position=q),)), [this])
         assert len(notes) == len(noted)
         assert all("was played at 50 % of its speed" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("left:", "lefft:", r"mujoco\.yaml lacks: drive 'left'\."),
+        ("payload:", "disc:", r"mujoco\.yaml lacks: payload 'payload'\."),
+        ("body: right_forearm", "body: hand", r"mujoco\.yaml lacks: body 'hand' in the model\."),
+        ("gain:", "gian:", r"mujoco\.yaml lacks: gain of drive 'left', gain of drive 'right'\."),
+        ("robot.xml", "none.xml", r"mujoco\.yaml is not as this player's --help describes it: .*none\.xml"),
+        ("delay: 0.001", "delay: 1 ms", r"not as this player's --help describes it: could not convert string"),
+        ("model:", "]", r"not as this player's --help describes it: "),
+    ],
+)
+def test_what_the_file_of_a_robot_in_mujoco_lacks_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
+    write_robot("five-bar", tmp_path, 1.0, 1)
+    path = tmp_path / "mujoco.yaml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(SystemExit, match=says):
+        play_mujoco.described(path, ["left", "right"], "payload")
+
+
+def test_the_controller_in_mujoco_has_the_same_inertia_at_an_end_of_travel(tmp_path: Path) -> None:
+    """The stop, which holds a slide that sinks 0.1 mm into it, made of 5 kg an inertia that no controller bears."""
+    (tmp_path / "lift.xml").write_text(
+        '<mujoco><worldbody><body><joint name="lift" type="slide" range="0 0.4" limited="true"/>'
+        '<geom type="sphere" size="0.1" mass="5"/></body></worldbody></mujoco>'
+    )
+    (tmp_path / "mujoco.yaml").write_text("{model: lift.xml, drives: {lift: {gain: 40}}}")
+    machine = play_mujoco.Machine(tmp_path / "mujoco.yaml", ["lift"], None)
+    for place in (0.1, -1e-4):
+        machine.data.qpos[:] = place
+        assert machine.inertia()[0, 0] == pytest.approx(5.0)
 
 
 def test_the_payload_in_mujoco_has_the_centre_of_its_file(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from gtau.campaigns.decision import (
 from gtau.campaigns.folder import (
     ASIDE,
     DECISION,
+    DESIGN,
     PLAYED,
     SETTINGS,
     Round,
@@ -51,6 +52,7 @@ from gtau.robots.robot import INERTIAL
 
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
+REDUCED = 0.25  # m/s, which ISO 10218-2 calls reduced speed
 
 
 @dataclass(frozen=True)
@@ -80,9 +82,7 @@ class CampaignState:
                     "round": round_.folder.name,
                     "purpose": round_.motion["purpose"],
                     "rehearsal": round_.motion["rehearsal"],
-                    "played": None
-                    if round_.played is None
-                    else {"end": round_.played.end, "speed": round_.played.speed},
+                    "played": round_.played and {"end": round_.played.end, "speed": round_.played.speed},
                     "set_aside": round_.aside or None,
                     "decision": dict(round_.decision) if round_.decision else None,
                 }
@@ -136,7 +136,9 @@ def campaign(
     settings = read_settings(folder, robot, payload, accuracy)
     file, rounds = read_design_file(folder), read_rounds(folder)
     used = [round_ for round_ in rounds if round_.played is not None and not round_.aside]
-    waiting = rounds[-1] if rounds and rounds[-1].played is None and not rounds[-1].aside else None
+    waiting = rounds[-1] if rounds and rounds[-1].played is None else None
+    if waiting is not None and waiting.aside:
+        raise GtauError(f"{waiting.folder} was not played, so there is nothing to set aside; remove its {ASIDE}.")
     if waiting is not None and not void(waiting) and _current(folder, file, waiting, used):
         return _to_play(folder, settings.accuracy, rounds)
     if problem := next(filter(None, map(_unusable, used)), ""):
@@ -144,7 +146,11 @@ def campaign(
     place = folder / f"{1 + max((round_.number for round_ in rounds if round_.played is not None), default=0):02d}"
     if used:
         return _judge(place, settings.accuracy, file, used, progress)
-    designed = design(make_task(file)[0], starts=STARTS, seed=int(place.name), progress=progress)
+    try:
+        task, _ = make_task(file)
+    except GtauError as refusal:
+        raise GtauError(f"{folder / DESIGN}: {refusal}") from None
+    designed = design(task, starts=STARTS, seed=int(place.name), progress=progress)
     rehearsal = rehearse(designed, file, None, progress)
     write_motion(folder_of(place), file, designed, rehearsal, {"purpose": "first", "after": "", "warm_up": False})
     return _to_play(folder, settings.accuracy, read_rounds(folder))
@@ -152,12 +158,11 @@ def campaign(
 
 def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignState:
     last = rounds[-1]
-    before = [round_.decision for round_ in rounds[:-1] if round_.decision]
-    why = f" ({before[-1]['say']})" if before else ""
+    before = [round_.decision for round_ in rounds[:-1] if round_.decision and not round_.aside]
     speed = last.motion["rehearsal"]["speed"]
     say = (
-        f"play {last.folder}{why}: first at a tenth of its speed (tool up to {speed / 10:.2g} m/s), then in full "
-        f"({speed:.2g} m/s; 0.25 m/s is reduced speed)"
+        f"play {last.folder}: first at a tenth of its speed (tool up to {speed / 10:.2g} m/s), then in full "
+        f"({speed:.2g} m/s{', above the 0.25 m/s of reduced speed' if speed > REDUCED else ''})"
     )
     return CampaignState(folder, accuracy, PLAY, say, tuple(rounds), before[-1] if before else None)
 
@@ -174,8 +179,8 @@ def _unusable(last: Round) -> str:
         )
     missing = [run["name"] for run in last.motion["runs"] if run["name"] not in {r.name for r in last.played.runs}]
     missing += [run.log for run in last.played.runs if not (last.folder / run.log).exists()]
-    lacks = f"round {last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})"
-    return lacks if missing else ""
+    lacks = f"round {last.folder} lacks {', '.join(missing)}"
+    return f"{lacks}; play it again, or set it aside ({ASIDE})" if missing else ""
 
 
 def _inputs(folder: Path, file: DesignFile, used: list[Round]) -> dict[str, str]:
@@ -205,25 +210,13 @@ def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], pr
         next_one = place.name if decision.goes_on else None
         write_json(
             last.folder / DECISION,
-            {
-                "schema": "gtau-decision/1",
-                "kind": decision.kind,
-                "say": decision.say,
-                "next": next_one,
-                "gains": decision.gains,
-                "candidates": list(decision.candidates),
-                "notes": list(decision.notes),
-                "suspect": decision.suspect,
-                "inputs": inputs,
-            },
+            {"schema": "gtau-decision/1", **vars(decision), "next": next_one, "inputs": inputs},
         )
         if decision.goes_on:
             return _to_play(folder, accuracy, read_rounds(folder))
-    rounds = read_rounds(folder)
-    known = last.decision
-    assert known is not None
-    kind = known["kind"]
-    return CampaignState(folder, accuracy, kind, f"{kind}: {known['say']}", tuple(rounds), known)
+    known = last.decision or {}
+    say = f"{known['kind']}: {known['say']}"
+    return CampaignState(folder, accuracy, known["kind"], say, tuple(read_rounds(folder)), known)
 
 
 def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress) -> Decision:
@@ -234,9 +227,10 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
         return result
     result.save(last.folder / MODEL_FILE)
     alone = None
-    if last.motion["purpose"] == "confirm":
+    if last.motion["purpose"] == CONFIRM and len(used) > 1:  # those before may be set aside
         alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
-    decision = replace(decide(result, accuracy, used, alone), notes=slower(result, used))
+    decision = decide(result, accuracy, used, alone)
+    decision = replace(decision, notes=(*decision.notes, *slower(result, used)))
     if not decision.goes_on:
         return decision
     model = last.folder / MODEL_FILE
@@ -254,7 +248,7 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
         warm_up = warming(result, last)
-        decision = replace(decision, say="; ".join(filter(None, (decision.say, warm_up))))
+        decision = replace(decision, notes=(*decision.notes, *filter(None, (warm_up,))))
         purpose = {"purpose": decision.kind, "after": last.folder.name, "warm_up": bool(warm_up)}
         write_motion(folder_of(place), file, designed, rehearse(designed, file, trusted, progress), purpose)
     return decision

@@ -29,7 +29,7 @@ def check_contacts(file: Path, model: InverseDynamics, time: np.ndarray, joints:
         compiled = mujoco.MjModel.from_xml_path(str(file))
         places = [compiled.joint(joint.name).qposadr[0] for joint in model.robot.joints]
     except (ValueError, KeyError) as error:
-        return f"MuJoCo cannot load the robot's file: {str(error).splitlines()[0].rstrip('.')}"
+        return f"MuJoCo cannot load the robot's file: {str(error).splitlines()[0].removeprefix('Error: ').rstrip('.')}"
     data, drawn = mujoco.MjData(compiled), None
     step = max(1, round(EVERY / (time[1] - time[0])))
     for t, c in zip(time[::step], model.motion(*joints[:3, :, ::step]).c.T, strict=True):

@@ -24,6 +24,7 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.thresholds.refutation import APART, PROBABLE
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
+from gtau.findings.words import to_width
 from gtau.progress import Progress
 from gtau.signals.reading.logs import read_log
 
@@ -42,7 +43,8 @@ class Decision:
     """What limits the worst gain, and what follows: another motion to ``RANDOM``, ``MODEL`` or ``CONFIRM``, or an end.
 
     ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed,
-    ``notes`` say which rounds were played more slowly than designed, and ``suspect`` is the effect that the data show.
+    ``notes`` say why, what to do about it, and what was not as designed, and ``suspect`` is the effect that the data
+    show.
     """
 
     kind: str
@@ -96,7 +98,8 @@ def identified(path: Path, accuracy: float, progress: Progress) -> Result | Deci
     verdicts += [(load.name, load.verdict) for load in result.payloads]
     verdicts += [(name, estimate.verdict) for name, estimate in result.parameters.items()]
     name, worst = max(verdicts, key=lambda pair: list(Outcome).index(pair[1].outcome))
-    return Decision(BLOCKED, f"'{name}' is {worst.sentence}", listed(result))
+    said = ": ".join(filter(None, (f"'{name}' is {worst.outcome.value}", worst.why)))
+    return Decision(BLOCKED, said, listed(result), notes=(worst.advice,) if worst.advice else ())
 
 
 def listed(result: Result) -> dict[str, dict[str, Any]]:
@@ -105,17 +108,12 @@ def listed(result: Result) -> dict[str, dict[str, Any]]:
 
 
 def _entry(gain: Estimate) -> dict[str, Any]:
-    size = abs(gain.value or 0.0)
-
-    def relative(value: float | None) -> float | None:
-        return 100 * value / size if value is not None and size else None
-
+    parts, size = {"random": gain.random_std, "model": gain.model_std}, abs(gain.value or 0.0)
     return {
         "value": gain.value,
         "unit": gain.unit,
         "half_width": gain.half_width,
-        "random": relative(gain.random_std),
-        "model": relative(gain.model_std),
+        **{key: 100 * std / size if std is not None and size else None for key, std in parts.items()},
         "verdict": gain.verdict.outcome.value,
         "why": gain.verdict.sentence,
     }
@@ -125,29 +123,32 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
     """Decide after the last of the ``rounds``, from the result of all; ``alone`` is that of a confirming round."""
     wide, gains = widths(result), listed(result)
     joint = max(wide, key=lambda name: wide[name])
-    size = f"+-{wide[joint]:.3g} %" if np.isfinite(wide[joint]) else "not identifiable"
-    reached, within = wide[joint] <= accuracy, f"all gains are within {accuracy:g} % (the widest: '{joint}' {size})"
+    width = f"+-{wide[joint]:.3g} %"
+    reached, within = wide[joint] <= accuracy, f"all gains are known to {accuracy:g} % (the widest: '{joint}' {width})"
     if reached and alone is None:
         if len(rounds) >= ROUNDS:
             return Decision(STOPPED, f"{within}; five rounds are over, so none is left to confirm it", gains)
-        return Decision(CONFIRM, f"{within}; one more round is to agree", gains)
+        return Decision(CONFIRM, f"{within}; one more round must agree", gains)
     if isinstance(alone, Decision):
-        return replace(alone, say=f"the round that was to confirm the gains has {alone.say}")
+        return replace(alone, say=f"the confirming round by itself: {alone.say}")
     if alone is not None and (apart := _apart(alone, rounds)):
-        return Decision(BLOCKED, apart, gains)
+        advice = "check payload, tool and temperature of the last round, or set a round aside"
+        return Decision(BLOCKED, apart, gains, notes=(advice,))
     if reached:
-        return Decision(DONE, f"{within}, and the last round agrees; they scale with the payload's mass", gains)
+        scale = "gains are proportional to the payload's mass: they are as exact as it was weighed"
+        return Decision(DONE, f"{within}, and the last round agrees", gains, notes=(scale,))
     limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
-    said = f"'{joint}' is {size}, {accuracy:g} % is asked for; its {limited} is the larger one"
+    size = f"known to {width}" if np.isfinite(wide[joint]) else "not identifiable"
+    said = f"'{joint}' is {size}, {accuracy:g} % is asked for; the {limited} of its interval is the larger one"
     if len(rounds) >= ROUNDS:
-        return Decision(STOPPED, f"five rounds are over: {said}; {_cause(result, joint)}", gains)
+        return Decision(STOPPED, f"five rounds are over: {said}", gains, notes=_cause(result, joint))
     if limited == RANDOM:
         return Decision(limited, said, gains)
-    said, suspect, before = f"{said}: {_cause(result, joint)}", _suspect(result), rounds[-2:-1]
+    why, suspect, before = _cause(result, joint), _suspect(result), rounds[-2:-1]
     known = (before[0].decision or {}).get("suspect") if before else None
     if _stalled(rounds, wide[joint]) or (suspect is not None and suspect.subject == known):
-        return Decision(STOPPED, f"another motion does not help: {said}", gains)
-    return Decision(MODEL, said, gains, suspect="" if suspect is None else suspect.subject)
+        return Decision(STOPPED, f"another motion does not help: {said}", gains, notes=why)
+    return Decision(MODEL, said, gains, notes=why, suspect="" if suspect is None else suspect.subject)
 
 
 def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
@@ -192,12 +193,13 @@ def _widest(round_: Round) -> float | None:
     return max(known) if known and None not in known else None
 
 
-def _cause(result: Result, joint: str) -> str:
+def _cause(result: Result, joint: str) -> tuple[str, ...]:
     """Say what may be wrong with the model of the worst gain, and what to do about it."""
     if (suspect := _suspect(result)) is None:
-        return result.drive_gains[joint].verdict.sentence
+        verdict = result.drive_gains[joint].verdict
+        return tuple(filter(None, (verdict.why, verdict.advice)))
     share = f"{100 * suspect.share:.0f} % of the residual variance"
-    return f"the data speak for {suspect.subject} ({share}); {suspect.causes[0].action}"
+    return f"the data speak for {suspect.subject} ({share})", suspect.causes[0].action
 
 
 def _suspect(result: Result) -> Alternative | None:
@@ -227,10 +229,9 @@ def _apart(alone: Result, rounds: Sequence[Round]) -> str:
             continue
         std = np.hypot(gain.std, known["half_width"] / 196 * abs(known["value"]))
         if abs(gain.value - known["value"]) > APART * std:
-            return (
-                f"the last round contradicts those before: '{joint}' {gain.value:.4g} now, {known['value']:.4g} then; "
-                "check payload, tool and temperature of the last round, or set one of the rounds aside"
-            )
+            half = known["half_width"] / 100 * abs(known["value"])
+            then = f"{to_width(known['value'], half)} +- {to_width(half, half)} {gain.unit}"
+            return f"the last round contradicts those before: '{joint}' is {gain} by itself, and was {then}"
     return ""
 
 

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from os.path import relpath
+from os.path import normpath, relpath
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,16 +17,11 @@ from gtau.documents.files import folder_of, system_refusals, write_atomically
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
-from gtau.excitation.design_file import DesignFile, make_task
+from gtau.excitation.design_file import DesignFile
+from gtau.model.home import load_robot
 
-DESIGN, SETTINGS, MOTION, PLAYED, DECISION, ASIDE = (
-    "design.yaml",
-    "campaign.yaml",
-    "motion.json",
-    "played.json",
-    "decision.json",
-    "set-aside.txt",
-)
+DESIGN, SETTINGS, MOTION = "design.yaml", "campaign.yaml", "motion.json"
+PLAYED, DECISION, ASIDE = "played.json", "decision.json", "set-aside.txt"
 WARM_UP = "warm-up"  # name of a run that is played and not evaluated
 RATE = 250.0  # Hz, which common controllers take
 PAYLOAD = "payload"
@@ -92,17 +87,18 @@ class Round:
 
 def read_settings(folder: Path, robot: str | Path | None, payload: float | None, accuracy: float | None) -> Settings:
     """Read what a campaign aims at, or begin it with a robot and a payload's mass, kg."""
-    begin(folder, robot, payload)
     path = folder / SETTINGS
-    if accuracy is not None:
-        settings = validate(Settings, Document("accuracy", {"accuracy": accuracy}))
-        write_atomically(path, yaml_text(settings.model_dump()))
+    given = None if accuracy is None else validate(Settings, Document(path, {"accuracy": accuracy}))
+    begin(folder, robot, payload)
+    if given is not None:
+        write_atomically(path, yaml_text(given.model_dump()))
     return validate(Settings, read_yaml(path)) if path.exists() else Settings()
 
 
 def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None:
     """Write the design file of a new campaign; where there is one, refuse another robot or payload than it states."""
     path = folder / DESIGN
+    robot = urdf if robot and (urdf := Path(robot) / "robot.urdf").is_file() else robot  # a folder may name a robot
     if not path.exists():
         if robot is None or payload is None:
             raise GtauError(
@@ -110,18 +106,19 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
                 "'gtau excite' there."
             )
         runs = [{"payload": {"name": PAYLOAD, "mass": payload} if loaded else "none"} for loaded in ORDER]
-        design = {"robot": str(robot), "rate": RATE, "runs": runs}
-        make_task(validate(DesignFile, Document("campaign", design), context=Path()))  # before the folder is made
+        load_robot(robot)  # before the folder is made
         source = relpath(robot, folder) if Path(robot).is_file() else str(robot)
-        write_atomically(folder_of(folder) / DESIGN, yaml_text(design | {"robot": source}))
+        design = {"robot": source, "rate": RATE, "runs": runs}
+        validate(DesignFile, Document(path, design))
+        write_atomically(folder_of(folder) / DESIGN, yaml_text(design))
         return
     file = read_design_file(folder)
-    masses = {load.mass for load in file.payloads if load is not None}
+    masses = {f"{load.mass:g}" for load in file.payloads if load is not None and load.mass}
     other = robot is not None and str(robot) != file.robot and not _same(Path(robot), Path(file.robot))
-    if other or (payload is not None and payload not in masses):
+    if other or (payload is not None and f"{payload:g}" not in masses):
         raise GtauError(
-            f"{path} states robot {file.robot} and payloads of {', '.join(f'{mass:g}' for mass in masses if mass)} kg, "
-            "other than the command; change the file, or begin another folder."
+            f"{path} states robot {normpath(file.robot)} and payloads of {', '.join(masses)} kg, other than the "
+            "command; change the file, or begin another folder."
         )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal
 
-from gtau.campaigns.campaign import CampaignState
-from gtau.campaigns.folder import Round
+from gtau.campaigns.campaign import MODEL_FILE, CampaignState
+from gtau.campaigns.folder import DESIGN, Round
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Kind, Page, Section, Text, joint_label, page, section, table
 
@@ -20,21 +20,23 @@ GRADES: Mapping[str, Literal["good", "neutral", "weak", "bad"]] = {
 
 def campaign_page(state: CampaignState) -> Page:
     """Show the state of a campaign."""
-    style = GRADES[state.next]
-    points = tuple(
+    judged = [round_ for round_ in state.rounds if round_.decision and round_.decision["gains"] and not round_.aside]
+    known = state.decision or {"say": "", "notes": ()}
+    points: tuple[str, ...] = (known["say"],) if state.next == "play" and known["say"] else ()
+    points += tuple(known["notes"])
+    if state.next in ("done", "stopped"):
+        points += (f"the model is {judged[-1].folder / MODEL_FILE}; 'gtau validate' tests it on other logs",)
+    points += tuple(
         f"round {round_.folder.name} is set aside: {round_.aside}" for round_ in state.rounds if round_.aside
     )
-    points += tuple(_decision(state.rounds[-1]).get("notes", ()) if state.next != "play" else ())
-    verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", points, style)
-    judged = [round_ for round_ in state.rounds if round_.decision and round_.decision["gains"] and not round_.aside]
-    last = state.rounds[-1]
+    verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", points, GRADES[state.next])
     return page(
         f"Campaign in {state.folder}",
         section("Next", verdict, id="next"),
         _gains(judged),
         _candidates(judged),
         _rehearsals(state.rounds),
-        section("Guards of the last motion", Text("", tuple(last.motion["guards"])), id="guards"),
+        section("Guards of the last motion", Text("", tuple(state.rounds[-1].motion["guards"])), id="guards"),
     )
 
 
@@ -59,8 +61,11 @@ def _gains(judged: list[Round]) -> Section | None:
         for round_ in judged
         if (gain := _decision(round_)["gains"].get(joint))
     ]
-    words = Text("+-: half the 95 % interval; random, model: standard deviations; % of the gain", style="soft")
-    return section("Gains round by round", table(columns, rows), words, _chart(judged), id="gains")
+    now, changed = _decision(judged[-1])["inputs"].items(), f"{DESIGN}, the accuracy, a log or the rounds set aside"
+    earlier = [round_.folder.name for round_ in judged if not _decision(round_)["inputs"].items() <= now]
+    notes = tuple(f"round {name} was judged before a change of {changed}" for name in earlier)
+    words = "+-: half the 95 % interval; random, model: standard deviations; % of the gain"
+    return section("Gains round by round", table(columns, rows), Text(words, notes, "soft"), _chart(judged), id="gains")
 
 
 def _decision(round_: Round) -> dict[str, Any]:
@@ -96,7 +101,7 @@ def _candidates(judged: list[Round]) -> Section | None:
 def _rehearsals(rounds: tuple[Round, ...]) -> Section:
     columns = (
         Column("round"),
-        Column("for"),
+        Column("purpose"),
         Column("played"),
         Column("tool, m/s", Kind.NUMBER, 2),
         Column("at a tenth", Kind.NUMBER, 2),

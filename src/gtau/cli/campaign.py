@@ -35,8 +35,6 @@ def campaign(
 
         state = run(folder, robot, payload, accuracy, progress)
         report = write_report(campaign_page(state), folder, seconds())
-    if not json_:
-        typer.echo(f"next: {state.say}")
     answer(json_, lambda: state.document, lambda: campaign_page(state), [report])
     if code := EXIT[state.next]:
         raise typer.Exit(code)

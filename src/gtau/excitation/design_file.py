@@ -159,7 +159,8 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     still = np.zeros((len(rest), 1))
     poses = model.motion(rest[:, None], still, still).c
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
-    begin = ", ".join(f"'{name}' {pose:.4g}" for name, pose in zip(robot.actuated, rest, strict=True))
+    poses_of = zip(robot.actuated, rest, strict=True)
+    begin = ", ".join(f"'{name}' {pose:.4g} {robot.joint(name).unit}" for name, pose in poses_of)
     where = (f"rest: runs begin and end at {begin}; state rest",) if file.approach else ()
     said = (*said, *_torques(model, file, prior, assumed), *where)
     limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
@@ -218,7 +219,7 @@ def _require_actuated(file: DesignFile, robot: Robot) -> None:
 
 def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) -> tuple[Robot, tuple[str, ...]]:
     """Take the design file's limits, or else a share of the robot's; say which, and which are missing."""
-    joints, free, weak, slow = [], [], [], []
+    joints, free, weak, slow, near = [], [], [], [], []
     for joint in robot.joints:
         if not joint.actuated:
             joints.append(joint)
@@ -227,6 +228,7 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
         if position is not None and entry.share < 1:
             middle, half = (position[0] + position[1]) / 2, entry.share * (position[1] - position[0]) / 2
             start = rest[joint.name] if position[0] <= rest[joint.name] <= position[1] else middle
+            near += [f"'{joint.name}'"] * bool(abs(start - middle) > half)
             position = min(middle - half, start), max(middle + half, start)  # runs begin within them
         limits = replace(
             limits,
@@ -239,7 +241,8 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
         weak += [f"'{joint.name}'"] * (limits.effort is None and joint.name not in entry.current)
         slow += [f"'{joint.name}'"] * (limits.acceleration is None)
         joints.append(replace(joint, limits=limits))
-    said = [f"limits: {100 * entry.share:.3g} % of the robot file's, in full where stated; state limits.share"]
+    beyond = f" (but for {some_of(near, 4)} out to where it rests)" if near else ""
+    said = [f"limits: {100 * entry.share:.3g} % of the robot file's{beyond}, in full where stated; state limits.share"]
     if free:
         said.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
     if weak:

@@ -46,7 +46,7 @@ def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, An
                 "unit": position_unit(robot, joint.name),
                 "limits": asdict(joint.limits),
             }
-            for joint, home in zip(robot.joints, _home(model).tolist(), strict=False)
+            for joint, home in zip(robot.joints, model.home.tolist(), strict=False)
         ],
         "platforms": [{"name": platform.name, "dof": list(platform.dof)} for platform in robot.platforms],
         "loops": _loops_document(model),
@@ -79,15 +79,10 @@ def _loops_document(model: InverseDynamics) -> dict[str, Any]:
     return {"closures": closures, "couplings": couplings, "rows": rows, "rank": rank}
 
 
-def _home(model: InverseDynamics) -> np.ndarray:
-    """Return the positions of all joints at home, (joints,), m or rad."""
-    return np.asarray(model.layout.home if model.loops is None else model.loops.home)
-
-
 def _distances_at_home(model: InverseDynamics) -> list[float | None]:
     """Compute the distance to singularities of each type at home; None where the robot has none."""
     still = np.zeros((len(model.actuated), 1))
-    near = singular_distances(model)(model.rates(_home(model)[:, None], still, still))[:, 0]
+    near = singular_distances(model)(model.rates(model.home[:, None], still, still))[:, 0]
     return [None if np.isnan(distance) else float(distance) for distance in near]
 
 
@@ -139,7 +134,7 @@ def _facts(model: InverseDynamics) -> Facts:
 
 
 def _joints(model: InverseDynamics) -> Table:
-    robot, home = model.robot, _home(model)
+    robot, home = model.robot, model.home
 
     def role(joint: Joint) -> str:
         return "actuated" if joint.name in robot.motors else "free" if joint.name in robot.base else "passive"

@@ -20,15 +20,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
-WIDTH, TALLEST = 302.0, 274.0  # points, of the sheet, and of the robot on it
+WIDTH, TALLEST = 240.0, 240.0  # points, of the sheet, and of the robot on it: a telephone shows words at 10 pixels
 MARGIN, HEAD = 12.0, 32.0  # points, around the robot, and above it
 STRIP, ROW, GAP = 66.0, 13.0, 24.0  # points: what holds axes and key, a row of the key, and what is above them
 LETTER, AWAY = (4.6, 9.0), 6.0  # points: a letter of a name, width and height, and how far off its joint a name stands
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])  # of a joint, in which its name may stand
+GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)  # of a box
 LETTERS = 14  # of a name in the key
 DRIVEN, PASSIVE = (8.2, RED), (6.1, "page")  # size and colour of marks
+# corners of marks, by how much of one they are turned, and their radius, as a share of the size
 OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0, 0.71), "hexagon": (6, 0.0, 0.5)}
-"""Corners of marks, by how much of one they are turned, and their radius, as a share of the size."""
 COILS = 8  # turns of a spring
 PARALLEL = 1e-6  # of a cosine
 FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
@@ -40,33 +41,30 @@ def robot_figure(robot: Robot) -> Figure:
 
 
 def sketch_of(robot: Robot) -> Sketch:
-    """Sketch a robot at home, gravity pointing down the page.
+    """Sketch a robot at home, gravity pointing down the page; raises GtauError where its loops close nowhere.
 
     Pale lines are the base, grey ones the travel of prismatic joints, blue ones links, from a joint to the next, and
     filled faces platforms; the body that carries the payload is green, with the axes of its frame. Discs are revolute
     joints, with their axis through them, and squares prismatic ones, red and named where a motor moves them; diamonds
     close loops, zigzags are springs. Below are the axes of the base, a scale and a key.
-
-    Raises
-    ------
-    GtauError
-        The loops close nowhere.
     """
-    scene, pen = scene_of(robot), Pen()
-    _draw_robot(pen, scene)
-    _draw_names(pen, scene)
-    points = np.vstack([item.points if isinstance(item, Shape) else _box(item) for item in pen.items])
-    low, high = points.min(axis=0), points.max(axis=0)
-    rows = (len(pen.key) + 1) // 2
-    strip = max(STRIP, ROW * (rows + 1))
+    largest = scene_of(robot)
+    for share in (1.0, 0.8, 0.6):  # long names beside the robot need room, too
+        scene, pen = replace(largest, scale=share * largest.scale, size=share * largest.size), Pen()
+        _draw_robot(pen, scene)
+        _draw_names(pen, scene)
+        points = np.vstack([item.points if isinstance(item, Shape) else _box(item) for item in pen.items])
+        low, high = points.min(axis=0), points.max(axis=0)
+        if high[0] - low[0] + 2 * MARGIN <= WIDTH:
+            break
+    strip = max(STRIP, ROW * (len(pen.key) + 1))
     size = np.array([max(WIDTH, high[0] - low[0] + 2 * MARGIN), strip + GAP + high[1] - low[1] + HEAD])
     corner = np.array([(low[0] + high[0] - size[0]) / 2, low[1] - GAP - strip])
     _draw_scale(pen, scene, corner + np.array([MARGIN, strip + 8.0]))
     _draw_compass(pen, scene, corner + np.array([34.0, strip / 2 + 4.0]))
     pen.items.append(Word(robot.name, corner + np.array([6.0, size[1] - 9.0]), "start", size=9.5, bold=True))
-    wide = 30.0 + 0.8 * LETTER[0] * max(map(len, list(pen.key)[:rows]))
     for k, (label, sample) in enumerate(pen.key.items()):
-        place = corner + np.array([92.0 + k // rows * wide, strip - ROW * (k % rows + 1)])
+        place = corner + np.array([112.0, strip - ROW * (k + 1)])
         pen.items.append(replace(sample, points=sample.points + place))
         pen.items.append(Word(label, place + np.array([12.0, 0.0]), "start", "soft", 7.0))
     return Sketch(corner, size, tuple(pen.items))
@@ -107,10 +105,11 @@ class Pen:
         self.items.append(Word(text, place, colour=colour))
 
     def triad(self, origin: np.ndarray, ends: np.ndarray, colour: str) -> None:
-        """Draw three axes with their names; ``ends`` (2, 3) relative to ``origin`` (2,)."""
+        """Draw the axes that do not point at the reader; ``ends`` (2, 3) relative to ``origin`` (2,)."""
         for end, name in zip(ends.T, "xyz", strict=True):
-            self.line([origin, origin + end], colour)
-            self.word(name, origin + end, colour)
+            if np.linalg.norm(end) > 1.0:
+                self.line([origin, origin + end], colour)
+                self.word(name, origin + end, colour)
 
 
 def _draw_robot(pen: Pen, scene: Scene) -> None:
@@ -178,17 +177,14 @@ def _draw_names(pen: Pen, scene: Scene) -> None:
             place = scene.on_page(scene.centre(joint))
             named.setdefault(tuple(np.round(place / 3)), (place, []))[1].append(joint.name)
     for place, names in named.values():
-        text = ", ".join(names)
-        half = np.array([LETTER[0] * len(text), LETTER[1]]) / 2
-        centres = place + CORNERS * (half + AWAY)
-        best = min(centres, key=lambda centre: (_within(marks, centre, half + 4.0), _within(strokes, centre, half)))
-        pen.word(text, best)
-        marks = np.vstack([marks, best + np.linspace(-half, half, 9)])  # no name hides another
-
-
-def _within(points: np.ndarray, centre: np.ndarray, half: np.ndarray) -> int:
-    """Count the points (N, 2) that are in a box."""
-    return int((np.abs(points - centre) < half).all(axis=1).sum())
+        names = [text] if len(text := ", ".join(names)) <= LETTERS else names
+        half = np.array([LETTER[0] * max(map(len, names)), LETTER[1] * len(names)]) / 2
+        centres = (place + CORNERS * (half + AWAY))[:, None]
+        hidden = [(np.abs(points - centres) < half + 2.0).all(axis=2).sum(axis=1) for points in (strokes, marks)]
+        best = centres[np.lexsort(hidden)[0], 0]
+        for k, name in enumerate(names):
+            pen.word(name, best + np.array([0.0, LETTER[1] * ((len(names) - 1) / 2 - k)]))
+        marks = np.vstack([marks, best + half * GRID])  # no name hides another
 
 
 def _draw_compass(pen: Pen, scene: Scene, place: np.ndarray) -> None:
@@ -196,10 +192,16 @@ def _draw_compass(pen: Pen, scene: Scene, place: np.ndarray) -> None:
     pen.triad(place, 18.0 * scene.view @ scene.upright, GREY)
     x, y = place
     pen.word("world" if scene.robot.floating else "base", np.array([x, y - 31.0]), colour=GREY)
-    if np.any(scene.robot.gravity):
-        tip = (x + 38.0, y - 18.0)
-        pen.line([(x + 38.0, y + 16.0), tip, (x + 35.0, y - 12.0), tip, (x + 41.0, y - 12.0)], INK, 1.3)
-        pen.word("gravity", np.array([x + 38.0, y - 31.0]))
+    if not np.any(scene.robot.gravity):
+        return
+    pen.word("gravity", np.array([x + 42.0, y - 31.0]))
+    if scene.view[1, 2] < PARALLEL:  # away from the reader
+        centre, half = np.array([x + 42.0, y]), 3.9 * CORNERS[[0, 3, 2, 1]]
+        pen.mark(centre, ("disc", 11.0, "page"))
+        pen.line(centre + np.insert(half, 2, 0.0, axis=0), INK, 1.3)
+        return
+    tip = (x + 42.0, y - 18.0)
+    pen.line([(x + 42.0, y + 16.0), tip, (x + 39.0, y - 12.0), tip, (x + 45.0, y - 12.0)], INK, 1.3)
 
 
 def _draw_scale(pen: Pen, scene: Scene, start: np.ndarray) -> None:
