@@ -80,6 +80,10 @@ SENTENCES = [  # finding, reason, advice
      "to 1.40 kg) less at the tool in run 'd' than in the others",
      "check which runs carry the payload and its mass, and declare the load of every run ('payload: {name: ..., mass: "
      "...}' beside its 'log')"),
+    (Finding(F.PAYLOAD_BODY, (), "elbow", {"tool": "wrist", "remains": 0.013}),
+     "the payload on 'elbow' in place of 'wrist'",
+     "check which body carries the payload; write 'tool: elbow' in the robot file (gtau robot --save makes one of any "
+     "robot)"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
      "the model leaves 31 % of the joint's current unexplained",
      "check that the position and current columns are of the same joint in all runs, and check their signs and units"),

@@ -179,6 +179,7 @@ class FindingKind(StrEnum):
     LENGTH = "length"
     GAIN_CHANGE = "gain change"
     TOOL_BODY = "body at the tool"
+    PAYLOAD_BODY = "payload on another body"
     BANDWIDTH = "bandwidth"
     SLOW_ROWS = "rows at low speed"
     TWO_STAGE = "two-stage least squares"

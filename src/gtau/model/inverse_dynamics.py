@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, wraps
 from inspect import signature
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import casadi as ca
 import numpy as np
@@ -163,9 +163,9 @@ class InverseDynamics:
         """Home configuration (n_c,), with the loops closed."""
         return self.layout.home if self.loops is None else self.loops.home
 
-    def with_gravity(self, gravity: np.ndarray) -> InverseDynamics:
-        """Return the model of the same robot with another gravity (3,), m/s2; its loops are not solved again."""
-        other = InverseDynamics(replace(self.robot, gravity=tuple(gravity.tolist())), self._kind)
+    def altered(self, **changes: Any) -> InverseDynamics:
+        """Return the model of the same robot with another gravity or tool; its loops are not solved again."""
+        other = InverseDynamics(replace(self.robot, **changes), self._kind)
         other.__dict__["loops"] = self.loops  # of the cached property
         return other
 

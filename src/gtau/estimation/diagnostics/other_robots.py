@@ -67,10 +67,29 @@ from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
 from gtau.signals.reading.statements import Payload
 
 
+def other_body(fit: Fit) -> Alternative | None:
+    """Find the body on which payloads explain the residuals, if it is another one than the tool."""
+    unaltered, model = _unrefined(fit), fit.dataset.model
+    robot, best, remains = model.robot, unaltered, float(LOAD_LEFT)
+    for body in robot.bodies:
+        if body != robot.tool and Parameter("m", body) in model.parameter_names and fit.system.payloads:
+            other = refitted(fit, dataset=replace(fit.dataset, model=model.altered(named_tool=body)))
+            if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
+                best, remains = other, ratio
+    if best is unaltered:
+        return None
+    cause = Finding(F.PAYLOAD_BODY, (), best.dataset.model.robot.tool, {"tool": robot.tool, "remains": remains})
+    return of_refit(unaltered, TOOL_BODIES, cause, best, unaltered)
+
+
+def _unrefined(fit: Fit) -> Fit:
+    """Give a fit the residuals of one pass, as those of others have."""
+    return replace(fit, solution=replace(fit.solution, sigma=fit.solve(fit.system.problem).sigma))
+
+
 def other_loads(fit: Fit) -> Alternative | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
-    unrefined = fit.solve(fit.system.problem)  # residuals as those of the others
-    unaltered = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))
+    unaltered = _unrefined(fit)
     runs, carried, remaining = range(len(fit.dataset.runs)), tuple[int, ...](), 1.0
     best: Fit | None = None
     while best is None or len(carried) < len(runs) - 1:
@@ -257,7 +276,7 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
     dataset = fit.dataset
     model, base = dataset.model, dataset.base
     if not np.array_equal(gravity, dataset.robot.gravity):
-        model = model.with_gravity(gravity)
+        model = model.altered(gravity=tuple(gravity.tolist()))
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
     gains = None if fit.free_gains else fit.gains
     terms = tuple(term for term in fit.system.terms if term.kind != "fl")
