@@ -277,11 +277,7 @@ class InverseDynamics:
 
     @one_or_many
     def torques(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        qdd: np.ndarray,
-        chi: Mapping[str, float] | np.ndarray,
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, chi: Mapping[str, float] | np.ndarray
     ) -> np.ndarray:
         """Compute the torques of the actuated joints, tau_idm of eq. (16), (N, n) in N m or N.
 

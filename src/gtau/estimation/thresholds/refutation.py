@@ -181,7 +181,7 @@ LOAD_LEFT = Threshold(
     "part of the residual variance, geometric mean of all joints, that is left with the load of one more run unknown, "
     "or with payloads on another body",
     healthy="0.99 and more (UR10e, two pairs); on another body 0.95 (dVRK), 0.999 (Orthoglide), 19 (UR10e) and more",
-    faulty="0.025 to 0.11 (UR10e: 2.8 kg not declared, or declared and absent), 0.011 and 0.013 (an arm, on its forearm)",
+    faulty="0.025 to 0.11 (UR10e: 2.8 kg not declared, or declared and absent), 0.012 (an arm, on its forearm)",
     evidence="shared logs; tests/estimation/test_tool_bodies.py",
 )
 LIKELY_SHARES = Threshold(
