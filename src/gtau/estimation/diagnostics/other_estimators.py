@@ -6,7 +6,7 @@ shows that the estimates depend on a choice:
 - the cut-off of the position filter and the rate of rows, 0.7 and 1.4 times those chosen;
 - the speed below which a joint's rows are left out, half and twice the one chosen;
 - two-stage least squares: the same equations with the currents that their joint's motion explains;
-- instrumental variables: the equations are weighed along the motion filtered much further, whose noise is not that of
+- instrumental variables: the equations are weighted by the motion filtered much further, whose noise is not that of
   the regressor, so that noise of the positions does not bias them.
 
 Each takes one step from the solution, on the middle of the runs.

@@ -1,4 +1,4 @@
-"""Instrumental variables (IDIM-IV): the equations as measured, weighed along a motion without noise.
+"""Instrumental variables (IDIM-IV): the equations as measured, weighted by a motion without noise.
 
 Encoder noise is amplified twice by differentiation to accelerations. It enters the regressor, so least squares and
 maximum likelihood underestimate every parameter, the more so the poorer the filter. The method of Janot et al.
