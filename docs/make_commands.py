@@ -13,8 +13,8 @@ from gtau.cli.commands import app
 PAGE = Path(__file__).parent / "lookup" / "commands.md"
 HEAD = """# Commands
 
-The help that `gtau COMMAND --help` prints. This page is generated from the source by `python docs/make_commands.py`.
-Commands with `--json` print one JSON document instead of tables.
+The help that `gtau COMMAND --help` prints (`python docs/make_commands.py` makes this page). With `--json` a command
+prints one JSON document instead of tables.
 """
 
 

@@ -36,7 +36,7 @@ print(*exported.notes, sep="\n")
 # MuJoCo reads the file; its controls are motor currents in A.
 (file,) = (path for path in exported.files if path.suffix == ".xml")
 scene = mujoco.MjModel.from_xml_path(str(file))
-print(f"{scene.nbody - 1} bodies, {scene.neq} equality constraints, {scene.nu} motors")
+print(f"bodies: {scene.nbody - 1}, equality constraints: {scene.neq}, motors: {scene.nu}")
 
 # %%
 # MuJoCo integrates the identified robot, friction included, under a controller; its logs are identified again.

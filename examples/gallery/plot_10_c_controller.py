@@ -56,5 +56,5 @@ for k in range(len(q)):
 figure, axes = plt.subplots(figsize=(6.5, 2.6), layout="constrained")
 axes.plot(table["t"], table["vleft"], color="0.7", linewidth=4, label="logged")
 axes.plot(table["t"], predicted[:, 0], label="C code")
-axes.set(xlim=(1, 4), xlabel="time, s", ylabel="current of left, A")
-axes.legend()
+axes.set(xlim=(1, 4), xlabel="time, s", ylabel="current of joint left, A")
+figure.legend(loc="outside upper center", ncols=2)

@@ -132,9 +132,12 @@ def play_round(
     if speed == 1.0 and played.exists():
         sys.exit(f"{folder} was played already; remove {played} to play it again, which replaces its logs.")
     for run in motion.file["runs"]:
-        log, end = play_run(run, motion)
+        try:
+            log, end = play_run(run, motion)
+            runs.append({"name": run["name"], "log": log, "end": end})
+        except KeyboardInterrupt:
+            end = "stopped by the operator"
         print(f"{run['name']}: {end}")
-        runs.append({"name": run["name"], "log": log, "end": end})
         if end != "completed":
             break
     if speed == 1.0:

@@ -58,7 +58,7 @@ def play_run(
 
 def main() -> None:
     """Play all runs of a round."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("round", type=Path)
     parser.add_argument("--robot", default="so101_follower")
     parser.add_argument("--port", required=True)

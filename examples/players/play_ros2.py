@@ -2,8 +2,8 @@
 
     python play_ros2.py camp/01 --action /joint_trajectory_controller/follow_joint_trajectory [--speed 0.1]
 
-The controller watches the tracking error (``path_tolerance``). Efforts of /joint_states are taken as currents: name
-another column in ``signals`` where your driver publishes currents elsewhere.
+Ctrl-C cancels the goal, and the controller watches the tracking error (``path_tolerance``). Efforts of /joint_states
+are taken as currents: name another column in ``signals`` where your driver publishes currents elsewhere.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Ros:
 
 def main(robot: Any = None) -> None:
     """Play all runs of a round."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("round", type=Path)
     parser.add_argument("--action", default="/joint_trajectory_controller/follow_joint_trajectory")
     parser.add_argument("--speed", type=float, default=1.0)

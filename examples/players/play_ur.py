@@ -45,7 +45,7 @@ def play_run(motion: Motion, control: Any, receive: Any, stopped: Any = pressed)
 
 def main() -> None:
     """Play all runs of a round."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("round", type=Path)
     parser.add_argument("--host", required=True)
     parser.add_argument("--speed", type=float, default=1.0)

@@ -161,6 +161,18 @@ def test_a_round_is_not_played_twice_over_its_logs(motion: contract.Motion) -> N
         contract.play_round(motion.folder, 1.0, log)
 
 
+def test_ctrl_c_stops_a_round_and_says_so(motion: contract.Motion, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(run: dict[str, Any], motion: contract.Motion) -> tuple[str, str]:
+        raise KeyboardInterrupt
+
+    with pytest.raises(SystemExit) as ended:
+        contract.play_round(motion.folder, 1.0, interrupted)
+    assert ended.value.code == 1
+    assert capsys.readouterr().out == "run1: stopped by the operator\n"
+    played = json.loads((motion.folder / "played.json").read_text())
+    assert (played["end"], played["runs"]) == ("stopped by the operator", [])
+
+
 def test_a_folder_that_is_no_round_is_refused(
     motion: contract.Motion, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,9 +196,12 @@ def test_what_was_played_is_written_whole(motion: contract.Motion) -> None:
 
 def test_players_name_their_options() -> None:
     folder = Path(play_ur.__file__).parent
-    for name in ("play_ur.py", "play_ros2.py", "play_lerobot.py", "play_mujoco.py"):
-        done = subprocess.run([sys.executable, folder / name, "--help"], capture_output=True, text=True, check=True)
+    stops = {"ur": "Enter in the", "lerobot": "Enter in the", "ros2": "Ctrl-C", "mujoco": ""}
+    for name, words in stops.items():
+        command = [sys.executable, folder / f"play_{name}.py", "--help"]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
         assert "--speed" in done.stdout
+        assert words in done.stdout
 
 
 def test_a_round_that_the_controller_stretched_is_noted(motion: contract.Motion) -> None:

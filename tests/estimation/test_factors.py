@@ -311,3 +311,34 @@ def test_a_joint_that_stands_still_has_no_rows(runs: list[Run]) -> None:
     still = [replace(run, position=np.column_stack([run.position[:, 0], 0 * run.time + 1.0])) for run in runs]
     with pytest.raises(GtauError, match="joint 'right' has 0 usable rows in all runs together"):
         identify(FIVE_BAR, still)
+
+
+def test_a_link_may_have_the_name_of_a_payload(runs: list[Run], result: Result) -> None:
+    """The payload of the second run is called L2, as a link of a left arm may be."""
+    names = dict(zip(JOINTS, ("L2", "L3"), strict=True))
+
+    def renamed(joint: Joint) -> Joint:
+        antecedent = names.get(joint.antecedent, joint.antecedent)
+        return replace(joint, name=names.get(joint.name, joint.name), antecedent=antecedent)
+
+    ties = [
+        replace(end, body=names.get(end.body, end.body)) for end in (FIVE_BAR.closures[0].a, FIVE_BAR.closures[0].b)
+    ]
+    closures = (replace(FIVE_BAR.closures[0], a=ties[0], b=ties[1]),)
+    robot = replace(FIVE_BAR, joints=tuple(map(renamed, FIVE_BAR.joints)), closures=closures)
+    renamed_runs = [
+        Run(run.name, ("L2", "L3"), run.time, run.position, run.command, payload=run.payload) for run in runs
+    ]
+    found = identify(robot, renamed_runs, consistent=True)
+    for gain, before in zip(found.drive_gains.values(), result.drive_gains.values(), strict=True):
+        np.testing.assert_allclose((gain.value, gain.std), (before.value, before.std), rtol=1e-9)
+    assert set(found.consistency.payloads) == {"LL2", "LL3"}
+
+
+def test_two_parameters_of_one_name_are_refused() -> None:
+    joints = (Joint("arm", "ground", "revolute", Mdh()), Joint("armR", "arm", "revolute", Mdh(d=0.3)))
+    robot, time = Robot("planar", joints, gravity=(0.0, -9.81, 0.0)), np.arange(2000) / 200
+    q = np.stack([np.sin(3 * time), np.sin(5 * time + 1)], axis=1)
+    runs = [Run(f"{mass:g} kg", ("arm", "armR"), time, q, q) for mass in (0.0, 1.0)]
+    with pytest.raises(GtauError, match="parameters of 'arm' and 'armR' are both called 'zz_armR'"):
+        identify(robot, with_payloads(runs, None, KNOWN))

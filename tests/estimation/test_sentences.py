@@ -80,6 +80,10 @@ SENTENCES = [  # finding, reason, advice
      "to 1.40 kg) less at the tool in run 'd' than in the others",
      "check which runs carry the payload and its mass, and declare the load of every run ('payload: {name: ..., mass: "
      "...}' beside its 'log')"),
+    (Finding(F.PAYLOAD_BODY, (), "elbow", {"tool": "wrist", "remains": 0.013}),
+     "the payload on 'elbow' in place of 'wrist'",
+     "check which body carries the payload; write 'tool: elbow' in the robot file (gtau robot --save makes one of any "
+     "robot)"),
     (Finding(F.UNEXPLAINED, ("left",), values={"share": 0.31, "kind": "current", "given": False}),
      "the model leaves 31 % of the joint's current unexplained",
      "check that the position and current columns are of the same joint in all runs, and check their signs and units"),
@@ -342,6 +346,10 @@ SENTENCES = [  # finding, reason, advice
      "the first moments of the links are 998 times those of the robot's file (rms of 14)",
      "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is wrong, state "
      "'prior_gains'"),
+    (Finding(F.MODEL_APART, (), "", {"apart": 4.96}),
+     "the log contradicts the model, whose parameters it would move by 5 standard deviations (rms)",
+     "add a log without payload of the same day; check signs, units and zeros of its columns, and that the robot is "
+     "mounted as before; otherwise identify the robot again, as torque constants fall while motors warm up"),
     (Finding(F.NEGATIVE_PAYLOAD, (), "neg", {"mass": -5.0, "std": 0.03}),
      "its mass of -5 kg (standard deviation 0.03) is negative, which no body has",
      "check which runs carry it, as the others may be the loaded ones, the signs of the commands, and gravity"),

@@ -60,6 +60,16 @@ def test_an_undeclared_body_is_named_and_the_file_is_not_blamed(
     assert result.audit is None
 
 
+def test_a_payload_on_another_body_is_named(tmp_path: Path) -> None:
+    arm = robot(tmp_path)
+    made = replace(plant(arm), tool="j3")
+    loaded = replace(made.run(1, BODY), payload=Payload(name="steel", mass=BODY["m"]))
+    result = identify(arm, [made.run(0), loaded])
+    (found,) = (each for each in result.alternatives if each.hypothesis == "tool bodies")
+    assert (found.causes[0].kind, found.causes[0].subject) == (F.PAYLOAD_BODY, "j3")
+    assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
+
+
 def test_runs_with_the_same_load_are_not_suspected(tmp_path: Path) -> None:
     result = identify(robot(tmp_path), arm_runs(tmp_path, (False, False, False)))
     assert "tool bodies" not in {each.hypothesis for each in result.alternatives}

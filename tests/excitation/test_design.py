@@ -335,6 +335,7 @@ def test_what_a_design_prints_fits_a_terminal(tmp_path: Path) -> None:
     lines = plain(design_page(outlook)).splitlines()
     assert max(map(len, lines)) <= 80
     assert any("(> 1000 %)" in line for line in lines)  # no number apart from its unit
+    assert {row[1].split()[0] for row in table_of(outlook, "limits").rows} == {"between", "at"}  # at most, at least
     shown, exceeded = next(each.items for each in design_page(outlook).sections if each.id == "masses")
     assert [column.title for column in shown.columns][1:3] == ["as designed", "1 kg"]
     assert [row[0] for row in shown.rows] == ["rms", *joints]

@@ -18,9 +18,10 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.report.chart import Shape, Word
 from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document, robot_page
-from gtau.report.robot_figure import robot_figure
+from gtau.report.robot_figure import robot_figure, sketch_of
 from gtau.robots.floating import float_base
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.readers.native import parse_native
@@ -218,6 +219,22 @@ def test_picture_names_motors_payload_and_gravity() -> None:
     assert "gravity" not in texts(replace(load_robot("ur10e"), gravity=(0.0, 0.0, 0.0)))
     said = texts(load_robot("orthoglide"))
     assert {"travel", "closes a loop", "payload on P", "11", "12", "13"} < set(said)
+
+
+def test_gravity_points_down_the_page_or_into_it() -> None:
+    def extent(name: str) -> np.ndarray:
+        strokes = [item.points for item in sketch_of(load_robot(name)).items if isinstance(item, Shape)]
+        return np.ptp([points for points in strokes if points.shape == (5, 2)][-1], axis=0)
+
+    assert extent("five-bar")[1] > 5 * extent("five-bar")[0]
+    assert extent("3-rrr")[1] == pytest.approx(extent("3-rrr")[0])  # a cross: the plane of the robot is level
+    assert "z" not in texts(load_robot("3-rrr"))
+
+
+def test_words_of_the_picture_have_nine_pixels_on_a_telephone() -> None:
+    sketch = sketch_of(load_robot("ur10e"))
+    smallest = min(item.size for item in sketch.items if isinstance(item, Word) and item.text == "elbow_joint")
+    assert 350 / sketch.size[0] * smallest > 9
 
 
 def test_picture_explains_only_what_it_shows() -> None:

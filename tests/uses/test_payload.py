@@ -86,6 +86,10 @@ def test_one_log_is_weighed_by_the_model(model: Result, folder: Path) -> None:
     assert found.weighed.by_model
     said = " ".join(plain(weighing_page(model, [found], "identified")).split())
     assert "the model is the reference, with friction that may have changed by 20 %" in said
+    assert found.verdict.outcome == "good"
+    warm = replace(run, command=run.command / 0.9)
+    (apart,) = weigh(model, five_bar().robot, [warm])
+    assert apart.verdict.finding.kind == F.MODEL_APART
     (beside,) = weigh(model, five_bar().robot, [run, Plant(noise=0.01, chi=more).run("free", seed=6)])
     assert not beside.weighed.by_model
 

@@ -116,7 +116,7 @@ def payload(
     Logs instead of EXPERIMENT.yaml carry an unknown payload each, unless --payload says otherwise; --robot names a
     file with the links of --frame. The draft is DIR/experiment.yaml, or payload/experiment.yaml.
 
-    The exit code is 3 if a mass is negative, or the model's gains contradict its own logs.
+    The exit code is 3 if a mass is negative, or the model's gains contradict its own logs or those of the payload.
     """
     refuse_as_folder(out)
     if to is not None and out is None:

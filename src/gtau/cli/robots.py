@@ -186,10 +186,7 @@ def demo(
 
 
 @refusing
-def tutorial(
-    out: Annotated[Path, argument("DIR", "Folder for the logs.")],
-    json_: Json = False,
-) -> None:
+def tutorial(out: Annotated[Path, argument("DIR", "Folder for the logs.")], json_: Json = False) -> None:
     """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and say how to go on."""
     from gtau.demo.tutorial import write_tutorial
 

@@ -85,7 +85,7 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
     problem = plain_problem(task.model, task.base, factors, task.payloads, slowest)
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
-    theta = task.prior.values(problem.parameters, task.base, task.payloads, task.prior.chi)
+    theta = task.prior.values(problem.parameters, task.model.robot, task.payloads, prior)
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma)))

@@ -81,11 +81,7 @@ class Pullback:
         by_y = self.by_c(motion.c, motion.yd, motion.ydd, J, *multipliers, slopes.c)
         return tuple(
             slope + np.einsum("ias,is->as", G_a, on)
-            for slope, on in (
-                (by_y[a], multiplier(by_y[p])),
-                (by_yd[a], on_velocity),
-                (slopes.ydd[a], on_acceleration),
-            )
+            for slope, on in ((by_y[a], multiplier(by_y[p])), (by_yd[a], on_velocity), (slopes.ydd[a], on_acceleration))
         )
 
     def columns(self, c: np.ndarray) -> np.ndarray:

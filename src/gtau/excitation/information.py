@@ -166,7 +166,10 @@ def information_of(
     problem = plain_problem(model, base, [identity] * runs, payloads)
     names = problem.unknowns
     M = problem.blocks[:, 0, :n_b]  # (runs, n_b, parameters + 4), the same for all joints
-    theta, heavy = (prior.values(problem.parameters, base, payloads, chi) for chi in (prior.chi, prior.cautious))
+    theta, heavy = (
+        prior.values(names[names.theta], model.robot, payloads, dict(zip(base.names, chi, strict=True)))
+        for chi in (prior.chi, prior.cautious)
+    )
     load = modelled(M, theta)
     smooth = load * np.array([not name.startswith("fs_") for name in base.names])
     maps = np.zeros((runs, n, n_b, len(names)))

@@ -198,11 +198,7 @@ DRAWS = 20  # random motions, of which the best is a start: each costs a hundred
 
 
 def promising_start(
-    task: DesignProblem,
-    criterion: str,
-    rng: np.random.Generator,
-    part: float,
-    stop: Callable[[], bool] = lambda: False,
+    task: DesignProblem, criterion: str, rng: np.random.Generator, part: float, stop: Callable[[], bool] = lambda: False
 ) -> np.ndarray | None:
     """Choose the best of random x that use a ``part`` of the limits; None if none is reachable."""
     programme, drawn = Programme(task, criterion, {}), list[np.ndarray]()

@@ -18,8 +18,8 @@ from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
 from gtau.robots.geometry import massless, places_on
-from gtau.robots.parameter import Parameter
-from gtau.robots.robot import INERTIAL
+from gtau.robots.parameter import Parameter, payload_label
+from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
 FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
@@ -99,15 +99,15 @@ class PriorModel:
         return np.array([gain.value for gain in self.known])
 
     def values(
-        self, names: Sequence[Parameter], base: BaseParameters, payloads: Sequence[Payload | None], chi: np.ndarray
+        self, names: Sequence[Parameter], robot: Robot, payloads: Sequence[Payload | None], known: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the values of parameters by name: base parameters ``chi`` (n_b,) and centres of payloads, or zero."""
-        known: dict[str, float] = dict(zip(base.names, chi, strict=True))
+        """Return the values of parameters by name: the ``known`` base parameters, centres of payloads, or zero."""
+        moments: dict[str, float] = {}
         for run, load in enumerate(payloads):
             if load is not None:  # whose unknown parameters have the name of the run
-                moments = zip(FIRST_MOMENTS, self.moments(load), strict=True)
-                known |= {Parameter(kind, f"L{run + 1}"): moment for kind, moment in moments}
-        return np.array([known.get(name, 0.0) for name in names])
+                label = payload_label(robot, run)
+                moments |= {Parameter(k, label): m for k, m in zip(FIRST_MOMENTS, self.moments(load), strict=True)}
+        return np.array([moments.get(name, known.get(name, 0.0)) for name in names])
 
     def moments(self, load: Payload) -> np.ndarray:
         """Return the first moments (3,) of a payload, kg m, with the centre that is known or guessed."""

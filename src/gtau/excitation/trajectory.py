@@ -94,11 +94,7 @@ def quintic(start: np.ndarray, end: np.ndarray, duration: float, time: np.ndarra
 def move_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:
     """Compute the shortest duration (s) of a quintic move by ``way`` (m,) within the limits given."""
     size = np.abs(way)
-    durations = (
-        PEAKS[0] * size / velocity,
-        np.sqrt(PEAKS[1] * size / acceleration),
-        np.cbrt(PEAKS[2] * size / jerk),
-    )
+    durations = (PEAKS[0] * size / velocity, np.sqrt(PEAKS[1] * size / acceleration), np.cbrt(PEAKS[2] * size / jerk))
     return float(max(0.0, *(shortest.max() for shortest in durations)))
 
 

@@ -13,13 +13,7 @@ import numpy as np
 from gtau.documents.files import identifier
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.results.result import Result
-from gtau.export.consistent import (
-    ConsistentModel,
-    consistent_model,
-    differences,
-    friction_comments,
-    term_notes,
-)
+from gtau.export.consistent import ConsistentModel, consistent_model, differences, friction_comments, term_notes
 from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Robot

@@ -185,10 +185,7 @@ WRITERS: Mapping[str, tuple[Callable[[str, RigidBody, str], Mapping[str, str]], 
     "ur": (_ur, "the controller takes it in the frame of the tool flange"),
     "franka": (_franka, "Franka takes it in the frame of the flange; 'transformation' is left to be set"),
     "kuka": (_kuka, "KUKA takes it in the frame of the flange; write the number of your tool in LOAD_DATA"),
-    "abb": (
-        _abb,
-        "ABB takes it in the wrist frame as the load of a tool, and in the tool frame as a payload",
-    ),
+    "abb": (_abb, "ABB takes it in the wrist frame as the load of a tool, and in the tool frame as a payload"),
     "ros": (_ros, "geometry_msgs/InertiaStamped names it as header.frame_id"),
 }
 """How each kind is written, and in which frame it is expected."""

@@ -144,6 +144,7 @@ class FindingKind(StrEnum):
     INSEPARABLE = "not separable", Outcome.NOT_IDENTIFIABLE
     NEAR_ZERO = "near zero", Outcome.NOT_IDENTIFIABLE
     UNCERTAIN = "uncertain parameter", Outcome.WEAK
+    MODEL_APART = "log apart from the model", Outcome.CONTRADICTORY
     NEGATIVE_PAYLOAD = "payload of negative mass", Outcome.CONTRADICTORY
     PAYLOAD_MASS = "payload mass", Outcome.CONTRADICTORY
     PAYLOAD_PARAMETER = "payload parameter", Outcome.CONTRADICTORY
@@ -178,6 +179,7 @@ class FindingKind(StrEnum):
     LENGTH = "length"
     GAIN_CHANGE = "gain change"
     TOOL_BODY = "body at the tool"
+    PAYLOAD_BODY = "payload on another body"
     BANDWIDTH = "bandwidth"
     SLOW_ROWS = "rows at low speed"
     TWO_STAGE = "two-stage least squares"

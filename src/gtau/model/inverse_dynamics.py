@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, wraps
 from inspect import signature
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import casadi as ca
 import numpy as np
@@ -163,9 +163,9 @@ class InverseDynamics:
         """Home configuration (n_c,), with the loops closed."""
         return self.layout.home if self.loops is None else self.loops.home
 
-    def with_gravity(self, gravity: np.ndarray) -> InverseDynamics:
-        """Return the model of the same robot with another gravity (3,), m/s2; its loops are not solved again."""
-        other = InverseDynamics(replace(self.robot, gravity=tuple(gravity.tolist())), self._kind)
+    def altered(self, **changes: Any) -> InverseDynamics:
+        """Return the model of the same robot with another gravity or tool; its loops are not solved again."""
+        other = InverseDynamics(replace(self.robot, **changes), self._kind)
         other.__dict__["loops"] = self.loops  # of the cached property
         return other
 
@@ -277,11 +277,7 @@ class InverseDynamics:
 
     @one_or_many
     def torques(
-        self,
-        q: np.ndarray,
-        qd: np.ndarray,
-        qdd: np.ndarray,
-        chi: Mapping[str, float] | np.ndarray,
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, chi: Mapping[str, float] | np.ndarray
     ) -> np.ndarray:
         """Compute the torques of the actuated joints, tau_idm of eq. (16), (N, n) in N m or N.
 

@@ -319,12 +319,7 @@ def attached_velocity(end: Attachment, frame: dict[str, Frame], twist: dict[str,
 
 
 def accelerations(
-    layout: Coordinates,
-    frame: dict[str, Frame],
-    twist: dict[str, Twist],
-    yd: ca.SX,
-    ydd: ca.SX,
-    gravity: Vector,
+    layout: Coordinates, frame: dict[str, Frame], twist: dict[str, Twist], yd: ca.SX, ydd: ca.SX, gravity: Vector
 ) -> dict[str, Twist]:
     """Express the acceleration of every body less gravity, which acts as an acceleration of the base."""
     accelerations = {GROUND: Twist(ca.SX(3, 1), -gravity)}

@@ -169,11 +169,7 @@ def displaced(loops: Loops, c: np.ndarray, q: np.ndarray, labels: Labels) -> np.
 
 
 def follow(
-    loops: Loops,
-    q: np.ndarray,
-    labels: Labels | None = None,
-    start: np.ndarray | None = None,
-    segments: int = SEGMENTS,
+    loops: Loops, q: np.ndarray, labels: Labels | None = None, start: np.ndarray | None = None, segments: int = SEGMENTS
 ) -> np.ndarray:
     """Find the configurations (n_c, N) along the path ``q`` (n, N), rad or m, all in the assembly mode of home.
 
@@ -252,13 +248,7 @@ def pose_words(robot: Robot, q: np.ndarray) -> str:
     return ", ".join(f"q_{name} = {value:.4g}" for name, value in zip(robot.actuated, q, strict=True))
 
 
-def differentiate(
-    loops: Loops,
-    c: np.ndarray,
-    qd: np.ndarray,
-    qdd: np.ndarray,
-    labels: Labels | None = None,
-) -> Motion:
+def differentiate(loops: Loops, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:
     """Compute velocities and accelerations at closed ``c`` (n_c, N) from qd and qdd (n, N) (eqs. 5 to 8).
 
     Raises GtauError, with the name of ``labels``, at a pose too close to a singularity.

@@ -171,8 +171,7 @@ def design_page(outlook: Outlook) -> Page:
     limits = table_of(
         outlook.usages,
         (Column("limit"), "what"),
-        (Column("value", Kind.NUMBER, 4), "limit"),
-        (Column("unit"), "unit"),
+        (Column("allowed"), "allowed"),
         (Column("used, %", Kind.SHARE, decimals=1), "excess"),
     )
     said = Text("", tuple(outlook.assumed.values())) if outlook.assumed else Text("Nothing was assumed.")

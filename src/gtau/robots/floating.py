@@ -65,11 +65,7 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
     closures, springs = moved_ends(robot, lambda end: replace(end, body=on(end.body)))
     stated = ((parameter_of(parameter), value) for parameter, value in robot.file.inertias)
     return replace(
-        robot,
-        joints=base_joints(name) + joints,
-        closures=closures,
-        springs=springs,
-        floating=name,
+        robot, joints=base_joints(name) + joints, closures=closures, springs=springs, floating=name
     ).with_file(inertias=tuple((Parameter(parameter.kind, on(parameter.body)), value) for parameter, value in stated))
 
 

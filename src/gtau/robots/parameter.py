@@ -51,6 +51,14 @@ def parameter_of(name: str, regrouped: bool = False) -> Parameter:
     return Parameter(kind, body, int(run) - 1 if run else None, regrouped)
 
 
+def payload_label(robot: Robot, run: int) -> str:
+    """Return the body of a run's payload in names of parameters: ``L2`` of the second run, ``LL2`` beside a link L2."""
+    label = f"L{run + 1}"
+    while label in robot.bodies:
+        label = f"L{label}"
+    return label
+
+
 def unit_of(kind: str, robot: Robot, joint: str) -> str:
     """Return the SI unit of a parameter of ``kind`` at a joint, a platform or a spring."""
     if any(spring.name == joint for spring in robot.springs):

@@ -24,16 +24,7 @@ from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
-from gtau.simulation.closed_loop import (
-    Engine,
-    Hardware,
-    Simulated,
-    hardware,
-    pid,
-    sample,
-    simulate,
-    write_log,
-)
+from gtau.simulation.closed_loop import Engine, Hardware, Simulated, hardware, pid, sample, simulate, write_log
 from gtau.simulation.joint_friction import TERMS, JointFriction, of_model
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant

@@ -18,11 +18,7 @@ from gtau.signals.run import Run, read_run
 
 
 def read_log(
-    model: Result,
-    log: str | Path,
-    experiment: str | Path | None = None,
-    part: Part = WHOLE,
-    payload: str | None = None,
+    model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE, payload: str | None = None
 ) -> Run:
     """Read a log, or a ``part`` of it, to be used with a model, of which it carries a ``payload``; raises GtauError.
 

@@ -110,9 +110,9 @@ def _misfit(fit: Fit) -> bool:
 
 def _loads(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
     if _lacking(fit) or _misfit(fit):
-        from gtau.estimation.diagnostics.other_robots import other_loads
+        from gtau.estimation.diagnostics.other_robots import other_body, other_loads
 
-        if loads := other_loads(fit):
+        if loads := other_loads(fit) or other_body(fit):
             yield loads
 
 

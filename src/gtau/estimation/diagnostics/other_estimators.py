@@ -21,13 +21,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.linearisation import (
-    FitWindow,
-    known_rows,
-    linearise,
-    slopes_of,
-    stacked_triangles,
-)
+from gtau.estimation.diagnostics.linearisation import FitWindow, known_rows, linearise, slopes_of, stacked_triangles
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.newton import whitening

@@ -17,7 +17,7 @@ a linear test points anywhere: the robot is fitted again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from math import hypot, isclose
@@ -62,14 +62,34 @@ from gtau.model.inverse_dynamics import InverseDynamics, models_alike
 from gtau.model.kinematics import SAME_LENGTH
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import moved_ends
+from gtau.robots.parameter import Parameter, payload_label
 from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
 from gtau.signals.reading.statements import Payload
 
 
+def other_body(fit: Fit) -> Alternative | None:
+    """Find the body on which payloads explain the residuals, if it is another one than the tool."""
+    unaltered, model = _unrefined(fit), fit.dataset.model
+    robot, best, remains = model.robot, unaltered, float(LOAD_LEFT)
+    for body in robot.bodies:
+        if body != robot.tool and Parameter("m", body) in model.parameter_names and fit.system.payloads:
+            other = refitted(fit, dataset=replace(fit.dataset, model=model.altered(named_tool=body)))
+            if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
+                best, remains = other, ratio
+    if best is unaltered:
+        return None
+    cause = Finding(F.PAYLOAD_BODY, (), best.dataset.model.robot.tool, {"tool": robot.tool, "remains": remains})
+    return of_refit(unaltered, TOOL_BODIES, cause, best, unaltered)
+
+
+def _unrefined(fit: Fit) -> Fit:
+    """Give a fit the residuals of one pass, as those of others have."""
+    return replace(fit, solution=replace(fit.solution, sigma=fit.solve(fit.system.problem).sigma))
+
+
 def other_loads(fit: Fit) -> Alternative | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
-    unrefined = fit.solve(fit.system.problem)  # residuals as those of the others
-    unaltered = replace(fit, solution=replace(fit.solution, sigma=unrefined.sigma))
+    unaltered = _unrefined(fit)
     runs, carried, remaining = range(len(fit.dataset.runs)), tuple[int, ...](), 1.0
     best: Fit | None = None
     while best is None or len(carried) < len(runs) - 1:
@@ -97,14 +117,18 @@ def _loaded(fit: Fit, runs: tuple[int, ...]) -> Fit | None:
     declared = [run.payload for run in fit.dataset.runs]
     loads = [Payload(name=f"of run {k}") if k in runs else payload for k, payload in enumerate(declared)]
     other = refitted(fit, loads)
-    if other is None or not {f"m_L{run + 1}" for run in runs} <= set(other.system.problem.parameters):
+    if other is None or not set(_masses(fit, runs)) <= set(other.system.problem.parameters):
         return None
     return other if set(other.system.unexcited) <= set(fit.system.unexcited) else None
 
 
+def _masses(fit: Fit, runs: Iterable[int]) -> list[Parameter]:
+    return [Parameter("m", payload_label(fit.dataset.robot, run)) for run in runs]
+
+
 def _places(other: Fit, runs: Sequence[int]) -> list[int]:
     """Numbers of the masses of unknown loads among the parameters."""
-    return [other.system.problem.parameters.index(f"m_L{run + 1}") for run in runs]
+    return other.system.problem.unknowns.at(_masses(other, runs))
 
 
 def _added(other: Fit, runs: Sequence[int]) -> np.ndarray:
@@ -252,7 +276,7 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
     dataset = fit.dataset
     model, base = dataset.model, dataset.base
     if not np.array_equal(gravity, dataset.robot.gravity):
-        model = model.with_gravity(gravity)
+        model = model.altered(gravity=tuple(gravity.tolist()))
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
     gains = None if fit.free_gains else fit.gains
     terms = tuple(term for term in fit.system.terms if term.kind != "fl")

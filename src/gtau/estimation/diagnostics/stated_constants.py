@@ -36,7 +36,7 @@ from gtau.estimation.thresholds.refutation import APART
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import independent_columns
-from gtau.robots.parameter import unit_of
+from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import Payload
 
@@ -105,9 +105,9 @@ def _torques_of_unit(system: System, name: str, kind: str) -> np.ndarray:
     """Compute the torques (U, c, p) of a unit of a payload's parameter, in the rows of the problem."""
     dataset = system.dataset
     parts, channels = [np.zeros(factor.R.shape[:3]) for factor in dataset.factors], system.problem.channels
-    for run in (item.run for item in system.payloads if item.payload.name == name):
-        block = next(item for item in system.effects if f"{kind}_L{run + 1}" in item.stated)
-        k, R = block.names.index(f"{kind}_L{run + 1}"), dataset.factors[run].R
+    for run, label in ((item.run, item.label) for item in system.payloads if item.payload.name == name):
+        block = next(item for item in system.effects if Parameter(kind, label) in item.stated)
+        k, R = block.names.index(Parameter(kind, label)), dataset.factors[run].R
         of_channels = [block.columns(run, channel, np.zeros(()))[:, k] for channel in channels]
         parts[run] = np.stack([R[:, j] @ column for j, column in enumerate(of_channels)], axis=1)
     filled = np.concatenate([factor.rows for factor in dataset.factors]).sum(axis=1) > 0

@@ -108,12 +108,13 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show the uncertainty of priors
         gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.of_prior))[system.problem.gain_rows])
     bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
-    payloads = [f"L{payload.run + 1}" for payload in system.payloads]
     shares = 100 * (np.sqrt(squared(triangles, values) / squared(triangles, free))[:n] - 1)
     gains = zip(problem.joints, values[problem.gain_rows], gain_std, strict=True)
     return Consistency(
         standard=dict(zip(system.dataset.model.parameter_names, map(float, x), strict=False)),
-        payloads={label: dict(zip(INERTIAL, map(float, bodies[label]), strict=True)) for label in payloads},
+        payloads={
+            load.label: dict(zip(INERTIAL, map(float, bodies[load.label]), strict=True)) for load in system.payloads
+        },
         gains={joint: (float(gain), float(std)) for joint, gain, std in gains},
         moves=_moves(system, solution, values, free_gains),
         eigenvalues={body: float(np.linalg.eigvalsh(pseudo_inertia(values))[0]) for body, values in bodies.items()},

@@ -230,7 +230,7 @@ def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]
         if Parameter("m", body) in place
     ]
     for payload in system.payloads:
-        label, known, first = f"L{payload.run + 1}", known_values(payload.payload), len(names)
+        label, known, first = payload.label, known_values(payload.payload), len(names)
         summed = {kind: first + k for k, kind in enumerate(payload.summed)}
         places = np.array([summed.get(kind, -1) for kind in INERTIAL])
         bodies.append(Body(label, places, np.array([known.get(kind, 0.0) for kind in INERTIAL])))

@@ -29,7 +29,7 @@ from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns
 from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import Parameter, payload_label
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.signals.channel import Channel
 from gtau.signals.preparation.prepared_run import PreparedRun
@@ -68,7 +68,7 @@ class ColumnBlock:
 
 @dataclass(frozen=True, eq=False)
 class PayloadColumns:
-    """Columns of the payload of one run.
+    """Columns of the payload of one run, whose parameters are those of a body called ``label``.
 
     ``unknown`` are its parameters that act on some actuated joint: each the sum of those of the kinds ``summed`` that
     are not known, with the factors ``sums`` (unknown, summed). ``columns`` (n_b, k) are those of the unknown and then
@@ -76,6 +76,7 @@ class PayloadColumns:
     """
 
     run: int
+    label: str
     payload: Payload
     unknown: tuple[Parameter, ...]
     summed: tuple[str, ...]
@@ -122,9 +123,10 @@ def payload_columns(
         acting = of_tool | {"m": mass}
         columns = np.reshape([acting[kind] for kind in summed], (len(summed), base.count)).T
         kept, sums, _ = independent_columns(columns)
-        unknown = tuple(Parameter(summed[k], f"L{run + 1}") for k in kept)
+        label = payload_label(idm.robot, run)
+        unknown = tuple(Parameter(summed[k], label) for k in kept)
         both = np.array([acting[kind] for kind in (*(name.kind for name in unknown), *values)]).T
-        blocks.append(PayloadColumns(run, payload, unknown, summed, sums, both.reshape(base.count, -1)))
+        blocks.append(PayloadColumns(run, label, payload, unknown, summed, sums, both.reshape(base.count, -1)))
     return tuple(blocks)
 
 
@@ -157,8 +159,7 @@ def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.nda
 
 
 def _payload_block(base: BaseParameters, of_payload: PayloadColumns) -> ColumnBlock:
-    label = f"L{of_payload.run + 1}"
-    values = {Parameter(kind, label): value for kind, value in known_values(of_payload.payload).items()}
+    values = {Parameter(kind, of_payload.label): value for kind, value in known_values(of_payload.payload).items()}
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
         return _felt(base, channel, of_payload.columns * (run == of_payload.run))

@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gtau.errors import GtauError
 from gtau.estimation.regression.factors import FIXED, KNOWN, MODEL, SIGNAL, delayed_signal, select_columns, triangle
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import Parameter
@@ -27,8 +28,12 @@ class Unknowns(tuple[Parameter, ...]):
 
     @cached_property
     def places(self) -> Mapping[str, int]:
-        """Place of each unknown in the vector."""
-        return {unknown: k for k, unknown in enumerate(self)}
+        """Place of each unknown in the vector; raises GtauError where two have one name."""
+        places: dict[str, int] = {unknown: k for k, unknown in enumerate(self)}
+        if alike := [name for k, name in enumerate(self) if places[name] != k]:
+            bodies = " and ".join(f"'{name.body}'" for name in self if name == alike[0])
+            raise GtauError(f"parameters of {bodies} are both called '{alike[0]}'; rename one of these joints.")
+        return places
 
     def at(self, names: Iterable[str]) -> list[int]:
         """Find the places of some unknowns, in their order."""

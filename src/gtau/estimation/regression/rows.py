@@ -95,11 +95,7 @@ def stream_rows(
 
 
 def stream_torques(
-    idm: InverseDynamics,
-    regressor: Regressor,
-    prepared: PreparedRun,
-    values: np.ndarray,
-    friction: Law,
+    idm: InverseDynamics, regressor: Regressor, prepared: PreparedRun, values: np.ndarray, friction: Law
 ) -> Iterator[np.ndarray]:
     """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
 

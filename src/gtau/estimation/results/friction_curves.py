@@ -199,10 +199,7 @@ def group_estimates(
 
 
 def _curves(
-    group: FrictionGroup,
-    candidate: FrictionFit,
-    plain: FrictionFit,
-    evidence: Mapping[tuple[int, str], float],
+    group: FrictionGroup, candidate: FrictionFit, plain: FrictionFit, evidence: Mapping[tuple[int, str], float]
 ) -> dict[str, FrictionCurve]:
     """Collect what the data say of the friction of each joint of a group, by its name."""
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)

@@ -178,10 +178,11 @@ CORRELATED = Threshold(
 CORRELATED_STD = Threshold(4.0, "the same in standard deviations", evidence="a level: one in 15,000 by chance")
 LOAD_LEFT = Threshold(
     0.5,
-    "part of the residual variance, geometric mean of all joints, that is left with the load of one more run unknown",
-    healthy="0.99 and more (UR10e, two pairs)",
-    faulty="0.025 to 0.11 (UR10e: 2.8 kg not declared, or declared and absent)",
-    evidence="shared logs",
+    "part of the residual variance, geometric mean of all joints, that is left with the load of one more run unknown, "
+    "or with payloads on another body",
+    healthy="0.99 and more (UR10e, two pairs); on another body 0.95 (dVRK), 0.999 (Orthoglide), 19 (UR10e) and more",
+    faulty="0.025 to 0.11 (UR10e: 2.8 kg not declared, or declared and absent), 0.012 (an arm, on its forearm)",
+    evidence="shared logs; tests/estimation/test_tool_bodies.py",
 )
 LIKELY_SHARES = Threshold(
     1.92,

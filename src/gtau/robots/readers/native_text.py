@@ -9,18 +9,7 @@ from typing import Any
 from gtau.documents.files import write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
-from gtau.robots.robot import (
-    DAMPING,
-    PRELOAD,
-    STIFFNESS,
-    Attachment,
-    Coupling,
-    Joint,
-    Mdh,
-    Pose,
-    Robot,
-    Spring,
-)
+from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Attachment, Coupling, Joint, Mdh, Pose, Robot, Spring
 
 
 def native_text(robot: Robot) -> str:

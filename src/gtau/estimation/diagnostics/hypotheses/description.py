@@ -26,10 +26,7 @@ from gtau.robots.placement import WRENCH
 DEGREE, MILLIMETRE, PER_CENT = np.pi / 180, 1e-3, 1e-2
 STEP = 0.1  # of the unit: the torques' change is linear over this
 
-ZERO = candidate(
-    "encoder zero",
-    Threshold(0.5, "error of an encoder's zero, degrees or mm", evidence="experience"),
-)
+ZERO = candidate("encoder zero", Threshold(0.5, "error of an encoder's zero, degrees or mm", evidence="experience"))
 SCALE = candidate(
     "position scale",
     Threshold(
@@ -89,11 +86,7 @@ ENCODER_ZEROS = Hypothesis("encoder zeros", True, _encoder_zeros, _zeros_of, des
 POSITION_SCALES = Hypothesis("position scales", True, _position_scales, _scales_of, description=True)
 
 
-TILT = candidate(
-    "gravity tilt",
-    Threshold(1.0, "tilt of the base, degrees", evidence="experience"),
-    unit="deg",
-)
+TILT = candidate("gravity tilt", Threshold(1.0, "tilt of the base, degrees", evidence="experience"), unit="deg")
 STRENGTH = candidate(
     "gravity strength",
     Threshold(

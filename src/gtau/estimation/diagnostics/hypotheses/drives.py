@@ -226,10 +226,7 @@ def gain_changes(fit: Fit) -> Iterator[Alternative]:
     worst = _first_largest(t[:, : len(fit.gains)])
     if shares.max() > DOMINANT:  # the same runs for all joints
         worst[:] = _first_largest(shares)
-    T, prior = (
-        slopes_of(fit),
-        float(ALTERNATIVE_PRIOR) / tried,
-    )  # the largest of several is larger by chance
+    T, prior = slopes_of(fit), float(ALTERNATIVE_PRIOR) / tried  # the largest of several is larger by chance
     for j, k in enumerate(worst):
         change, std = float(sizes[k, j]), float(stds[k, j])
         if not t[k, j] or abs(change) > SCALED:
