@@ -280,8 +280,9 @@ def test_a_drift_asks_for_a_warm_up_run_which_is_played_and_not_evaluated(copied
 def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
     rounds = [round_of("first", 1.4), round_of("confirm")]
     all_rounds = result_of(gain("a", 1.0, 0.005, 0.005))
-    assert decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.01, 0.01, 0.01))).kind == "done"
-    apart = decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.08, 0.01, 0.01)))
+    before = rounds[0].decision
+    assert decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.01, 0.01, 0.01)), before).kind == "done"
+    apart = decide(all_rounds, 3.0, rounds, result_of(gain("a", 1.08, 0.01, 0.01)), before)
     assert apart.kind == "blocked"
     assert apart.say == (
         "the last round contradicts those before: 'a' is 1.080 +- 0.028 N m/A by itself, and was 1.000 +- 0.014 N m/A"
@@ -413,17 +414,21 @@ def test_a_round_confirms_nothing_where_those_before_are_set_aside(
     )
     compared = []
 
-    def decided(result: object, accuracy: float, rounds: list[Round], alone: object) -> Decision:
-        compared.append(alone)
+    def decided(result: object, accuracy: float, rounds: list[Round], alone: object, before: object) -> Decision:
+        compared.append((alone, before))
         return Decision("stopped", "")
 
-    found = SimpleNamespace(save=lambda path: None)
+    found = result_of(gain("left", 1.0, 0.01, 0.01))
+    found.save = lambda path: None
     monkeypatch.setattr(module, "identified", lambda *_: found)
     monkeypatch.setattr(module, "slower", lambda *_: ())
     monkeypatch.setattr(module, "decide", decided)
     for used in ([last], [last, last]):
         module._decided(copied / "02", 3.0, read_design_file(copied), used, silent)
-    assert compared == [None, found]
+    assert compared[0] == (None, None)
+    alone, before = compared[1]
+    assert alone is found
+    assert before["gains"]["left"]["value"] == 1.0  # identified anew, as no decision is from the files of now
 
 
 def test_the_page_says_in_short_sentences_what_to_do_and_why(copied: Path) -> None:

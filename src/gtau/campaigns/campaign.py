@@ -17,6 +17,7 @@ from gtau.campaigns.decision import (
     Decision,
     decide,
     identified,
+    listed,
     refuse_to_go_on,
     slower,
     warming,
@@ -225,10 +226,14 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
     if isinstance(result, Decision):
         return result
     result.save(last.folder / MODEL_FILE)
-    alone = None
+    alone = known = None
     if last.motion["purpose"] == CONFIRM and len(used) > 1:  # those before may be set aside
         alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
-    decision = decide(result, accuracy, used, alone)
+        known = used[-2].decision
+        if known is None or not known["inputs"].items() <= _inputs(place.parent, file, used).items():
+            before = identified(write_experiment(last.folder / "before.yaml", file, used[:-1]), accuracy, progress)
+            known = {"gains": before.gains if isinstance(before, Decision) else listed(before)}
+    decision = decide(result, accuracy, used, alone, known)
     decision = replace(decision, notes=(*decision.notes, *slower(result, used)))
     if not decision.goes_on:
         return decision

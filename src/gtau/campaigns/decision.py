@@ -119,8 +119,17 @@ def _entry(gain: Estimate) -> dict[str, Any]:
     }
 
 
-def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Result | Decision | None) -> Decision:
-    """Decide after the last of the ``rounds``, from the result of all; ``alone`` is that of a confirming round."""
+def decide(
+    result: Result,
+    accuracy: float,
+    rounds: Sequence[Round],
+    alone: Result | Decision | None,
+    known: Mapping[str, Any] | None = None,
+) -> Decision:
+    """Decide after the last of the ``rounds``, from the result of all.
+
+    ``alone`` is the result of a confirming round, and ``known`` has the ``gains`` of the rounds before it.
+    """
     wide, gains = widths(result), listed(result)
     joint = max(wide, key=lambda name: wide[name])
     width = f"+-{wide[joint]:.3g} %"
@@ -131,7 +140,7 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
         return Decision(CONFIRM, f"{within}; one more round must agree", gains)
     if isinstance(alone, Decision):
         return replace(alone, say=f"the confirming round by itself: {alone.say}")
-    if alone is not None and (apart := _apart(alone, rounds)):
+    if alone is not None and (apart := _apart(alone, known)):
         advice = "check payload, tool and temperature of the last round, or set a round aside"
         return Decision(BLOCKED, apart, gains, notes=(advice,))
     if reached:
@@ -145,8 +154,8 @@ def decide(result: Result, accuracy: float, rounds: Sequence[Round], alone: Resu
     if limited == RANDOM:
         return Decision(limited, said, gains)
     why, suspect, before = _cause(result, joint), _suspect(result), rounds[-2:-1]
-    known = (before[0].decision or {}).get("suspect") if before else None
-    if _stalled(rounds, wide[joint]) or (suspect is not None and suspect.subject == known):
+    feared = (before[0].decision or {}).get("suspect") if before else None
+    if _stalled(rounds, wide[joint]) or (suspect is not None and suspect.subject == feared):
         return Decision(STOPPED, f"another motion does not help: {said}", gains, notes=why)
     return Decision(MODEL, said, gains, notes=why, suspect="" if suspect is None else suspect.subject)
 
@@ -218,9 +227,8 @@ def warming(result: Result, last: Round) -> str:
     return "the next round begins with a warm-up run, as this one did" if warmed else ""
 
 
-def _apart(alone: Result, rounds: Sequence[Round]) -> str:
+def _apart(alone: Result, before: Mapping[str, Any] | None) -> str:
     """Say which gain of the confirming round differs from that of the rounds before, empty if none does."""
-    before = rounds[-2].decision
     if before is None:
         return ""
     for joint, gain in alone.drive_gains.items():
