@@ -280,6 +280,28 @@ def test_infinite_limits_are_none(ends: str, tmp_path: Path) -> None:
     assert load(text, tmp_path).joint("j").limits.position is None
 
 
+MOTORS = """<mujoco><default><default class="small"><motor forcerange="-9 9"/></default></default>
+<worldbody><body><joint name="a"/><geom size="0.1"/><body pos="0 0 1"><joint name="b" actuatorfrcrange="-7 7"/>
+<geom size="0.1"/><body pos="0 0 1"><joint name="c"/><joint name="d" axis="0 1 0"/><joint name="e" axis="1 0 0"/>
+<joint name="f" type="slide"/><geom size="0.1"/></body></body></body></worldbody><actuator>
+<motor joint="a" gear="-30" ctrlrange="-0.5 0.4" ctrllimited="true"/><position joint="b" kp="5" forcerange="-90 90"/>
+<motor joint="c" class="small"/><motor joint="c" gear="2" forcelimited="true" forcerange="-4 4"/><motor joint="d"/>
+<position joint="e" kp="5" ctrlrange="-1 1"/><general joint="f" gainprm="40" ctrlrange="-2 2" ctrllimited="true"/>
+</actuator></mujoco>"""
+
+
+def test_efforts_are_the_largest_forces_of_mujoco_s_actuators(tmp_path: Path) -> None:
+    robot, model = load(MOTORS, tmp_path), mujoco.MjModel.from_xml_string(MOTORS)
+    data = mujoco.MjData(model)
+    largest = np.full(model.nv, np.inf)
+    for sign in (1, -1):
+        data.ctrl[:] = sign * 1e9 * np.sign(model.actuator_gear[:, 0])
+        mujoco.mj_forward(model, data)
+        largest = np.minimum(largest, np.abs(data.qfrc_actuator))
+    known = dict(zip("abcdef", np.where(largest < 1e6, largest, np.inf), strict=True)) | {"e": np.inf}  # by a position
+    assert {joint.name: joint.limits.effort or np.inf for joint in robot.joints} == pytest.approx(known)
+
+
 def test_inactive_equalities_are_left_out_and_said(tmp_path: Path) -> None:
     text = BODY % ("", '<equality><weld name="w" body1="a" active="false"/></equality>')
     robot = load(text, tmp_path)

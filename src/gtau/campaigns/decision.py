@@ -154,8 +154,8 @@ def decide(
     if limited == RANDOM:
         return Decision(limited, said, gains)
     why, suspect, before = _cause(result, joint), _suspect(result), rounds[-2:-1]
-    feared = (before[0].decision or {}).get("suspect") if before else None
-    if _stalled(rounds, wide[joint]) or (suspect is not None and suspect.subject == feared):
+    previous = (before[0].decision or {}).get("suspect") if before else None
+    if _stalled(rounds, wide[joint]) or (suspect is not None and suspect.subject == previous):
         return Decision(STOPPED, f"another motion does not help: {said}", gains, notes=why)
     return Decision(MODEL, said, gains, notes=why, suspect="" if suspect is None else suspect.subject)
 

@@ -246,7 +246,9 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
     if free:
         said.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
     if weak:
-        said.append(f"torque: no limit in the file for {some_of(weak, 4)}; state limits.current (A)")
+        said.append(
+            f"torque: no limit in the file for {some_of(weak, 4)}; state its effort, or prior.gains and limits.current"
+        )
     if slow:
         reached = f"guessed for {some_of(slow, 4)}: the speed limit is reached in {RISE:g} s"
         said.append(f"acceleration: {reached}; state limits.acceleration")

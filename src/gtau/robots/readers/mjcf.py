@@ -21,7 +21,14 @@ from gtau.robots.placement import rounded
 from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
 from gtau.robots.readers.mjcf_bodies import read_bodies, read_equalities
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
-from gtau.robots.readers.mjcf_tendons import actuators, fixed_tendons, limited_tendons, site_springs, tied_tendons
+from gtau.robots.readers.mjcf_tendons import (
+    actuators,
+    efforts,
+    fixed_tendons,
+    limited_tendons,
+    site_springs,
+    tied_tendons,
+)
 from gtau.robots.readers.source import Base, BaseChoice
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, Coupling, Joint, JointKind, Robot, RobotFile, base_rows
@@ -74,7 +81,7 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     motors = read_motors(file, kinds)
     joints = (*bodies.joints, *motors.shafts)
     couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
-    rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
+    rows, has_motors, forces = set(base_rows(bodies.floating)), bool(actuators(file.spec)), efforts(file.spec)
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
     _check_motors(joints, driven - rows, bool(closures and not has_motors))
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
@@ -86,7 +93,14 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     notes += [note for _, note in limited] + motors.notes + [*_simulated_alone(file, bodies.floating)]
     robot = Robot(
         path.stem,
-        tuple(replace(joint, actuated=joint.name in driven | rows) for joint in joints),
+        tuple(
+            replace(
+                joint,
+                actuated=joint.name in driven | rows,
+                limits=replace(joint.limits, effort=forces.get(joint.name)),
+            )
+            for joint in joints
+        ),
         tuple(platform for platform in bodies.platforms if platform.name in tied),
         tuple(closures),
         tuple(couplings),

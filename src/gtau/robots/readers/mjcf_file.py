@@ -76,7 +76,8 @@ def _check_copies(roots: Iterable[Element]) -> None:
 GEOMETRY = ("pos", "quat", "axis", "axisangle", "euler", "xyaxes", "zaxis", "anchor", "relpose", "ref", "springref")
 FORCES = ("stiffness", "damping", "frictionloss", "armature", "springlength", "biasprm", "gainprm", "viscosity")
 MASSES = ("mass", "diaginertia", "fullinertia")
-NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "range", "qpos", "gravity", "polycoef", "coef", "gear")
+RANGES = ("range", "ctrlrange", "forcerange", "actuatorfrcrange")
+NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "qpos", "gravity", "polycoef", "coef", "gear", *RANGES)
 
 
 def _check_numbers(roots: Iterable[Element]) -> None:
@@ -84,7 +85,7 @@ def _check_numbers(roots: Iterable[Element]) -> None:
     for element in (part for root in roots for part in root.iter() if part.tag != "flag"):  # its gravity is a word
         for key in NUMBERS:
             text = element.get(key, "")
-            if decimals(text, endless=key == "range") is None:
+            if decimals(text, endless=key in RANGES) is None:
                 raise GtauError(
                     f"line {line_of(element)}: {key} of <{element.tag}> is '{text[:80]}'; "
                     f"write plain decimal numbers, at most {LARGEST:g} in size."

@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.parts import listed
-from gtau.robots.placement import compose
+from gtau.robots.placement import compose, rounded
 from gtau.robots.readers.mjcf_file import MjcfFile, name_in, pose_in, straight_tendons
 from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Attachment, Coupling, Spring
 
@@ -41,6 +41,28 @@ def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
 def actuators(spec: mujoco.MjSpec) -> list[mujoco.MjsActuator]:
     """List the actuators, without those that are parts of springs."""
     return [actuator for actuator in spec.actuators if not _is_spring(spec, actuator)]
+
+
+def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
+    """Compute the largest forces, N or N m, of the actuators on each joint or tendon, where the file limits them.
+
+    They are symmetric: the smaller end of a range counts. A joint's ``actuatorfrcrange`` limits all of its motors.
+    """
+    import mujoco
+
+    def most(limited: int, ends: np.ndarray, factor: float = 1.0) -> float:
+        return float(np.abs(factor * ends).min()) if _is_limited(spec, limited, ends) else np.inf
+
+    largest: dict[str, float] = {}
+    for motor in actuators(spec):
+        direct = motor.biastype == mujoco.mjtBias.mjBIAS_NONE and motor.gaintype == mujoco.mjtGain.mjGAIN_FIXED
+        force = most(motor.forcelimited, motor.forcerange)
+        if direct and motor.dyntype == mujoco.mjtDyn.mjDYN_NONE:
+            force = min(force, most(motor.ctrllimited, motor.ctrlrange, motor.gainprm[0]))
+        largest[motor.target] = largest.get(motor.target, 0.0) + abs(float(motor.gear[0])) * force
+    for joint in spec.joints:
+        largest[joint.name] = min(largest.get(joint.name, 0.0), most(joint.actfrclimited, joint.actfrcrange))
+    return {name: rounded(force) for name, force in largest.items() if 0 < force < np.inf}
 
 
 def _is_spring(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
@@ -138,7 +160,7 @@ def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[
     known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
     for tendon in file.spec.tendons if targets else ():
         terms = {name: value for name, value in tendons.get(tendon.name, {}).items() if value}
-        if len(terms) < 2 or not _is_limited(file.spec, tendon):
+        if len(terms) < 2 or not _is_limited(file.spec, tendon.limited, tendon.range):
             continue
         low, high = map(float, tendon.range)
         for joint in [name for name in terms if name in kinds and name not in known]:
@@ -155,9 +177,9 @@ def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[
                 break
 
 
-def _is_limited(spec: mujoco.MjSpec, tendon: mujoco.MjsTendon) -> bool:
+def _is_limited(spec: mujoco.MjSpec, limited: int, ends: np.ndarray) -> bool:
     import mujoco
 
-    if tendon.limited == mujoco.mjtLimited.mjLIMITED_AUTO:
-        return bool(spec.compiler.autolimits and np.any(tendon.range))
-    return bool(tendon.limited == mujoco.mjtLimited.mjLIMITED_TRUE)
+    if limited == mujoco.mjtLimited.mjLIMITED_AUTO:
+        return bool(spec.compiler.autolimits and np.any(ends))
+    return bool(limited == mujoco.mjtLimited.mjLIMITED_TRUE)
