@@ -141,6 +141,13 @@ def _lengths(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Altern
             yield length
 
 
+def _springs(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Finding]:
+    if _lacking(fit):
+        from gtau.estimation.diagnostics.repeating_residuals import springs
+
+        yield from springs(fit, seen.alternatives)
+
+
 def _ripple(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
     # see the evidence of DOMINANT
     changes = any(effect.hypothesis == GAIN_CHANGE and effect.share > DOMINANT for effect in seen.alternatives)
@@ -163,6 +170,7 @@ CHECKS: Mapping[str, Callable[[Fit, Examination, Progress], Iterable[Finding | A
     OTHER_GRAVITY: _gravity,
     GRAVITY_NOT_SHOWN: _gravity_not_shown,
     LENGTHS: _lengths,
+    "springs": _springs,
     RIPPLE: _ripple,
 }
 """All checks, in the order in which they are made: of a fit, what was found before, and the progress."""
