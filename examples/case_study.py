@@ -267,11 +267,11 @@ def _table_4(comparison: ControlComparison, trajectory: str) -> list[str]:
     for strategy, paper in zip(STRATEGIES, TABLE_4[trajectory], strict=True):
         (ours,) = (each for each in comparison.tracking if (each.trajectory, each.strategy) == (trajectory, strategy))
         values = 1e6 * np.concatenate([ours.maximum, ours.rms])
-        rows.append((strategy, *(f"{p} / {value:.0f}" for p, value in zip(paper, values, strict=True))))
+        rows.append((strategy, *(f"{p}/{value:.0f}" for p, value in zip(paper, values, strict=True))))
     joints = [f"{what} {joint}" for what in ("max", "rms") for joint in (1, 2, 3)]
     return [
         f"### {trajectory.replace('_', ' ').capitalize()}\n",
-        "Tracking errors in micrometres, paper / simulated.\n",
+        "Tracking errors in micrometres, paper/simulated.\n",
         _table(("strategy", *joints), rows),
         f"\n![Tracking errors](../images/case-study-tracking-{trajectory.replace('_', '-')}.png)\n",
     ]

@@ -387,6 +387,14 @@ def test_what_a_robots_file_lacks_is_to_be_stated_in_the_design_file_that_was_be
             campaign(tmp_path / "camp", **given)
 
 
+def test_runs_with_motions_of_their_own_are_refused_before_the_search(tmp_path: Path) -> None:
+    (tmp_path / "design.yaml").write_text(f"{DESIGN}motions: each run\n")
+    with pytest.raises(
+        GtauError, match=r"design\.yaml, line 6, motions: all runs of a round follow one motion; remove"
+    ):
+        campaign(tmp_path)
+
+
 def test_a_round_that_was_not_played_cannot_be_set_aside(copied: Path) -> None:
     """It would be designed at every call, and its logs never used."""
     (copied / "01" / "set-aside.txt").write_text("not yet\n")

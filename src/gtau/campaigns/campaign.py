@@ -52,7 +52,6 @@ from gtau.robots.robot import INERTIAL
 
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
-REDUCED = 0.25  # m/s, which ISO 10218-2 calls reduced speed
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignStat
     speed = last.motion["rehearsal"]["speed"]
     say = (
         f"play {last.folder}: first at a tenth of its speed (tool up to {speed / 10:.2g} m/s), then in full "
-        f"({speed:.2g} m/s{', above the 0.25 m/s of reduced speed' if speed > REDUCED else ''})"
+        f"({speed:.2g} m/s; ISO 10218-2 calls 0.25 m/s reduced speed)"
     )
     return CampaignState(folder, accuracy, PLAY, say, tuple(rounds), before[-1] if before else None)
 

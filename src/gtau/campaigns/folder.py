@@ -128,7 +128,11 @@ def _same(one: Path, other: Path) -> bool:
 
 def read_design_file(folder: Path) -> DesignFile:
     """Read the design file of a campaign."""
-    return validate(DesignFile, read_yaml(folder / DESIGN), context=folder)
+    document = read_yaml(folder / DESIGN)
+    file = validate(DesignFile, document, context=folder)
+    if file.motions != "one":
+        raise document.error(("motions",), "all runs of a round follow one motion; remove it")
+    return file
 
 
 def read_rounds(folder: Path) -> list[Round]:

@@ -74,8 +74,7 @@ def _decision(round_: Round) -> dict[str, Any]:
 
 def _chart(judged: list[Round]) -> Chart | None:
     names, values, halves, inner = [], [], [], []
-    latest = _decision(judged[-1])["gains"]
-    for joint, final in latest.items():
+    for joint, final in _decision(judged[-1])["gains"].items():
         for round_ in judged:
             gain = _decision(round_)["gains"].get(joint)
             if gain is None or not gain["value"] or not final["value"] or gain["half_width"] is None:
