@@ -10,7 +10,7 @@ from orthoglide_logs import RATE, experiment
 
 from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.repeating_residuals import position_ripple
+from gtau.estimation.diagnostics.repeating_residuals import position_ripple, springs
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
@@ -87,3 +87,13 @@ def test_slow_noise_is_not_taken_for_ripple(decay: float, runs: list[Run]) -> No
     assert locked.share < 0.1
     assert not locked.causes
     assert not locked.shifts.any()
+
+
+def test_a_spring_is_named(runs: list[Run]) -> None:
+    pulled = [replace(run, command=run.command + run.position * [0.0, 200.0, 0.0] / GAINS) for run in runs]
+    with_it, without = (ML.fit(reduce_runs(ROBOT, logs).system(per_run=True)) for logs in (pulled, runs))
+    (spring,) = springs(with_it, ())
+    assert spring.joints == ("12",)
+    assert spring.values["stiffness"] == pytest.approx(200.0, rel=0.05)
+    assert spring.values["unit"] == "N/m"
+    assert not list(springs(without, ()))

@@ -257,6 +257,10 @@ SENTENCES = [  # finding, reason, advice
      "deviations (instrumental variables, which such noise does not bias, differ by 5 standard deviations of the "
      "difference); the intervals include this bias",
      "use --method iv or didim, or encoders with less noise"),
+    (Finding(F.SPRING, ("left",), values={"share": 0.47, "stiffness": 64.2, "unit": "N m/rad"}),
+     "a spring or balancer at 'left' that is not in the robot's file would explain 47 % of the residual variance "
+     "(about 64 N m/rad, if it is linear)",
+     "describe it in the robot file: 'stiffness: true' of the joint, or a spring between two points"),
     (Finding(F.RIPPLE, ("left",), values={"share": 0.44, "move": 0.012, "moved": "right", "base": False}),
      "residuals repeat at the same positions (44 % of the variance at joint 'left'): motor ripple, cables or springs, "
      "which are not modelled. They repeat in every run, so the scatter between blocks does not show "

@@ -92,11 +92,7 @@ class CampaignState:
 
 
 @takes(
-    folder=PATH,
-    robot=("the name or path of a robot", (str, Path)),
-    payload=NUMBER,
-    accuracy=NUMBER,
-    progress=FUNCTION,
+    folder=PATH, robot=("the name or path of a robot", (str, Path)), payload=NUMBER, accuracy=NUMBER, progress=FUNCTION
 )
 def campaign(
     folder: str | Path,
@@ -209,8 +205,7 @@ def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], pr
         decision = _decided(place, accuracy, file, used, progress)
         next_one = place.name if decision.goes_on else None
         write_json(
-            last.folder / DECISION,
-            {"schema": "gtau-decision/1", **vars(decision), "next": next_one, "inputs": inputs},
+            last.folder / DECISION, {"schema": "gtau-decision/1", **vars(decision), "next": next_one, "inputs": inputs}
         )
         if decision.goes_on:
             return _to_play(folder, accuracy, read_rounds(folder))

@@ -150,10 +150,7 @@ def seconds() -> float:
 
 
 def answer(
-    as_json: bool,
-    document: Callable[[], Any],
-    page: Callable[[], Page] | None = None,
-    written: Iterable[Path] = (),
+    as_json: bool, document: Callable[[], Any], page: Callable[[], Page] | None = None, written: Iterable[Path] = ()
 ) -> None:
     """Print the answer of a command on stdout: one JSON document, or a page and the paths of what was written."""
     if as_json:

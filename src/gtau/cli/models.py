@@ -283,8 +283,7 @@ def use(
     payload: CarriedPayload = None,
     frame: ContactFrame = None,
     force_only: Annotated[
-        bool,
-        option("", "The contact exerts no moment about the origin of --frame, as a point does.", "--force-only"),
+        bool, option("", "The contact exerts no moment about the origin of --frame, as a point does.", "--force-only")
     ] = False,
     observer: Annotated[
         float | None, option("HZ", "Also estimate external torques causally, by a momentum observer.")

@@ -156,6 +156,7 @@ class FindingKind(StrEnum):
     PRIOR = "contradictory prior"
     PRIOR_INERTIA = "contradictory inertias of the robot's file"
     RIPPLE = "position ripple"
+    SPRING = "spring"
     COMMON_RESIDUALS = "residuals that repeat", READING
     OPPOSED_RESIDUALS = "residuals that depend on the load"
     SMALL_REFUTATION = "description refuted, gains unmoved"

@@ -24,6 +24,8 @@ from gtau.estimation.diagnostics.hypotheses.description import GRAVITY, WRENCH_O
 from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_estimators import ESTIMATORS, other_estimators, two_stage_difference
+from gtau.estimation.diagnostics.other_robots import likeliest_gravity, other_body, other_length, other_loads
+from gtau.estimation.diagnostics.repeating_residuals import position_ripple, springs
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
@@ -109,11 +111,8 @@ def _misfit(fit: Fit) -> bool:
 
 
 def _loads(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
-    if _lacking(fit) or _misfit(fit):
-        from gtau.estimation.diagnostics.other_robots import other_body, other_loads
-
-        if loads := other_loads(fit) or other_body(fit):
-            yield loads
+    if (_lacking(fit) or _misfit(fit)) and (loads := other_loads(fit) or other_body(fit)):
+        yield loads
 
 
 def _gravity(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
@@ -121,11 +120,8 @@ def _gravity(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Altern
     missing = seen.effort[0].kind == F.WITHOUT_GRAVITY
     tilted = any(effect.hypothesis == GRAVITY.name and effect.share > REFUTED_SHARE for effect in seen.alternatives)
     turned = _lacking(fit) and (tilted or _misfit(fit))
-    if missing or turned:
-        from gtau.estimation.diagnostics.other_robots import likeliest_gravity
-
-        if gravity := likeliest_gravity(fit, missing, turned, progress):
-            yield gravity
+    if (missing or turned) and (gravity := likeliest_gravity(fit, missing, turned, progress)):
+        yield gravity
 
 
 def _gravity_not_shown(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Finding]:
@@ -134,19 +130,19 @@ def _gravity_not_shown(fit: Fit, seen: Examination, progress: Progress) -> Itera
 
 
 def _lengths(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
-    if _lacking(fit):
-        from gtau.estimation.diagnostics.other_robots import other_length
+    if _lacking(fit) and (length := other_length(fit, progress)):
+        yield length
 
-        if length := other_length(fit, progress):
-            yield length
+
+def _springs(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Finding]:
+    if _lacking(fit):
+        yield from springs(fit, seen.alternatives)
 
 
 def _ripple(fit: Fit, seen: Examination, progress: Progress) -> Iterator[Alternative]:
     # see the evidence of DOMINANT
     changes = any(effect.hypothesis == GAIN_CHANGE and effect.share > DOMINANT for effect in seen.alternatives)
     if _lacking(fit) and not changes:
-        from gtau.estimation.diagnostics.repeating_residuals import position_ripple
-
         yield position_ripple(fit)
 
 
@@ -163,6 +159,7 @@ CHECKS: Mapping[str, Callable[[Fit, Examination, Progress], Iterable[Finding | A
     OTHER_GRAVITY: _gravity,
     GRAVITY_NOT_SHOWN: _gravity_not_shown,
     LENGTHS: _lengths,
+    "springs": _springs,
     RIPPLE: _ripple,
 }
 """All checks, in the order in which they are made: of a fit, what was found before, and the progress."""

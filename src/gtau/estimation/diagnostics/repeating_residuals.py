@@ -12,13 +12,14 @@ opposite sign depend on the load, and bias the gains as a wrong payload does.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import RIPPLE, Alternative
+from gtau.estimation.diagnostics.alternatives import RIPPLE, Alternative, Hypothesis, candidate
+from gtau.estimation.diagnostics.hypotheses import find_alternatives
 from gtau.estimation.diagnostics.hypotheses.drives import FALLING_CONSTANT, LOAD_FRICTION
 from gtau.estimation.diagnostics.linearisation import (
     CandidateColumns,
@@ -33,13 +34,32 @@ from gtau.estimation.diagnostics.linearisation import (
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.run_blocks import BLOCKS, SAMPLES
-from gtau.estimation.thresholds.refutation import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE
+from gtau.estimation.thresholds.refutation import CORRELATED, CORRELATED_STD, PROBABLE, RIPPLE_SHARE, SPRING_SHARE
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
+from gtau.robots.parameter import unit_of
+from gtau.robots.robot import STIFFNESS
 
 KNOTS = 24  # of the piecewise linear function, over a joint's range in all runs
 LARGEST = 10.0  # times the joint's error: how large such a torque may be, more or less
 OF_LOAD = (LOAD_FRICTION.kind, FALLING_CONSTANT.kind, F.GAIN_CHANGE)  # effects that depend on the load
+
+
+def _springs(at: FitWindow) -> CandidateColumns:
+    """Add a spring across a joint, such as a balancer."""
+    return at.decimated(np.eye(len(at.fit.gains))[:, :, None] * at.window.q.T)
+
+
+SPRINGS = Hypothesis("springs", True, _springs, lambda fit: map(candidate(F.SPRING).on, fit.dataset.model.actuated))
+
+
+def springs(fit: Fit, others: Iterable[Alternative]) -> Iterator[Finding]:
+    """Find joints whose residuals a spring explains that is not in the robot's file, more than all ``others``."""
+    least = max(SPRING_SHARE, *(effect.share for effect in others), 0.0)
+    for effect in find_alternatives(fit, [SPRINGS]):
+        if effect.share > least:
+            unit = unit_of(STIFFNESS, fit.dataset.robot, effect.causes[0].joints[0])
+            yield replace(effect.causes[0], values={"stiffness": effect.size, "unit": unit, "share": effect.share})
 
 
 def position_ripple(fit: Fit) -> Alternative:

@@ -167,6 +167,13 @@ RIPPLE_SHARE = Threshold(
     faulty="0.4 to 0.9 (ripple put in)",
     evidence="tests/estimation/test_position_ripple.py",
 )
+SPRING_SHARE = Threshold(
+    0.15,
+    "share of the residual variance that a spring across a joint explains",
+    healthy="up to 0.01 (UR10e, Orthoglide, an arm), 0.05 (TX40, dVRK), 0.13 (KUKA, about the vertical)",
+    faulty="0.47 (60 N m/rad at a shoulder), 0.19 to 0.26 (a balancer of 45 N m)",
+    evidence="those logs, tests/estimation/test_position_ripple.py",
+)
 CORRELATED = Threshold(
     0.3,
     "correlation of a joint's residuals between runs with different loads that repeat a motion, from which it is said",
