@@ -75,7 +75,7 @@ def copied(begun: tuple[Path, CampaignState, dict[str, float]], tmp_path: Path) 
 def test_the_first_call_writes_a_rehearsed_motion(begun: tuple[Path, CampaignState, dict[str, float]]) -> None:
     folder, state, _ = begun
     assert state.next == "play"
-    assert state.say.startswith(f"play {folder / '01'}: first at a tenth of its speed (tool up to ")
+    assert state.say.startswith(f"play {folder / '01'}: first with --speed 0.1 (tool up to ")
     motion = json.loads((folder / "01" / "motion.json").read_text())
     assert [run["payload"] and run["payload"]["name"] for run in motion["runs"]] == [None, "payload", "payload", None]
     assert motion["rehearsal"]["used"] <= 1
@@ -441,8 +441,12 @@ def test_the_page_says_in_short_sentences_what_to_do_and_why(copied: Path) -> No
     (copied / "02" / "decision.json").unlink()
     waiting = _to_play(copied, 3.0, read_rounds(copied))
     said = plain(campaign_page(waiting))
-    assert waiting.say.startswith(f"play {copied / '02'}: first at a tenth of its speed")
+    assert waiting.say.startswith(f"play {copied / '02'}: first with --speed 0.1")
     assert "- 'left' is wide\n- of heat\n" in said
+    motion = json.loads((copied / "02" / "motion.json").read_text())
+    write_json(copied / "02" / "motion.json", motion | {"rehearsal": motion["rehearsal"] | {"speed": 3.1}})
+    fast = _to_play(copied, 3.0, read_rounds(copied))
+    assert "first with --speed 0.08 (tool up to 0.25 m/s), then in full (3.1 m/s" in fast.say
     assert "the model is" not in said
     done = decision | {"kind": "done", "notes": [], "suspect": "", "inputs": {"design.yaml": "2"}}
     write_json(copied / "02" / "decision.json", done)

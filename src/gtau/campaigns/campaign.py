@@ -53,6 +53,7 @@ from gtau.robots.robot import INERTIAL
 
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
+REDUCED = 0.25  # m/s, which a dry run does not exceed
 
 
 @dataclass(frozen=True)
@@ -156,9 +157,10 @@ def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignStat
     last = rounds[-1]
     before = [round_.decision for round_ in rounds[:-1] if round_.decision and not round_.aside]
     speed = last.motion["rehearsal"]["speed"]
+    part = min(0.1, np.floor(100 * REDUCED / max(speed, REDUCED)) / 100)
     say = (
-        f"play {last.folder}: first at a tenth of its speed (tool up to {speed / 10:.2g} m/s), then in full "
-        f"({speed:.2g} m/s; ISO 10218-2 calls 0.25 m/s reduced speed)"
+        f"play {last.folder}: first with --speed {part:g} (tool up to {part * speed:.2g} m/s), then in full "
+        f"({speed:.2g} m/s; ISO 10218-2 calls {REDUCED:g} m/s reduced speed)"
     )
     return CampaignState(folder, accuracy, PLAY, say, tuple(rounds), before[-1] if before else None)
 
