@@ -477,6 +477,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
         good("antecedent: j", "antecedent: i"),
         ": robot 'r': joint 'k' has the antecedent 'i', which is no",
     ),
+    ("run of a parameter", good("  j:", "  j@2:"), ": robot 'r': the name 'j@2' holds '@', which marks the run of a"),
     ("joint called ground", good("  j:", "  ground:"), ": robot 'r': the name 'ground' is used twice;"),
     (
         "limits reversed",

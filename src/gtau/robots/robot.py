@@ -288,8 +288,11 @@ def _problems(robot: Robot) -> Iterator[str]:
     if not robot.joints:
         yield "it has no joints; list at least one under 'joints'"
     names = Counter((GROUND, *robot.bodies, *(spring.name for spring in robot.springs)))
-    for name in (name for name, count in names.items() if count > 1):
-        yield f"the name '{name}' is used twice; give every joint, platform and spring its own"
+    for name, count in names.items():
+        if count > 1:
+            yield f"the name '{name}' is used twice; give every joint, platform and spring its own"
+        if "@" in name:
+            yield f"the name '{name}' holds '@', which marks the run of a parameter (fs_left@2); write another"
     known = {GROUND}
     for joint in robot.joints:
         if joint.antecedent not in known:
