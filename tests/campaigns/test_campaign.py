@@ -424,7 +424,8 @@ def test_a_round_confirms_nothing_where_those_before_are_set_aside(
     monkeypatch.setattr(module, "slower", lambda *_: ())
     monkeypatch.setattr(module, "decide", decided)
     for used in ([last], [last, last]):
-        module._decided(copied / "02", 3.0, read_design_file(copied), used, silent)
+        decision = module._decided(copied / "02", 3.0, read_design_file(copied), used, silent)
+        assert any("payload's mass" in note for note in decision.notes)
     assert compared[0] == (None, None)
     alone, before = compared[1]
     assert alone is found

@@ -14,6 +14,7 @@ from gtau.campaigns.decision import (
     BLOCKED,
     CONFIRM,
     MODEL,
+    OF_MASS,
     Decision,
     decide,
     identified,
@@ -231,7 +232,7 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
             before = identified(write_experiment(last.folder / "before.yaml", file, used[:-1]), accuracy, progress)
             known = {"gains": before.gains if isinstance(before, Decision) else listed(before)}
     decision = decide(result, accuracy, used, alone, known)
-    decision = replace(decision, notes=(*decision.notes, *slower(result, used)))
+    decision = replace(decision, notes=(*decision.notes, *slower(result, used), OF_MASS))
     if not decision.goes_on:
         return decision
     model = last.folder / MODEL_FILE

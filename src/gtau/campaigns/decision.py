@@ -35,6 +35,7 @@ STRETCHED = 0.9  # of its speed, below which a motion was not played as it was d
 # which a warm-up lessens: none of 87 results of healthy robots in MuJoCo shows one, all four do whose friction fell by
 # 10 or 30 % with time constants of 30 to 300 s
 DRIFTS = {FRICTION_DRIFT.name, GAIN_DRIFT.name}
+OF_MASS = "gains are proportional to the payload's mass: they are as exact as it was weighed"  # which no motion shows
 RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
 
 
@@ -144,8 +145,7 @@ def decide(
         advice = "check payload, tool and temperature of the last round, or set a round aside"
         return Decision(BLOCKED, apart, gains, notes=(advice,))
     if reached:
-        scale = "gains are proportional to the payload's mass: they are as exact as it was weighed"
-        return Decision(DONE, f"{within}, and the last round agrees", gains, notes=(scale,))
+        return Decision(DONE, f"{within}, and the last round agrees", gains)
     limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
     size = f"known to {width}" if np.isfinite(wide[joint]) else "not identifiable"
     said = f"'{joint}' is {size}, {accuracy:g} % is asked for; the {limited} of its interval is the larger one"
