@@ -78,10 +78,10 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     held = {tie.joint: tie.offset for tie in ties if not tie.ratios}
     kinds = {joint.name: joint.kind for joint in bodies.joints}
     limited = list(limited_tendons(file, kinds, {tie.joint for tie in ties}))
-    motors = read_motors(file, kinds)
-    joints = (*bodies.joints, *motors.shafts)
+    motors, forces = read_motors(file, kinds), efforts(file.spec)
+    joints = tuple(_with_effort(joint, forces) for joint in (*bodies.joints, *motors.shafts))
     couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
-    rows, has_motors, forces = set(base_rows(bodies.floating)), bool(actuators(file.spec)), efforts(file.spec)
+    rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
     _check_motors(joints, driven - rows, bool(closures and not has_motors))
     tied = {end.body for closure in closures for end in (closure.a, closure.b)}
@@ -93,14 +93,7 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     notes += [note for _, note in limited] + motors.notes + [*_simulated_alone(file, bodies.floating)]
     robot = Robot(
         path.stem,
-        tuple(
-            replace(
-                joint,
-                actuated=joint.name in driven | rows,
-                limits=replace(joint.limits, effort=forces.get(joint.name)),
-            )
-            for joint in joints
-        ),
+        tuple(replace(joint, actuated=joint.name in driven | rows) for joint in joints),
         tuple(platform for platform in bodies.platforms if platform.name in tied),
         tuple(closures),
         tuple(couplings),
@@ -116,6 +109,10 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         ),
     )
     return _without_idle_joints(robot, held, motors.pulled, base)
+
+
+def _with_effort(joint: Joint, largest: Mapping[str, float]) -> Joint:
+    return replace(joint, limits=replace(joint.limits, effort=largest.get(joint.name)))
 
 
 def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alone: bool) -> None:
