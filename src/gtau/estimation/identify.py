@@ -15,7 +15,6 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
-from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, require_payload_excitation
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
@@ -205,6 +204,8 @@ def estimate(
     bare: Fit | None = fit
     audit = bodies = lost = None
     if dataset.robot.inertias:
+        from gtau.estimation.diagnostics.inertia_audit import audit_inertias
+
         loaded = TOOL_BODIES in {alternative.hypothesis for alternative in examined.alternatives}
         bare, audit = audit_inertias(fit, estimates, loaded)
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)

@@ -17,14 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gtau.estimation.diagnostics.alternatives import TORQUE_SCALE, friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit, prior_findings
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.other_estimators import position_noise
 from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
@@ -63,6 +62,9 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped, whole_mass
 from gtau.robots.parameter import Parameter, unit_of
 
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
 WIDTH = 1.96  # standard deviations in half a 95 % interval
 
 
@@ -92,6 +94,8 @@ def diagnose(
         *(examined.ripple.causes if examined.ripple else ()),
     ]
     if audit is not None:
+        from gtau.estimation.diagnostics.inertia_audit import prior_findings
+
         findings += prior_findings(audit)
     groups, _ = fit.dataset.prepared.places
     if len(np.unique(groups)) < len(groups):  # some runs repeat a motion

@@ -12,10 +12,10 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import half_widths, motors
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
@@ -39,6 +39,9 @@ from gtau.robots.robot import GROUND, PLAIN_FRICTION, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 
 
 def units_and_signs(
