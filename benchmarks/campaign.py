@@ -38,7 +38,7 @@ from gtau.excitation.nlp import Programme, random_start  # noqa: E402
 PLAYER = ROOT / "examples" / "players" / "play_mujoco.py"
 PLANT = ("design.yaml", "mujoco.yaml", "robot.xml", "robot.urdf")
 MASSES = {"five-bar": 1.0, "orthoglide": 2.0, "ur10e": 5.0, "panda": 2.0}
-RESTS = {  # where such arms stand before work; stretched out level, hardly any motion is within the limits of torque
+RESTS = {  # where such arms stand before work
     "ur10e": {"shoulder_lift_joint": -1.5708, "wrist_1_joint": -1.5708},
     "panda": {"panda_joint2": -0.7854, "panda_joint4": -2.3562, "panda_joint6": 1.5708, "panda_joint7": 0.7854},
 }

@@ -283,7 +283,8 @@ def test_infinite_limits_are_none(ends: str, tmp_path: Path) -> None:
 MOTORS = """<mujoco><default><default class="small"><motor forcerange="-9 9"/></default></default>
 <worldbody><body><joint name="a"/><geom size="0.1"/><body pos="0 0 1"><joint name="b" actuatorfrcrange="-7 7"/>
 <geom size="0.1"/><body pos="0 0 1"><joint name="c"/><joint name="d" axis="0 1 0"/><joint name="e" axis="1 0 0"/>
-<joint name="f" type="slide"/><geom size="0.1"/></body></body></body></worldbody><actuator>
+<joint name="f" type="slide"/><geom size="0.1"/></body></body></body></worldbody>
+<tendon><fixed name="c"><joint joint="d" coef="1"/></fixed></tendon><actuator><motor tendon="c" forcerange="-3 3"/>
 <motor joint="a" gear="-30" ctrlrange="-0.5 0.4" ctrllimited="true"/><position joint="b" kp="5" forcerange="-90 90"/>
 <motor joint="c" class="small"/><motor joint="c" gear="2" forcelimited="true" forcerange="-4 4"/><motor joint="d"/>
 <position joint="e" kp="5" ctrlrange="-1 1"/><general joint="f" gainprm="40" ctrlrange="-2 2" ctrllimited="true"/>

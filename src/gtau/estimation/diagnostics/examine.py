@@ -25,7 +25,7 @@ from gtau.estimation.diagnostics.hypotheses.drives import gain_changes
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_estimators import ESTIMATORS, other_estimators, two_stage_difference
 from gtau.estimation.diagnostics.other_robots import likeliest_gravity, other_body, other_length, other_loads
-from gtau.estimation.diagnostics.repeating_residuals import position_ripple, springs
+from gtau.estimation.diagnostics.repeating_residuals import SPRINGS, position_ripple, springs
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
@@ -159,7 +159,7 @@ CHECKS: Mapping[str, Callable[[Fit, Examination, Progress], Iterable[Finding | A
     OTHER_GRAVITY: _gravity,
     GRAVITY_NOT_SHOWN: _gravity_not_shown,
     LENGTHS: _lengths,
-    "springs": _springs,
+    SPRINGS.name: _springs,
     RIPPLE: _ripple,
 }
 """All checks, in the order in which they are made: of a fit, what was found before, and the progress."""

@@ -44,7 +44,7 @@ def actuators(spec: mujoco.MjSpec) -> list[mujoco.MjsActuator]:
 
 
 def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
-    """Compute the largest forces, N or N m, of the actuators on each joint or tendon, where the file limits them.
+    """Compute the largest forces, N or N m, of the actuators on each joint, where the file limits them.
 
     They are symmetric: the smaller end of a range counts. A joint's ``actuatorfrcrange`` limits all of its motors.
     """
@@ -59,7 +59,8 @@ def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
         force = most(motor.forcelimited, motor.forcerange)
         if direct and motor.dyntype == mujoco.mjtDyn.mjDYN_NONE:
             force = min(force, most(motor.ctrllimited, motor.ctrlrange, motor.gainprm[0]))
-        largest[motor.target] = largest.get(motor.target, 0.0) + abs(float(motor.gear[0])) * force
+        if motor.trntype in (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT):
+            largest[motor.target] = largest.get(motor.target, 0.0) + abs(float(motor.gear[0])) * force
     for joint in spec.joints:
         largest[joint.name] = min(largest.get(joint.name, 0.0), most(joint.actfrclimited, joint.actfrcrange))
     return {name: rounded(force) for name, force in largest.items() if 0 < force < np.inf}
