@@ -94,9 +94,10 @@ RADIANS = '<compiler angle="radian"/>'
     ("changed", "said"),
     [
         ({}, ""),
-        ({"inertia": "1e-15 1e-15 1e-14"}, ""),  # of a frame
-        ({"mass": "0"}, "physically impossible masses and inertias: body 'a' (line 2) weighs 0 kg;"),
-        ({"inertia": "1 1 3"}, "body 'a' (line 2) has the principal moments 1, 1, 3 kg m2, the largest above the sum"),
+        ({"mass": "0"}, "the masses in the file were not read, as MuJoCo does not compile them (mass and inertia of "
+         "moving bodies must be larger than mjMINVAL Element name 'a', id 1, line 2)"),
+        ({"inertia": "1 1 3"}, "does not compile them (inertia must satisfy A + B >= C; use 'balanceinertia' to fix "
+         "Element name 'a', id 1, line 2)"),
         ({"turn": 'euler="0 1.5708 0"'}, "angles that look like radians, though the file counts in degrees (angle of "
          "<compiler>): euler of body 'a' (line 2: 1.5708); they were taken as degrees"),
         ({"turn": 'axisangle="0 0 1 3.1416"'}, "axisangle of body 'a' (line 2: 3.1416)"),

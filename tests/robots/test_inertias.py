@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pinocchio as pin
+import pytest
 
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -76,12 +77,81 @@ def test_an_mjcf_file_has_the_inertias_and_armatures_of_mujoco(tmp_path: Path, r
     np.testing.assert_allclose(torques(robot, data.qpos, data.qvel, data.qacc), data.qfrc_inverse, rtol=1e-9)
 
 
-def test_inertias_of_shapes_are_no_statement_of_the_file(tmp_path: Path) -> None:
+ARM = """<mujoco><compiler {compiler}/>{rest}<worldbody><body name="pedestal"><geom size="0.1" mass="20"/>
+  <body name="upper" pos="0 0 0.3"><joint name="a" axis="0 1 0" armature="0.03"/>
+    <inertial mass="1.3" pos="0.12 0.01 0.02" diaginertia="0.01 0.02 0.015"/>
+    <body name="lower" pos="0.3 0 0"><joint name="b" axis="0 1 0.3"/>
+      <inertial mass="0.9" pos="0.1 0 0.01" {turn} diaginertia="0.006 0.009 {zz}"/>
+      <body name="hand" pos="0.2 0 0.1" quat="0.9 0.1 0.3 0">{hand}</body>
+    </body></body></body></worldbody>
+  <actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+BOX = '<geom type="box" size="0.05 0.02 0.03" pos="0.05 0 0" mass="0.6"/>'
+LIGHT = '<default><geom density="300"/></default>'
+MESH = '<asset><mesh name="m" vertex="0 0 0 0.1 0 0 0 0.1 0 0 0 0.1"/></asset>'
+MISSING = '<asset><mesh name="m" file="nowhere.obj"/></asset>'
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"hand": BOX},
+        {"hand": '<geom size="0.05"/>'},
+        {"hand": '<frame euler="0 30 0"><geom size="0.04 0.1" type="capsule" pos="0 0 0.1"/></frame>', "rest": LIGHT},
+        {"hand": '<geom type="mesh" mesh="m"/>', "rest": MESH},
+        {"hand": BOX + '<geom size="0.1" group="3"/>', "compiler": 'inertiagrouprange="0 1"'},
+        {"hand": BOX, "compiler": 'fusestatic="true"'},
+        {"hand": BOX, "compiler": 'fusestatic="true" boundmass="1.1"'},
+        {"hand": BOX, "compiler": 'settotalmass="7"'},
+        {"hand": BOX, "compiler": 'boundmass="1.1" boundinertia="0.01"'},
+        {"hand": BOX, "compiler": 'balanceinertia="true"', "zz": "0.001"},
+        {"turn": 'euler="20 -30 50"'},
+        {"turn": 'axisangle="1 1 0 40"'},
+    ],
+    ids=lambda changed: "-".join(changed.values())[-60:],
+)
+def test_inertias_of_an_mjcf_file_are_mujoco_s(
+    changed: dict[str, str], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    text = ARM.format(**({"compiler": "", "rest": "", "turn": "", "zz": "0.007", "hand": ""} | changed))
+    (tmp_path / "arm.xml").write_text(text)
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos, data.qvel, data.qacc = rng.uniform(-1, 1, (3, 2))
+    mujoco.mj_inverse(model, data)
+    found = torques(load_robot(tmp_path / "arm.xml"), data.qpos, data.qvel, data.qacc)
+    np.testing.assert_allclose(found, data.qfrc_inverse, rtol=1e-9)
+
+
+def test_an_attached_model_has_a_compiler_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "tool.xml").write_text(
+        '<mujoco><compiler inertiafromgeom="true"/><worldbody><body name="tool"><geom size="0.1" mass="0.7"/>'
+        '<inertial mass="2" pos="0 0 0" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    hand, rest = '<attach model="m" body="tool" prefix="x"/>', '<asset><model name="m" file="tool.xml"/></asset>'
+    (tmp_path / "arm.xml").write_text(ARM.format(compiler="", turn="", zz="0.007", hand=hand, rest=rest))
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    expected = model.body_mass[[model.body(name).id for name in ("lower", "hand", "xtool")]].sum()
+    assert load_robot(tmp_path / "arm.xml").inertias["m_b"] == pytest.approx(expected)
+
+
+def test_meshes_that_weigh_nothing_need_not_exist(tmp_path: Path) -> None:
+    arm = {"compiler": "", "turn": "", "zz": "0.007", "rest": MISSING}
+    (tmp_path / "arm.xml").write_text(ARM.format(hand='<geom type="mesh" mesh="m" mass="0"/>' + BOX, **arm))
+    assert load_robot(tmp_path / "arm.xml").inertias["m_b"] == pytest.approx(1.5)
+    (tmp_path / "arm.xml").write_text(ARM.format(hand='<geom type="mesh" mesh="m"/>', **arm))
+    robot = load_robot(tmp_path / "arm.xml")
+    assert robot.inertias == {}
+    assert robot.notes[-1].startswith("the masses in the file were not read, as MuJoCo does not compile them (Error op")
+
+
+def test_shapes_of_the_density_of_water_are_no_statement_of_the_file(tmp_path: Path) -> None:
     (tmp_path / "ball.xml").write_text(
         '<mujoco><worldbody><body><joint name="a"/><geom size="0.1"/></body></worldbody>'
         '<actuator><motor joint="a"/></actuator></mujoco>'
     )
-    assert load_robot(tmp_path / "ball.xml").inertias == {}
+    robot = load_robot(tmp_path / "ball.xml")
+    assert robot.inertias == {}
+    assert robot.notes == ("the file states no masses, and those of its shapes at the density of water were not read",)
 
 
 def test_a_floating_base_has_the_inertia_of_the_root_link(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 from xml.etree.ElementTree import Element
 
@@ -10,12 +10,10 @@ import numpy as np
 
 from gtau.documents.validation import some_of
 from gtau.robots.parameter import Parameter, RigidBody, lumped
-from gtau.robots.readers.xml_document import decimals, line_of, numbers
+from gtau.robots.readers.xml_document import line_of, numbers
 from gtau.robots.robot import GROUND, Attachment, Pose
 
 if TYPE_CHECKING:
-    import mujoco
-
     from gtau.robots.readers.mjcf_file import MjcfFile
 
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
@@ -51,29 +49,24 @@ def _urdf_body(name: str, inertial: Element) -> RigidBody:
 
 
 def mjcf_inertias(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[tuple[str, float], ...]:
-    """Sum the inertias that an MJCF file states by what carries each body, with armatures of joints as rotor inertias.
+    """Sum MuJoCo's inertias of an MJCF file by what carries each body, with armatures of joints as rotor inertias."""
+    from gtau.robots.readers.mjcf_file import name_in, rotation_in
 
-    Inertias that MuJoCo would infer from shapes are ignored, as are orientations other than quaternions.
-    """
-    import mujoco
-
-    spec = file.spec
-    from_shapes = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    stated = [] if from_shapes else [(k, body) for k, body in enumerate(spec.bodies) if k and body.explicitinertial]
-    if any(body.ialt.type != mujoco.mjtOrientation.mjORIENTATION_QUAT for _, body in stated):
+    model = file.model
+    if not file.has_masses:
         return ()
-    inertias = _stated(lumped((carried[number], _mjcf_body(body)) for number, body in stated))
-    rotors = ((Parameter("ia", joint.name), float(joint.armature)) for joint in spec.joints if joint.armature)
-    return (*inertias, *rotors) if inertias else ()
 
+    def body(number: int) -> RigidBody:
+        rotation = rotation_in(model.body_iquat[number]).as_matrix()
+        tensor = rotation @ np.diag(model.body_inertia[number]) @ rotation.T
+        return RigidBody(float(model.body_mass[number]), model.body_ipos[number].copy(), tensor)
 
-def _mjcf_body(body: mujoco.MjsBody) -> RigidBody:
-    from scipy.spatial.transform import Rotation
-
-    full = np.array(body.fullinertia)
-    tensor = np.diag(body.inertia) if np.isnan(full[0]) else full[TENSOR]
-    rotation = Rotation.from_quat(body.iquat, scalar_first=True).as_matrix()
-    return RigidBody(float(body.mass), np.array(body.ipos), rotation @ tensor @ rotation.T)
+    inertias = _stated(lumped((carried[number], body(number)) for number in range(1, model.nbody)))
+    rotors = (
+        (Parameter("ia", name_in(model, "joint", number)), float(model.dof_armature[model.jnt_dofadr[number]]))
+        for number in range(model.njnt)
+    )
+    return (*inertias, *((name, armature) for name, armature in rotors if armature))
 
 
 def _stated(parameters: Mapping[str, float]) -> tuple[tuple[str, float], ...]:
@@ -105,23 +98,6 @@ def urdf_masses(root: Element, frames: Mapping[str, Attachment]) -> Iterator[str
             f"these links have no mass in the file, though a joint moves them: {names}; here they have parameters "
             "all the same, and where one is really massless, write 'parameters: none' for it in a saved robot file"
         )
-
-
-def mjcf_masses(roots: Iterable[Element]) -> Iterator[str]:
-    """Note implausible explicit masses and inertias of an MJCF file."""
-    odd = []
-    for body in (element for root in roots for element in root.iter("body")):
-        if (inertial := body.find("inertial")) is None:
-            continue
-        name = f"body '{body.get('name', '')}'"
-        mass, diagonal, full = (decimals(inertial.get(key, "")) or [] for key in ("mass", "diaginertia", "fullinertia"))
-        if len(mass) == 1 and mass[0] <= 0.0 and body.find("joint") is not None:
-            odd.append(f"{name} (line {line_of(inertial)}) weighs {mass[0]:g} kg")
-        if len(diagonal) == 3:
-            odd += _impossible(name, inertial, np.diag(diagonal))
-        elif len(full) == 6:
-            odd += _impossible(name, inertial, np.array(full)[TENSOR])
-    yield from _note(odd)
 
 
 def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:

@@ -18,7 +18,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
 from gtau.robots.placement import rounded
-from gtau.robots.readers.inertias import mjcf_inertias, mjcf_masses
+from gtau.robots.readers.inertias import mjcf_inertias
 from gtau.robots.readers.mjcf_bodies import read_bodies, read_equalities
 from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
 from gtau.robots.readers.mjcf_tendons import (
@@ -163,7 +163,6 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
         yield f"springs of balls act in the simulator and are not modelled: joint {listed(balls)}"
     if floating and _is_braked(model, int(model.body(floating).jntadr[0])):
         yield f"damping, friction or armature of the floating '{floating}' acts in the simulator and is not modelled"
-    yield from mjcf_masses(file.elements)
     yield from angle_notes(file.elements)
 
 

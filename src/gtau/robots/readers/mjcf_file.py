@@ -8,6 +8,7 @@ from itertools import chain, count
 from math import pi
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
@@ -36,8 +37,9 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", "textures", "materials", "hfields")
-DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", *SHAPES[1:], "numerics", "texts", "tuples")
-"""What does not matter to geometry: it need not even compile."""
+DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", "numerics", "texts", "tuples", *SHAPES[2:])
+"""What matters neither to geometry nor, but for meshes that have a mass, to inertias: it need not even compile."""
+WATER = 1000.0  # kg/m3: density of shapes in a file that states none
 MOST_COPIES = 2000  # of a body, by <replicate> and <composite>: more keep the compiler busy for minutes
 NESTED = ("worldbody", "body", "frame", "replicate", "composite", "flexcomp")
 
@@ -94,7 +96,7 @@ def _check_numbers(roots: Iterable[Element]) -> None:
 
 @dataclass(frozen=True)
 class MjcfFile:
-    """An MJCF file: as specified, and the geometry of that compiled, bodies and joints being the same in both.
+    """An MJCF file: as specified, and what of that is compiled: geometry, and inertias where ``has_masses``.
 
     ``elements`` are the outermost elements of the file and of those it includes; ``notes`` say what was changed or left
     out before compilation.
@@ -102,8 +104,9 @@ class MjcfFile:
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
-    elements: list[Element]
     notes: list[str]
+    has_masses: bool
+    elements: list[Element]
 
 
 def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
@@ -138,8 +141,31 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
     )
 
 
-def _reduce_to_geometry(spec: mujoco.MjSpec, sites: Iterable[str]) -> list[str]:
-    """Delete what does not matter to geometry; keep ``sites``, and note equalities that are not active."""
+def _states_masses(spec: mujoco.MjSpec) -> bool:
+    """Decide whether a file says anything of masses; MuJoCo gives mere shapes the density of water."""
+    said = spec.compiler.settotalmass > 0 or any(body.explicitinertial for body in spec.bodies[1:])
+    return said or any(geom.mass > 0 or geom.density not in (0.0, WATER) for geom in spec.geoms)
+
+
+def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
+    """Decide whether the inertia of a body that moves includes that of a shape."""
+    import mujoco
+
+    body, rule = geom.parent, mujoco.mjtInertiaFromGeom
+    compiler = getattr(body, "compiler", spec.compiler)  # a model that is attached has its own since MuJoCo 4
+    first, last = compiler.inertiagrouprange
+    if compiler.inertiafromgeom == rule.mjINERTIAFROMGEOM_AUTO:
+        counts = not body.explicitinertial
+    else:
+        counts = compiler.inertiafromgeom == rule.mjINERTIAFROMGEOM_TRUE
+    heavy = geom.mass != 0 and (geom.mass > 0 or geom.density != 0) and first <= geom.group <= last
+    while spec.compiler.settotalmass <= 0 and body is not None and not body.joints:
+        body = body.parent
+    return bool(heavy and counts and body is not None)
+
+
+def _reduce(spec: mujoco.MjSpec, sites: Iterable[str], masses: bool) -> list[str]:
+    """Delete what matters neither to geometry nor to ``masses``; keep ``sites``, and note inactive equalities."""
     import mujoco
 
     notes = []
@@ -148,8 +174,15 @@ def _reduce_to_geometry(spec: mujoco.MjSpec, sites: Iterable[str]) -> list[str]:
             notes.append(f"equality '{equality.name}' is not active in the file and was left out")
         if not equality.active or equality.type == mujoco.mjtEq.mjEQ_TENDON:
             spec.delete(equality)
-    for kind in DELETED:
-        for element in list(getattr(spec, kind)):
+    meshes = set[str]()
+    for geom in list(spec.geoms):
+        if masses and _weighs(geom, spec):
+            meshes.add(geom.meshname)
+            geom.material, geom.contype, geom.conaffinity = "", 0, 0  # without contacts, meshes need no convex hull
+        else:
+            spec.delete(geom)
+    for element in chain(*(list(getattr(spec, kind)) for kind in DELETED)):
+        if not isinstance(element, mujoco.MjsMesh) or element.name not in meshes:
             spec.delete(element)
     kept = {name for equality in spec.equalities for name in (equality.name1, equality.name2)}.union(sites)
     for site in list(spec.sites):
@@ -157,7 +190,7 @@ def _reduce_to_geometry(spec: mujoco.MjSpec, sites: Iterable[str]) -> list[str]:
             site.material = ""
         else:
             spec.delete(site)
-    for body in spec.bodies[1:]:
+    for body in () if masses else spec.bodies[1:]:
         body.explicitinertial, body.mass, body.inertia = True, 1.0, (1.0, 1.0, 1.0)
         body.iquat, body.fullinertia[0] = (1.0, 0.0, 0.0, 0.0), np.nan
     return notes
@@ -184,23 +217,44 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         import mujoco
     except ImportError:
         raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
+    refusals = (ValueError, RuntimeError, mujoco.FatalError)
     try:
-        # read twice: a copy lacks the equalities with a name that is nowhere else, which are errors
-        spec, geometry = (mujoco.MjSpec.from_file(str(path)) for _ in range(2))
+        spec = mujoco.MjSpec.from_file(str(path))
         if len(spec.flexes):
             raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
         names = {tendon.name for tendon in spec.tendons}
         free = (name for number in count(1) if (name := f"tendon {number}") not in names)
         for tendon in spec.tendons:
             tendon.name = tendon.name or next(free)
-        notes = [*_with_exact_orientations(geometry)]
-        notes += _reduce_to_geometry(geometry, chain(*straight_tendons(spec).values()))
-        return MjcfFile(spec, geometry.compile(), elements, notes)
+        sites, unread = set(chain(*straight_tendons(spec).values())), list[str]()
+        if _states_masses(spec):
+            try:
+                return MjcfFile(spec, *_compiled(path, sites, masses=True), elements)
+            except refusals as error:
+                unread.append(f"the masses in the file were not read, as MuJoCo does not compile them ({_said(error)})")
+        elif spec.geoms:
+            unread.append("the file states no masses, and those of its shapes at the density of water were not read")
+        model, notes, has_masses = _compiled(path, sites, masses=False)
+        return MjcfFile(spec, model, [*notes, *unread], has_masses, elements)
     except GtauError:
         raise
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        said = " ".join(str(error).split()).rstrip(".")
-        raise GtauError(f"MuJoCo refuses the file ({said}); correct it.") from None
+    except refusals as error:
+        raise GtauError(f"MuJoCo refuses the file ({_said(error)}); correct it.") from None
+
+
+def _compiled(path: Path, sites: Iterable[str], masses: bool) -> tuple[mujoco.MjModel, list[str], bool]:
+    """Read a file anew, as a copy lacks the equalities that are errors, reduce it and compile it; return its notes."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_file(str(path))
+    notes = [*_with_exact_orientations(spec), *_reduce(spec, sites, masses)]
+    with catch_warnings():
+        simplefilter("ignore")  # of attributes that are out of fashion
+        return spec.compile(), notes, masses
+
+
+def _said(error: Exception) -> str:
+    return " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
 
 
 def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
