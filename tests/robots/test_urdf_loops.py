@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from math import pi
 from pathlib import Path
@@ -161,6 +162,127 @@ def test_joint_types_of_the_side_file(tmp_path: Path) -> None:
     assert names == ["left", "left_2", "end_a_x", "end_a_y", "end_a", "right", "right_2_x", "right_2"]
     assert [found.joint(name).parameters for name in ("end_a_x", "end_a", "right_2_x")] == ["none", "inertial", "none"]
     assert gap(found) < CLOSED
+
+
+OPEN = URDF[: URDF.index('<joint name="end_a"')].replace(
+    '<link name="pin_a"/><link name="pin_b"/><link name="tip"/>', ""
+)
+SIDES = (
+    '<predecessor link="l2"><origin xyz="0.35 0 0"/></predecessor>'
+    '<successor link="r2"><origin xyz="0.35 0 0.02"/></successor><axis xyz="0 0 2"/>'
+)
+BALL = (
+    '<drake:ball_constraint><drake:ball_constraint_body_A name="l2"/><drake:ball_constraint_body_B name="r2"/>'
+    '<drake:ball_constraint_p_AP value="0.35 0 0"/><drake:ball_constraint_p_BQ value="0.35 0 0.02"/>'
+    "</drake:ball_constraint>"
+)
+WRITTEN = {
+    "generalized_rbda": f'<loop name="c" type="continuous">{SIDES}</loop>',
+    "isaac": '<loop_joint name="c" type="spherical"><link1 link="l2" xyz="0.35 0 0" rpy="0 0 0"/>'
+    '<link2 link="r2" xyz="0.35 0 0.02" rpy="0 0 0"/></loop_joint>',
+    "drake": BALL,
+}
+
+
+@pytest.mark.parametrize("form", WRITTEN)
+def test_loops_that_a_urdf_writes_itself(form: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    path = tmp_path / "itself.urdf"
+    path.write_text(f"{OPEN}{WRITTEN[form]}</robot>")
+    found = load_robot(path)
+    frame = hinge("tip_a", "l2", "pin_a", "0.35 0 0").replace("continuous", "fixed")
+    frame += hinge("tip_b", "r2", "pin_b", "0.35 0 0.02").replace("continuous", "fixed")
+    beside = OPEN.replace('<link name="r2"/>', '<link name="r2"/><link name="pin_a"/><link name="pin_b"/>') + frame
+    loops = LOOPS.replace("end_a, end_b", "pin_a, pin_b").replace("6d", "3d")
+    expected = load_robot(written(tmp_path, f"{beside}</robot>", loops))
+    assert found.actuated == ("left", "right")
+    assert any(note.startswith("of the joints in the loops, 'left', 'right' have motors, as") for note in found.notes)
+    chi = random_parameters(found, rng)
+    found = replace(found, joints=tuple(replace(j, home=expected.joint(j.name).home) for j in found.joints))
+    home = np.array([joint.home for joint in found.joints if joint.actuated])
+    q, (qd, qdd) = home + 0.05 * rng.uniform(-1, 1, (5, 2)), rng.normal(size=(2, 5, 2))
+    torques = [InverseDynamics(robot).torques(q, qd, qdd, chi) for robot in (found, expected)]
+    np.testing.assert_allclose(*torques, rtol=1e-9)
+
+
+def test_a_joint_of_gazebo_closes_a_loop_as_drawn(tmp_path: Path) -> None:
+    joint = '<gazebo><joint name="c" type="revolute"><parent>l2</parent><child>r2</child><pose>0.35 0 0.02 0 0 0</pose>'
+    text = f"{OPEN}{joint}<axis><xyz>0 0 1</xyz></axis></joint></gazebo></robot>"
+    (tmp_path / "drawn.urdf").write_text(text)
+    robot = load_robot(tmp_path / "drawn.urdf")
+    assert robot.actuated == ("left", "right")
+    # r2 is drawn 0.2 m beside l2
+    assert robot.closures[0].a.placement.position == pytest.approx([0.55, 0, 0])
+    assert any("joins 'right_2' to the point 0.55 0 0 m of 'left_2', where it is while" in note for note in robot.notes)
+    (tmp_path / "drawn.urdf").write_text(text.replace("<pose>", '<pose relative_to="l2">'))
+    bolted = (
+        text.replace("<parent>l2", "<parent>world").replace("<child>r2", "<child>base").replace("revolute", "fixed")
+    )
+    for no_loop in (bolted, text.replace("<child>r2", "<child>camera")):
+        (tmp_path / "open.urdf").write_text(no_loop)
+        assert len(load_robot(tmp_path / "open.urdf").actuated) == 4
+    with pytest.raises(GtauError, match="'c' of <gazebo>, placed in another frame than its child's, is not read"):
+        load_robot(tmp_path / "drawn.urdf")
+
+
+def test_motors_of_loops_are_those_with_a_transmission_or_named_beside(tmp_path: Path) -> None:
+    text = "".join(
+        f'<transmission name="t_{name}"><joint name="{name}"/></transmission>' for name in ("left", "left_2")
+    )
+    path = tmp_path / "itself.urdf"
+    path.write_text(f"{OPEN}{WRITTEN['isaac']}{text}</robot>")
+    assert load_robot(path).actuated == ("left", "left_2")
+    path.with_suffix(".yaml").write_text("name_mot: [right, left_2]\n")
+    robot = load_robot(path)
+    assert (robot.actuated, len(robot.closures)) == (("left_2", "right"), 1)
+
+
+@pytest.mark.parametrize(
+    ("element", "said"),
+    [
+        ("<constraint name='c'/>", "<constraint> 'c' is not read; write the frames that it ties under 'closed_loop'"),
+        ("<coupling name='c'/>", "<coupling> 'c' is not read"),
+        ("<drake:linear_bushing_rpy/>", "<drake:linear_bushing_rpy> is not read"),
+        ("<drake:joint name='c' type='ball'/>", "<drake:joint> 'c' is not read"),
+        ("<mujoco><equality/></mujoco>", "<mujoco>: its <equality> is not read"),
+        ("<loop name='c' type='prismatic'/>", "<loop> 'c', of type 'prismatic' and between 0 links, is not read"),
+        (BALL.replace('name="r2"', 'name="r3"'), "<drake:ball_constraint>: unknown link 'r3'; did you mean"),
+        (
+            BALL.replace('"0.35 0 0"', '"0.35 0"'),
+            "the p_AP of line 1: <drake:ball_constraint> is '0.35 0'; write 3 plain",
+        ),
+        (
+            "".join(hinge(f"f{k}", "l2", f"closing_a_{k}", "0 0 0") + f'<link name="closing_a_{k}"/>' for k in (1, 2)),
+            "what the frames 'closing_a_1', 'closing_a_2' of onshape-to-robot close is not read; write the frames",
+        ),
+    ],
+)
+def test_ties_that_are_not_read_are_refused_by_name(element: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "robot.urdf").write_text(f"{OPEN}{element}</robot>")
+    with pytest.raises(GtauError, match=re.escape(said)):
+        load_robot(tmp_path / "robot.urdf")
+
+
+def test_drives_that_are_not_read_are_said(tmp_path: Path) -> None:
+    control = (
+        "<ros2_control>"
+        + "".join(f'<joint name="{name}"><command_interface name="effort"/></joint>' for name in ("left", "left_2"))
+        + '<joint name="right"><state_interface name="position"/></joint><transmission name="t"><plugin>transmission_'
+        'interface/DifferentialTransmission</plugin><joint name="left"/><joint name="left_2"/></transmission>'
+        "</ros2_control></robot>"
+    )
+    (tmp_path / "robot.urdf").write_text(OPEN + control)
+    said = " | ".join(read_robot(tmp_path / "robot.urdf").notes)
+    assert "differential or four-bar transmissions were not read: 'left' and 'left_2' (line 1); positions and" in said
+    assert "<ros2_control> has no command for 'right', here taken as driven all the same" in said
+
+
+def test_the_world_need_not_be_declared(tmp_path: Path) -> None:
+    weld = hinge("weld", "world", "base", "0 0 1", "0 0 0.5").replace("continuous", "fixed")
+    (tmp_path / "robot.urdf").write_text(f"{OPEN}{weld}</robot>")
+    (tmp_path / "declared.urdf").write_text(f'{OPEN}<link name="world"/>{weld}</robot>')
+    found, declared = (read_robot(tmp_path / f"{name}.urdf") for name in ("robot", "declared"))
+    assert found.joints == declared.joints
+    assert found.joint("left").placement.position[2] > 1.5
 
 
 @pytest.mark.parametrize("axes", ["XY", "YZ", "ZX"])

@@ -20,9 +20,10 @@ from gtau.errors import GtauError
 from gtau.robots.floating import drawn_base
 from gtau.robots.parts import without_idle_pins
 from gtau.robots.readers.source import BaseChoice
-from gtau.robots.readers.urdf_tree import UrdfTree, read_urdf_tree
+from gtau.robots.readers.urdf_loops import joints_of_loops, written_closures
+from gtau.robots.readers.urdf_tree import UrdfTree, driven_joints, read_urdf_tree
 from gtau.robots.readers.xml_document import decimals
-from gtau.robots.robot import GROUND, Attachment, Closure, Robot
+from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Robot, RobotFile
 
 
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
@@ -44,6 +45,10 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
             "(base: floating) if it moved",
         )
     try:
+        closures, notes_on_loops = written_closures(tree)
+        if closures:
+            joints, note = joints_of_loops(tree, closures)
+            return _closed(tree, joints, closures, replace(tree.file, notes=(*notes, *notes_on_loops, note)))
         robot = Robot(tree.name, tree.joints, couplings=tree.couplings, file=replace(tree.file, notes=notes))
         return _without_motors_of_base(robot, tree)
     except GtauError as error:
@@ -64,8 +69,7 @@ def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
     rest = set(robot.actuated).difference(six)
     if not six or not rest:
         return robot
-    drives = (drive for parent in ("transmission", "ros2_control") for drive in tree.root.iter(parent))
-    driven = {joint.get("name", "") for drive in drives for joint in drive}
+    driven = driven_joints(tree.root)
     strong = {joint.name for joint in robot.joints if joint.limits.effort}
     masses = {link.get("name", ""): link.find("inertial/mass") for link in tree.root.findall("link")}
     heavy = {
@@ -122,16 +126,22 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
                 raise document.error((key, position), unknown(f"joint '{name}'", name, names))
     types = entry.type or ["6d"] * len(entry.closed_loop)
     try:
-        robot = Robot(
-            tree.name,
-            tuple(replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints),
-            closures=tuple(_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)),
-            couplings=tree.couplings,
-            file=replace(tree.file, source=f"{Path(urdf).name} with {Path(loops).name}", home_given=False),
-        )
-        return without_idle_pins(robot)
+        closures = [_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)]
+        joints = tuple(replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints)
+        notes = tree.file.notes
+        if not closures:
+            closures, more = written_closures(tree)
+            notes += tuple(more)
+        file = replace(tree.file, source=f"{Path(urdf).name} with {Path(loops).name}", notes=notes)
+        return _closed(tree, joints, closures, file)
     except GtauError as error:
         raise error if str(error).startswith(str(document.path)) else GtauError(f"{document.path}: {error}") from None
+
+
+def _closed(tree: UrdfTree, joints: tuple[Joint, ...], closures: list[Closure], file: RobotFile) -> Robot:
+    file = replace(file, home_given=False)
+    robot = Robot(tree.name, joints, closures=tuple(closures), couplings=tree.couplings, file=file)
+    return without_idle_pins(robot)
 
 
 def _closure(document: Document, tree: UrdfTree, k: int, kind: str, pair: tuple[str, str]) -> Closure:

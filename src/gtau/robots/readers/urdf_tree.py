@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.robots.floating import turning
 from gtau.robots.placement import (
@@ -37,6 +38,7 @@ from gtau.robots.readers.xml_document import (
 from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, JointKind, Limits, Placement, Pose, RobotFile
 
 LOOSE = ("floating", "planar")
+WORLD = "world"  # a link that Drake needs no declaration of
 TURNS = {"SPHERICAL": "xyz", "CARDAN": "xy", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 """Axes, in turn, of joints that a URDF cannot describe."""
 KINDS: dict[str, JointKind | None] = {
@@ -86,6 +88,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         root = _parse(path)
         edges = [_edge(element, base) for element in root.findall("joint")]
         links = [attribute(element, "name", "a link") for element in root.findall("link")]
+        links += [WORLD] * (WORLD not in links and any(edge.parent == WORLD for edge in edges))
         ordered = _depth_first(links, edges)
         if base == FLOATING:
             _check_floating(ordered)
@@ -102,7 +105,10 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         slaves = {coupling.joint for coupling in couplings}
         joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
         notes = (*urdf_masses(root, frames), *_limit_notes(ordered))
-        notes += (*_reduction_notes(root), *short_angles_note({edge.name: edge.short for edge in ordered}))
+        notes += (
+            *_transmission_notes(root, (joint.name for joint in joints if joint.actuated)),
+            *short_angles_note({edge.name: edge.short for edge in ordered}),
+        )
         file = RobotFile(path.name, notes, inertias=urdf_inertias(root, frames), rounding=_rounding(root))
         return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, file)
     except GtauError as error:
@@ -149,7 +155,7 @@ def _edge(element: Element, base: BaseChoice) -> _Edge:
         if end is None:
             raise GtauError(f"joint '{name}' has no <{tag} link=...>; add it.")
         ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
-    return _Edge(name, KINDS[kind], ends[0], ends[1], *_origin(element, name), element)
+    return _Edge(name, KINDS[kind], ends[0], ends[1], *origin_of(element.find("origin"), f"joint '{name}'"), element)
 
 
 def _check_floating(ordered: list[_Edge]) -> None:
@@ -216,7 +222,8 @@ def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint
             frames[edge.child] = frames[edge.name] = Attachment(before.body, placement)
             continue
         if type_ is None and edge.kind is not None:
-            joints.append(Joint(edge.name, before.body, edge.kind, placement, _axis(edge), limits=_limits(edge)))
+            axis = axis_of(edge.element, f"joint '{edge.name}'")
+            joints.append(Joint(edge.name, before.body, edge.kind, placement, axis, limits=_limits(edge)))
         else:
             joints += turning(edge.name, before.body, placement, TURNS[type_ or ""])
         frames[edge.child] = frames[edge.name] = Attachment(edge.name)
@@ -249,46 +256,69 @@ def _check_circles(couplings: Sequence[Coupling]) -> None:
             )
 
 
-def _reduction_notes(root: Element) -> Iterator[str]:
-    """Note the gear ratios of transmissions, which are not geometry but predict the gains."""
-    ratios = []
-    for transmission in root.findall("transmission"):
-        joint = transmission.find("joint")
-        for reduction in transmission.iter("mechanicalReduction"):
+def _transmission_notes(root: Element, motors: Iterable[str]) -> Iterator[str]:
+    """Note gear ratios, which are not geometry but predict the gains, and drives that are not read."""
+    ratios, shared = [], []
+    for transmission in root.iter("transmission"):
+        joints = [joint.get("name", "") for joint in transmission.findall("joint")]
+        kind = transmission.findtext("type") or transmission.findtext("plugin") or ""
+        if "Differential" in kind or "FourBar" in kind:
+            shared.append(f"{' and '.join(map(repr, joints))} (line {line_of(transmission)})")
+        for reduction in (*transmission.iter("mechanicalReduction"), *transmission.iter("mechanical_reduction")):
             ratio, *_ = decimals(reduction.text or "1") or [1.0]
-            if joint is not None and ratio not in (0.0, 1.0):
-                ratios.append(f"'{joint.get('name', '')}' {ratio:g}")
+            if joints and ratio not in (0.0, 1.0):
+                ratios.append(f"'{joints[0]}' {ratio:g}")
     if ratios:
         yield (
             f"gear ratios of the file's transmissions: {', '.join(dict.fromkeys(ratios))}; positions and gains are "
             "those at the joint, and with the motors' data sheets they go under 'drives' in the experiment file"
         )
+    if shared:
+        yield (
+            f"differential or four-bar transmissions were not read: {', '.join(shared)}; positions and commands are "
+            "those of the joints, and where the motors' are logged, write 'couplings' in a robot file"
+        )
+    controlled, driven = root.findall("ros2_control/joint"), driven_joints(root)
+    names = {joint.get("name", "") for joint in controlled}
+    if names & driven and (idle := [repr(joint) for joint in motors if joint in names - driven]):
+        yield (
+            f"<ros2_control> has no command for {some_of(idle, 4)}, here taken as driven all the same; hold the "
+            "joints that stand still in the logs"
+        )
 
 
-def _origin(element: Element, name: str) -> tuple[Placement, float]:
-    origin = element.find("origin")
+def origin_of(origin: Element | None, what: str) -> tuple[Placement, float]:
+    """Read the placement of something, and the largest change (rad) of an angle in it that was written short."""
     if origin is None:
         return Pose(), 0.0
-    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of joint '{name}'") for key in ("xyz", "rpy"))
+    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of {what}") for key in ("xyz", "rpy"))
     if degrees := [angle for angle in rpy if in_degrees(angle)]:
         raise GtauError(
-            f"line {line_of(origin)}: rpy of joint '{name}' holds {degrees[0]:g}; angles are in rad, so divide it by "
+            f"line {line_of(origin)}: rpy of {what} holds {degrees[0]:g}; angles are in rad, so divide it by "
             f"57.2958 if it is in degrees."
         )
     x, y, z, roll, pitch, yaw = *xyz, *rpy
     return exact_placement(Pose((x, y, z), (roll, pitch, yaw)))
 
 
-def _axis(edge: _Edge) -> tuple[float, float, float]:
-    axis = edge.element.find("axis")
+def axis_of(element: Element, what: str) -> tuple[float, float, float]:
+    """Read the direction of a joint's axis, which Gazebo writes as text."""
+    axis = element.find("axis")
     if axis is None:
         return (1.0, 0.0, 0.0)  # as the URDF specification says
-    vector = np.array(numbers(axis.get("xyz", "1 0 0"), 3, f"axis of joint '{edge.name}'"))
+    text = axis.findtext("xyz") or axis.get("xyz") or "1 0 0"
+    vector = np.array(numbers(text, 3, f"axis of {what}"))
     length = float(np.linalg.norm(vector))
     if length < ROUNDING:
-        raise GtauError(f"the axis of joint '{edge.name}' is zero; give it a direction.")
+        raise GtauError(f"the axis of {what} is zero; give it a direction.")
     x, y, z = (rounded(component) for component in vector / length)
     return (x, y, z)
+
+
+def driven_joints(root: Element) -> set[str]:
+    """Find the joints with a transmission, or with a command interface of ros2_control."""
+    driven = root.findall(".//transmission/joint") + root.findall(".//ros2_control/joint[command_interface]")
+    return {joint.get("name", "") for joint in driven}
 
 
 def _limits(edge: _Edge) -> Limits:
