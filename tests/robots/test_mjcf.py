@@ -11,6 +11,7 @@ from engines import closed_torques, random_parameters
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.assembly import stated_inertias
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, poses
@@ -525,6 +526,38 @@ def test_a_rod_on_a_ball_keeps_its_mass(turned: float, tip: str, tmp_path: Path,
     renamed = {key.replace("_rod", f"_{rod}"): value for key, value in inertial(chi).items()}
     found = InverseDynamics(balled, "inertial").torques(q, qd, qdd, renamed)
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def crank_rod_and_lever(cut_at_the_rod: bool) -> str:
+    """A crank moves a lever, which swings in another plane, by a rod between two balls."""
+    rod = np.array([0.3, 0.12, 0.05])
+    length = np.linalg.norm(rod)
+    turned, _ = Rotation.align_vectors([rod / length], [[1, 0, 0]])
+    quat, back = (" ".join(map(str, R.as_quat(scalar_first=True))) for R in (turned, turned.inv()))
+    lever = '<inertial pos="0 {} 0.02" mass="0.5" diaginertia="0.001 0.0005 0.001"/>'
+    carried = f'<body name="lever" pos="{length} 0 0" quat="{back}"><joint name="b2" type="ball"/>{lever.format(-0.06)}'
+    hinged = f'<body name="lever" pos="0.4 0 0.05"><joint name="lever" axis="1 0 0"/>{lever.format(0.06)}</body>'
+    end = f'<connect body1="rod" body2="lever" anchor="{length} 0 0"/>'
+    hinge = "".join(f'<connect body1="lever" body2="world" anchor="{x} -0.12 0"/>' for x in (0, 0.1))
+    return f"""<mujoco><compiler angle="radian"/><worldbody>
+      <body name="crank"><joint name="crank" axis="0 1 0"/><inertial pos="0.05 0 0" mass="0.4" diaginertia="1 1 1"/>
+        <body name="rod" pos="0.1 0 0" quat="{quat}"><joint name="b1" type="ball"/>
+          <inertial pos="0.15 0 0" mass="0.2" diaginertia="0.00002 0.002 0.002"/>
+          {"" if cut_at_the_rod else carried + "</body>"}</body></body>{hinged if cut_at_the_rod else ""}</worldbody>
+      <equality>{end if cut_at_the_rod else hinge}</equality><actuator><motor joint="crank"/></actuator></mujoco>"""
+
+
+def test_a_rod_between_two_balls_spins_idly_wherever_its_loop_is_cut(tmp_path: Path, rng: np.random.Generator) -> None:
+    at_the_rod, beyond = (load(crank_rod_and_lever(cut), tmp_path) for cut in (True, False))
+    assert beyond.notes == (
+        "joint 'b1' is idle, since its axis passes through the centre of ball 'b2'; it was locked at zero, its link a "
+        "part of 'b1_y'",
+    )
+    q, qd, qdd = rng.uniform(-0.2, 0.2, (3, 20, 1))
+    found, expected = (
+        InverseDynamics(robot, "inertial").torques(q, qd, qdd, stated_inertias(robot)) for robot in (beyond, at_the_rod)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("axis", ["0 0 1", "1 0 0"])

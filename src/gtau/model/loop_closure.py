@@ -299,7 +299,7 @@ def _refuse_redundant(robot: Robot, G: np.ndarray, rank: int, excess: int) -> No
     why += [f"loops or couplings tie {', '.join(apart)} at home"] * bool(apart)
     raise GtauError(
         f"robot '{robot.name}': actuation is redundant, which is not supported: {n} actuated joints for {len(free)} "
-        f"dof, where {' and '.join(why)}; mark {excess} of them passive (in MJCF without an actuator, of a URDF not in "
+        f"dof, where {' and '.join(why)}; mark {excess} of them passive (in MJCF, without an actuator; of URDF, not in "
         f"'name_mot'), hold the joints that stand still in the logs, {_by_held((apart or fixed)[0])}, or check the "
         f"closures and the dof of platforms."
     )

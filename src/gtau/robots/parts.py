@@ -2,7 +2,7 @@
 
 CAD exporters put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece
 between them can turn freely; likewise a pin through the centre of a ball, and a rod or a leg between two balls about
-itself. Such a degree of freedom does not belong to the robot.
+itself, wherever its loop is cut. Such a degree of freedom does not belong to the robot.
 """
 
 from __future__ import annotations
@@ -165,40 +165,45 @@ def listed(names: Sequence[str]) -> str:
 
 
 def without_idle_pins(robot: Robot) -> Robot:
-    """Lock, at zero, one of two coaxial pins at each closure, and pins through the point of a ``connect``, with a note.
+    """Lock, at zero, one of two coaxial pins at each closure, and pins through the point of a ``connect`` or a ball.
 
-    Only passive revolute joints that carry nothing but the closure count as pins, or a leg that slides along their axis
-    to the point of a ``connect``. Where a pin is the last of three that make up a ball, their axes are chosen so that
-    it is idle.
+    Only passive revolute joints that carry nothing but the closure or the ball count as pins, or a leg that slides
+    along their axis to this point. Where a pin is the last of three that make up a ball, their axes are chosen so that
+    it is idle. Notes name them.
     """
-    for number, closure in enumerate(robot.closures):
+    ends: list[tuple[Attachment, Attachment | None, str]] = []
+    for number, closure in enumerate(robot.closures, start=1):
         # the second pin first, so that the first one stays
-        for end, other in ((closure.b, closure.a), (closure.a, closure.b)):
-            if closure.kind == "connect":
-                near, slides = _before_slides(robot, end)
-                if (pin := _pin(robot, near)) is None:
-                    continue
-                point = near.placement.position
-                along = slides[0] if slides else point / max(float(np.linalg.norm(point)), 1e-300)
-                aimed = _aimed(robot, pin, along)
-                if aimed is not robot:
-                    return without_idle_pins(aimed)
-                apart = [np.cross(direction, pin.axis) for direction in (point, *slides)]
-                idle = np.linalg.norm(apart, axis=1).max() < COAXIAL
-                why = "its axis passes through the point of the closure"
-            else:
-                pin, twin = _pin(robot, end), _pin(robot, other)
-                if pin is None or twin is None:
-                    continue
-                direction, place = _line(pin, end)
-                direction_2, place_2 = _line(twin, other)
-                away = np.linalg.norm(np.cross(place - place_2, direction))
-                idle = away < COAXIAL and np.linalg.norm(np.cross(direction, direction_2)) < COAXIAL
-                why = f"it is coaxial with '{twin.name}'"
-            if idle:
-                note = f"joint '{pin.name}' is idle, since {why} in closure {number + 1}; it was locked at zero"
-                note += f", its link a part of '{pin.antecedent}'" * pin.has_mass
-                return without_idle_pins(lock_joints(robot, {pin.name: 0.0}).noted(note))
+        for a, b in ((closure.b, closure.a), (closure.a, closure.b)):
+            ends.append((a, None if closure.kind == "connect" else b, f"closure {number}"))
+    for ball in filter(None, (_ball(robot, joint) for joint in robot.joints)):
+        ends.append((Attachment(ball[0].antecedent, ball[0].placement), None, f"ball '{ball[2].name}'"))
+    for end, other, place in ends:
+        if other is None:
+            near, slides = _before_slides(robot, end)
+            if (pin := _pin(robot, near)) is None:
+                continue
+            point = near.placement.position
+            along = slides[0] if slides else point / max(float(np.linalg.norm(point)), 1e-300)
+            aimed = _aimed(robot, pin, along)
+            if aimed is not robot:
+                return without_idle_pins(aimed)
+            apart = [np.cross(direction, pin.axis) for direction in (point, *slides)]
+            idle = np.linalg.norm(apart, axis=1).max() < COAXIAL
+            why = f"its axis passes through the centre of {place}"
+        else:
+            pin, twin = _pin(robot, end), _pin(robot, other)
+            if pin is None or twin is None:
+                continue
+            direction, position = _line(pin, end)
+            direction_2, position_2 = _line(twin, other)
+            away = np.linalg.norm(np.cross(position - position_2, direction))
+            idle = away < COAXIAL and np.linalg.norm(np.cross(direction, direction_2)) < COAXIAL
+            why = f"it is coaxial with '{twin.name}' in {place}"
+        if idle:
+            note = f"joint '{pin.name}' is idle, since {why}; it was locked at zero"
+            note += f", its link a part of '{pin.antecedent}'" * pin.has_mass
+            return without_idle_pins(lock_joints(robot, {pin.name: 0.0}).noted(note))
     return robot
 
 
@@ -233,22 +238,26 @@ def _line(pin: Joint, end: Attachment) -> tuple[np.ndarray, np.ndarray]:
     return to_end @ np.array(pin.axis), to_end @ -end.placement.position
 
 
+def _ball(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
+    """Find the three pins of a ball, whose links in between are massless, by the last one."""
+    before = {joint.name: joint for joint in robot.joints}
+    middle = before.get(last.antecedent, last)
+    ball = (before.get(middle.antecedent, last), middle, last)
+    axes = np.array([joint.axis for joint in ball])
+    orthogonal = last.placement == middle.placement == Pose() and np.allclose(axes @ axes.T, np.eye(3), atol=COAXIAL)
+    inner = all(joint.parameters == "none" and _pin(robot, Attachment(joint.name)) for joint in ball[:2])
+    passive = last.turns and last.name not in robot.driven and last.spring is None
+    return ball if orthogonal and inner and passive else None
+
+
 def _aimed(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
     """Choose the axes of a ball anew: that of ``pin``, its last, ``along`` a direction (3,) of its link.
 
     The robot itself where the pin is not the last of a ball, or its axis is along already.
     """
-    moved = [joint.name for joint in robot.joints]
-    if pin.antecedent not in moved or robot.joint(pin.antecedent).antecedent not in moved:
+    if (ball := _ball(robot, pin)) is None or np.linalg.norm(np.cross(pin.axis, along)) < COAXIAL:
         return robot
-    middle = robot.joint(pin.antecedent)
-    first = robot.joint(middle.antecedent)
-    axes = np.array([first.axis, middle.axis, pin.axis]).T
-    is_ball = pin.placement == middle.placement == Pose() and np.allclose(axes.T @ axes, np.eye(3), atol=COAXIAL)
-    inner = all(joint.parameters == "none" and _pin(robot, Attachment(joint.name)) for joint in (first, middle))
-    if not (is_ball and inner) or np.linalg.norm(np.cross(axes[:, 2], along)) < COAXIAL:
-        return robot
-    ball = (first, middle, pin)
+    axes = np.array([joint.axis for joint in ball]).T
     orientation = np.linalg.multi_dot([turn(axis, joint.home) for axis, joint in zip(axes.T, ball, strict=True)])
     # the first axis is square to the rod at home, far from where the first and last would be one
     across = np.cross(along, orientation @ along)
