@@ -76,6 +76,11 @@ BAD_CSV: list[tuple[str, str | bytes, str]] = [
         HEADER.replace(",mu", ""),
         ": line 1: this is neither a constant ('a = 0.34') nor the header, whi",
     ),
+    (
+        "standard DH",
+        "joint,theta [rad],d,a,alpha [rad]\n1,0,0.3,0,pi/2\n",
+        ": line 1: this header of DH parameters lacks j, mu, sigma, gamma, b, alpha, theta, r; gtau reads modified DH,",
+    ),
     ("column too many", HEADER.replace("\n", ",q\n"), ": line 1: the header must name each of j, a, mu,"),
     ("column twice", HEADER.replace("\n", ",r\n"), ": line 1: the header must name each of j, a, mu,"),
     ("cell missing", HEADER + "1,0,1,0,0,0,0,0,q\n", ": line 2: it has 9 cells; write 10, as in the header."),
