@@ -247,6 +247,7 @@ def _compiled(path: Path, sites: Iterable[str], masses: bool) -> tuple[mujoco.Mj
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(path))
+    spec.compiler.fusestatic &= spec.compiler.settotalmass > 0  # which leaves out what is fused to the ground
     notes = [*_with_exact_orientations(spec), *_reduce(spec, sites, masses)]
     with catch_warnings():
         simplefilter("ignore")  # of attributes that are out of fashion

@@ -45,11 +45,9 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
             "(base: floating) if it moved",
         )
     try:
-        closures, notes_on_loops = written_closures(tree)
-        if closures:
-            joints, note = joints_of_loops(tree, closures)
-            return _closed(tree, joints, closures, replace(tree.file, notes=(*notes, *notes_on_loops, note)))
-        robot = Robot(tree.name, tree.joints, couplings=tree.couplings, file=replace(tree.file, notes=notes))
+        closures, said = written_closures(tree)
+        joints, motors = joints_of_loops(tree, closures)
+        robot = _closed(tree, joints, closures, replace(tree.file, notes=(*notes, *said, *motors)))
         return _without_motors_of_base(robot, tree)
     except GtauError as error:
         raise type(error)(f"{path}: {error}") from None
@@ -128,20 +126,17 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
     try:
         closures = [_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)]
         joints = tuple(replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints)
-        notes = tree.file.notes
-        if not closures:
-            closures, more = written_closures(tree)
-            notes += tuple(more)
-        file = replace(tree.file, source=f"{Path(urdf).name} with {Path(loops).name}", notes=notes)
+        closures, said = (closures, []) if closures else written_closures(tree)
+        source, notes = f"{Path(urdf).name} with {Path(loops).name}", (*tree.file.notes, *said)
+        file = replace(tree.file, source=source, notes=notes)
         return _closed(tree, joints, closures, file)
     except GtauError as error:
         raise error if str(error).startswith(str(document.path)) else GtauError(f"{document.path}: {error}") from None
 
 
 def _closed(tree: UrdfTree, joints: tuple[Joint, ...], closures: list[Closure], file: RobotFile) -> Robot:
-    file = replace(file, home_given=False)
-    robot = Robot(tree.name, joints, closures=tuple(closures), couplings=tree.couplings, file=file)
-    return without_idle_pins(robot)
+    file = replace(file, home_given=not closures)
+    return without_idle_pins(Robot(tree.name, joints, (), tuple(closures), tree.couplings, file=file))
 
 
 def _closure(document: Document, tree: UrdfTree, k: int, kind: str, pair: tuple[str, str]) -> Closure:

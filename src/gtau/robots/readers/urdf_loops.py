@@ -120,7 +120,7 @@ def _sides_in_gazebo(tree: UrdfTree, joint: Element, what: str) -> list[Attachme
     return [replace(parent, placement=from_parent), child]
 
 
-def joints_of_loops(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[tuple[Joint, ...], str]:
+def joints_of_loops(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[tuple[Joint, ...], Sequence[str]]:
     """Decide which joints of loops have motors: those with a transmission, else the first of each branch; note it."""
     carriers: dict[str, set[str]] = {GROUND: set()}
     for joint in tree.joints:
@@ -134,7 +134,8 @@ def joints_of_loops(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[tuple[
     passive = (looped - motors) | {joint.name for joint in tree.joints if not joint.actuated}
     joints = tuple(replace(joint, actuated=joint.name not in passive) for joint in tree.joints)
     names = [joint.name for joint in joints if joint.name in looped - passive]
-    return joints, (
+    note = (
         f"of the joints in the loops, {listed(names)} have motors, {why}; if others have, name those under 'name_mot' "
         "in a YAML file of the same name beside this one"
     )
+    return joints, [note] * bool(closures)
