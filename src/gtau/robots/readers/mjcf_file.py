@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
 SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", "textures", "materials", "hfields")
-DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", "numerics", "texts", "tuples", *SHAPES[2:])
-"""What matters neither to geometry nor, but for meshes that have a mass, to inertias: it need not even compile."""
+DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", *SHAPES[1:], "numerics", "texts", "tuples")
+"""What does not matter to geometry nor, but for shapes that weigh, to inertias: it need not even compile."""
 WATER = 1000.0  # kg/m3: density of shapes in a file that states none
 MOST_COPIES = 2000  # of a body, by <replicate> and <composite>: more keep the compiler busy for minutes
 NESTED = ("worldbody", "body", "frame", "replicate", "composite", "flexcomp")
@@ -175,15 +175,14 @@ def _reduce(spec: mujoco.MjSpec, sites: Iterable[str], masses: bool) -> list[str
         if not equality.active or equality.type == mujoco.mjtEq.mjEQ_TENDON:
             spec.delete(equality)
     meshes = set[str]()
-    for geom in list(spec.geoms):
-        if masses and _weighs(geom, spec):
-            meshes.add(geom.meshname)
-            geom.material, geom.contype, geom.conaffinity = "", 0, 0  # without contacts, meshes need no convex hull
-        else:
-            spec.delete(geom)
-    for element in chain(*(list(getattr(spec, kind)) for kind in DELETED)):
-        if not isinstance(element, mujoco.MjsMesh) or element.name not in meshes:
-            spec.delete(element)
+    for kind in DELETED:
+        for element in list(getattr(spec, kind)):
+            if kind == "geoms" and masses and _weighs(element, spec):
+                meshes.add(element.meshname)
+                element.material = ""
+                element.contype = element.conaffinity = 0  # without contacts, meshes need no convex hull
+            elif kind != "meshes" or element.name not in meshes:
+                spec.delete(element)
     kept = {name for equality in spec.equalities for name in (equality.name1, equality.name2)}.union(sites)
     for site in list(spec.sites):
         if site.name in kept:
