@@ -528,34 +528,42 @@ def test_a_rod_on_a_ball_keeps_its_mass(turned: float, tip: str, tmp_path: Path,
     np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
-def crank_rod_and_lever(cut_at_the_rod: bool) -> str:
-    """A crank moves a lever, which swings in another plane, by a rod between two balls."""
-    rod = np.array([0.3, 0.12, 0.05])
-    length = np.linalg.norm(rod)
-    turned, _ = Rotation.align_vectors([rod / length], [[1, 0, 0]])
+def crank_rod_and_lever(cut: str) -> str:
+    """A crank moves a lever, which swings in another plane, by a rod between two balls; the loop is cut somewhere."""
+    along = np.array([0.3, 0.12, 0.05])
+    length = np.linalg.norm(along)
+    turned, _ = Rotation.align_vectors([along / length], [[1, 0, 0]])
     quat, back = (" ".join(map(str, R.as_quat(scalar_first=True))) for R in (turned, turned.inv()))
-    lever = '<inertial pos="0 {} 0.02" mass="0.5" diaginertia="0.001 0.0005 0.001"/>'
-    carried = f'<body name="lever" pos="{length} 0 0" quat="{back}"><joint name="b2" type="ball"/>{lever.format(-0.06)}'
-    hinged = f'<body name="lever" pos="0.4 0 0.05"><joint name="lever" axis="1 0 0"/>{lever.format(0.06)}</body>'
-    end = f'<connect body1="rod" body2="lever" anchor="{length} 0 0"/>'
-    hinge = "".join(f'<connect body1="lever" body2="world" anchor="{x} -0.12 0"/>' for x in (0, 0.1))
+    lever = '<body name="lever" {}><inertial pos="0 {} 0.02" mass="0.5" diaginertia="0.001 0.0005 0.001"/>{}</body>'
+    hinged = lever.format('pos="0.4 0 0.05"', 0.06, '<joint name="lever" axis="1 0 0"/>')
+    carried = lever.format(f'pos="{length} 0 0" quat="{back}"', -0.06, '<joint name="b2" type="ball"/>')
+    rod = f"""<body name="rod" pos="0.1 0 0" quat="{quat}"><inertial pos="0.15 0 0" mass="0.2"
+      diaginertia="0.00002 0.002 0.002"/>%s</body>"""
+    on_ball = rod % f'<joint name="b1" type="ball"/>{carried if cut == "hinge" else ""}'
+    tip = f'<connect body1="rod" body2="lever" anchor="{length} 0 0"/>'
+    loops = {"rod": tip, "free": '<connect body1="rod" body2="crank" anchor="0 0 0"/>' + tip}
+    loops["hinge"] = "".join(f'<connect body1="lever" body2="world" anchor="{x} -0.12 0"/>' for x in (0, 0.1))
     return f"""<mujoco><compiler angle="radian"/><worldbody>
       <body name="crank"><joint name="crank" axis="0 1 0"/><inertial pos="0.05 0 0" mass="0.4" diaginertia="1 1 1"/>
-        <body name="rod" pos="0.1 0 0" quat="{quat}"><joint name="b1" type="ball"/>
-          <inertial pos="0.15 0 0" mass="0.2" diaginertia="0.00002 0.002 0.002"/>
-          {"" if cut_at_the_rod else carried + "</body>"}</body></body>{hinged if cut_at_the_rod else ""}</worldbody>
-      <equality>{end if cut_at_the_rod else hinge}</equality><actuator><motor joint="crank"/></actuator></mujoco>"""
+      {"" if cut == "free" else on_ball}</body>{"" if cut == "hinge" else hinged}
+      {rod % "<freejoint/>" if cut == "free" else ""}</worldbody>
+      <equality>{loops[cut]}</equality><actuator><motor joint="crank"/></actuator></mujoco>"""
 
 
-def test_a_rod_between_two_balls_spins_idly_wherever_its_loop_is_cut(tmp_path: Path, rng: np.random.Generator) -> None:
-    at_the_rod, beyond = (load(crank_rod_and_lever(cut), tmp_path) for cut in (True, False))
-    assert beyond.notes == (
-        "joint 'b1' is idle, since its axis passes through the centre of ball 'b2'; it was locked at zero, its link a "
-        "part of 'b1_y'",
+@pytest.mark.parametrize(
+    ("cut", "pin", "place"), [("hinge", "b1", "ball 'b2'"), ("free", "rod", "closure 1")], ids=["hinge", "free"]
+)
+def test_a_rod_between_two_balls_spins_idly_wherever_its_loop_is_cut(
+    cut: str, pin: str, place: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    robot, at_the_rod = (load(crank_rod_and_lever(each), tmp_path) for each in (cut, "rod"))
+    assert robot.notes == (
+        f"joint '{pin}' is idle, since its axis passes through the centre of {place}; it was locked at zero, its link "
+        f"a part of '{pin}_y'",
     )
     q, qd, qdd = rng.uniform(-0.2, 0.2, (3, 20, 1))
     found, expected = (
-        InverseDynamics(robot, "inertial").torques(q, qd, qdd, stated_inertias(robot)) for robot in (beyond, at_the_rod)
+        InverseDynamics(each, "inertial").torques(q, qd, qdd, stated_inertias(each)) for each in (robot, at_the_rod)
     )
     np.testing.assert_allclose(found, expected, atol=1e-9)
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from functools import partial
 
 import numpy as np
 
 from gtau.documents.validation import some_of, unknown
 from gtau.errors import GtauError
+from gtau.robots.floating import turning
 from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import lumped, parameter_of, rigid_body
 from gtau.robots.placement import compose, euler_angles, pose_of, rounded, turn
@@ -85,11 +87,7 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
     if not joints:
         raise GtauError(f"robot '{robot.name}': all joints are held; hold fewer of them.")
 
-    def moved(end: Attachment) -> Attachment:
-        at = carried[end.body]
-        return end if at.body == end.body else Attachment(at.body, compose(at.placement, end.placement))
-
-    closures, springs = moved_ends(robot, moved)
+    closures, springs = moved_ends(robot, partial(_on_carrier, carried))
     tool = carried[robot.named_tool].body if robot.named_tool else ""
     return replace(
         robot,
@@ -101,6 +99,11 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
         floating="" if robot.floating in positions else robot.floating,
         file=replace(robot.file, inertias=_inertias(robot, carried)),
     )
+
+
+def _on_carrier(carried: Mapping[str, Attachment], end: Attachment) -> Attachment:
+    at = carried[end.body]
+    return end if at == Attachment(end.body) else Attachment(at.body, compose(at.placement, end.placement))
 
 
 def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
@@ -171,6 +174,8 @@ def without_idle_pins(robot: Robot) -> Robot:
     along their axis to this point. Where a pin is the last of three that make up a ball, their axes are chosen so that
     it is idle. Notes name them.
     """
+    if (carried := _on_ball(robot)) is not robot:
+        return without_idle_pins(carried)
     ends: list[tuple[Attachment, Attachment | None, str]] = []
     for number, closure in enumerate(robot.closures, start=1):
         # the second pin first, so that the first one stays
@@ -204,6 +209,33 @@ def without_idle_pins(robot: Robot) -> Robot:
             note = f"joint '{pin.name}' is idle, since {why}; it was locked at zero"
             note += f", its link a part of '{pin.antecedent}'" * pin.has_mass
             return without_idle_pins(lock_joints(robot, {pin.name: 0.0}).noted(note))
+    return robot
+
+
+def _on_ball(robot: Robot) -> Robot:
+    """Put a free rod, a platform that is held at two points alone, on a ball at the first that a link carries."""
+    placed: dict[str, Placement] = {GROUND: Pose()}
+    for joint in robot.joints:
+        placed[joint.name] = compose(placed[joint.antecedent], _after(joint, joint.placement, joint.home))
+    for rod in robot.platforms:
+        ties = [closure for closure in robot.closures if rod.name in (closure.a.body, closure.b.body)]
+        carried = [tie for tie in ties if not placed.keys().isdisjoint((tie.a.body, tie.b.body))]
+        sprung = any(rod.name in (spring.a.body, spring.b.body) for spring in robot.springs)
+        if [tie.kind for tie in ties] != ["connect", "connect"] or not carried or sprung:
+            continue
+        end, point = sorted((carried[0].a, carried[0].b), key=lambda it: it.body != rod.name)
+        turned = placed[point.body].rotation.T @ rod.home.rotation
+        ball = turning(rod.name, point.body, pose_of(turned, point.placement.position), "xyz")
+        at = {body: Attachment(body) for body in (GROUND, *robot.bodies)}
+        at[rod.name] = Attachment(rod.name, pose_of(np.eye(3), -end.placement.position))
+        rest = replace(robot, closures=tuple(closure for closure in robot.closures if closure is not carried[0]))
+        return replace(
+            robot,
+            joints=robot.joints + tuple(replace(joint, actuated=False) for joint in ball),
+            platforms=tuple(other for other in robot.platforms if other is not rod),
+            closures=moved_ends(rest, partial(_on_carrier, at))[0],
+            file=replace(robot.file, inertias=_inertias(robot, at)),
+        )
     return robot
 
 
