@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from models_to_export import model_of
 from typer.testing import CliRunner
@@ -14,6 +16,7 @@ from gtau.cli.commands import app
 from gtau.export.exported import HOME
 from gtau.extensions import names
 from gtau.model.home import load_robot
+from gtau.robots.robot import Robot
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +69,46 @@ def test_what_cannot_be_exported_is_refused(
 ) -> None:
     with pytest.raises(gtau.GtauError, match=sentence):
         gtau.export_model(model, kind, tmp_path, into)
+
+
+def with_odd_names() -> Robot:
+    """A robot whose joints are named as people name them in CAD programs."""
+    robot = load_robot("ur10e")
+    odd = dict(zip(robot.bodies, ("joint 1", "Revolute 2", "J - 3", "J + 4", "5 R", "joint 6 R"), strict=True))
+    joints = (
+        replace(joint, name=odd[joint.name], antecedent=odd.get(joint.antecedent, joint.antecedent))
+        for joint in robot.joints
+    )
+    return replace(robot, joints=tuple(joints))
+
+
+def test_a_saved_model_has_the_same_parameters_whatever_the_names(tmp_path: Path) -> None:
+    made = model_of(with_odd_names())
+    made.save(tmp_path / "model.json")
+    result = gtau.Result.load(tmp_path / "model.json")
+    assert list(result.parameters) == list(result.base.names)
+    assert [name.regrouped for name in result.parameters] == [name.regrouped for name in made.parameters]
+    q = np.full(6, 0.5)
+    np.testing.assert_array_equal(result.torques(q, q, q), made.torques(q, q, q))
+    for kind in ("c", "urdf", "isaaclab", "mjcf"):
+        assert gtau.export_model(result, kind, tmp_path / kind).files
+    sums = gtau.export_model(result, "latex", tmp_path).files[0].read_text().split("Par. & Sum")[-1]
+    assert r"\mathrm{J\ -\ 3}" in sums
+
+
+@pytest.mark.parametrize("kind", ["c", "urdf", "isaaclab", "mjcf"])
+def test_a_refused_export_leaves_nothing(kind: str, tmp_path: Path) -> None:
+    result = model_of(load_robot("ur10e"))
+    lacking = result.replaced(parameters={name: e for name, e in result.parameters.items() if name.kind != "fv"})
+    with pytest.raises(gtau.GtauError, match="the model lacks the base parameter 'fv_shoulder_pan_joint'"):
+        gtau.export_model(lacking, kind, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_refused_draw_leaves_the_files_that_were_there(tmp_path: Path) -> None:
+    result = model_of(load_robot("ur10e"))
+    gtau.export_model(model_of(load_robot("ur10e"), seed=1), "urdf", tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(gtau.GtauError, match="no standard deviations to draw from"):
+        gtau.export_model(result.replaced(covariance=np.zeros_like(result.covariance)), "urdf", tmp_path, samples=2)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -69,7 +69,7 @@ def _comment(k: int, model: Identified) -> str:
     """Describe a parameter in the comment beside its value."""
     estimate = model.parameters[k]
     std = "" if estimate.std is None else f", standard deviation {estimate.std:.2g}"
-    regrouping = "" if estimate.regrouping in ("", estimate.name) else f" = {estimate.regrouping}"
+    regrouping = f" = {estimate.regroups}" if estimate.regroups else ""
     comment = textwrap.shorten(f"{k} {estimate.name}, {estimate.unit}{std}{regrouping}", 90, placeholder=" ...")
     return comment.replace("*/", "* /").replace("/*", "/ *")
 

@@ -6,16 +6,17 @@ Each kind is named in the constant ``EXPORTS`` of a module of this folder, or by
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree.ElementTree import Element, indent, tostring
 
 import numpy as np
 
-from gtau.documents.files import folder_of, write_atomically
+from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
@@ -83,12 +84,12 @@ def xml_text(root: Element) -> str:
     return tostring(root, encoding="unicode") + "\n"
 
 
-def written(out: Path, texts: Mapping[str, str | bytes]) -> tuple[Path, ...]:
+def written(out: Path, texts: Mapping[str, str | bytes] | Mapping[Path, bytes]) -> tuple[Path, ...]:
     """Write files by name into the folder ``out``, each atomically; raises GtauError where that fails."""
-    folder = folder_of(out)
-    for name, text in texts.items():
-        write_atomically(folder / name, text)
-    return tuple(folder / name for name in texts)
+    files = {out / name: text for name, text in texts.items()}
+    for path, text in files.items():
+        write_atomically(folder_of(path.parent) / path.name, text)
+    return tuple(files)
 
 
 @takes(
@@ -121,7 +122,7 @@ def export_model(
         Folder of the files.
     into : path, optional
         For the kinds ``urdf`` and ``mjcf``: the robot's own file, of which a copy with the identified parameters
-        and everything else as it was is written.
+        and everything else as it was is written, into another folder.
     samples : int
         Number of models to draw as well, see :func:`gtau.export.samples.draw`: ``samples.npz``, and
         for the kinds that simulate the first ``models`` of them, each in a folder of its own (``samples/0000``).
@@ -136,9 +137,11 @@ def export_model(
     Raises
     ------
     GtauError
-        Where the model lacks what the kind needs, or the files cannot be written.
+        Where the model lacks what the kind needs, or the files cannot be written. Files that were there are unchanged
+        then.
     """
     refuse_unknown(kind, names(*HOME))
+    refuse_as_folder(out)
     export: Export = find(*HOME, kind, Export)
     result = model if isinstance(model, Result) else Result.load(model)
     if not export.floating:
@@ -149,17 +152,24 @@ def export_model(
         simulated = ", ".join(name for name in homes(*HOME) if find(*HOME, name, Export).simulates)
         raise GtauError(f"draws are models for simulators ({simulated}), not for '{kind}'; leave out --samples.")
 
+    if into is not None and (Path(out) / Path(into).name).resolve() == Path(into).resolve():
+        raise GtauError(f"{into} would be overwritten; choose another folder for --out.")
+
     def write(model: Result, folder: Path) -> Exported:
         if into is None or export.into is None:
             return export.write(model, folder)
         return export.into(model, Path(into), folder)
 
-    exported = write(result, Path(out))
-    if not samples:
-        return exported
-    drawn = import_module("gtau.export.samples").draw(result, samples, seed)
-    files = [*exported.files, *written(Path(out), {"samples.npz": drawn.npz()})]
-    for number, model_drawn in zip(range(models), drawn.results(), strict=False):
-        files += write(model_drawn, Path(out) / "samples" / f"{number:04d}").files
-    figures = {**exported.figures, "moved_share": drawn.moved_share}
-    return Exported(tuple(files), (*exported.notes, drawn.note), figures, exported.lost)
+    with TemporaryDirectory() as name:  # so that an export which refuses halfway leaves nothing
+        made = Path(name)
+        exported = write(result, made)
+        files = [*exported.files]
+        if samples:
+            drawn = import_module("gtau.export.samples").draw(result, samples, seed)
+            files += written(made, {"samples.npz": drawn.npz()})
+            for number, model_drawn in zip(range(models), drawn.results(), strict=False):
+                files += write(model_drawn, made / "samples" / f"{number:04d}").files
+            figures = {**exported.figures, "moved_share": drawn.moved_share}
+            exported = replace(exported, notes=(*exported.notes, drawn.note), figures=figures)
+        texts = {file.relative_to(made): file.read_bytes() for file in files}
+    return replace(exported, files=written(Path(out), texts))

@@ -20,7 +20,8 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import wrapped
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.model.base_parameters import regrouped
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Mdh, Robot
 
 YAML_HEAD = """\
@@ -40,7 +41,6 @@ SPECIAL = {
     '"': "''",
 } | {sign: rf"\{sign}" for sign in "_#%&${}"}
 LETTERS = 0x180  # beyond the European letters, which LaTeX reads
-TERM = re.compile(r"(?:^|([+-]) )(?:([\d.]+(?:e[+-]\d+)?) )?(.+?)(?= [+-] |$)")  # of a sum: sign, factor, name
 INDEX = 4  # characters of a joint's name that fit the table of geometry
 NAME = 24  # characters that fit as an index of a formula; where a name has more, numbers stand for all
 MDH_HEAD = (
@@ -75,8 +75,8 @@ def _entry(estimate: Estimate) -> dict[str, object]:
         entry["interval"] = list(interval)
     if estimate.verdict.outcome not in (Outcome.GOOD, Outcome.GIVEN):
         entry["verdict"] = estimate.verdict.outcome.value
-    if estimate.regrouping not in ("", estimate.name):
-        entry["regrouping"] = estimate.regrouping
+    if estimate.regroups:
+        entry["regrouping"] = estimate.regroups
     return entry
 
 
@@ -198,20 +198,20 @@ def _line(name: str, estimate: Estimate) -> tuple[str, ...]:
 
 def _regroupings(result: Result, label: Mapping[str, str]) -> str:
     """Tabulate the sum that each regrouped base parameter stands for; LaTeX breaks the line before a sign."""
-    regrouped = {name: estimate.regrouping for name, estimate in result.parameters.items()}
-    sums = {name: _sum_of(text, label) for name, text in regrouped.items() if text not in ("", name)}
+    sums = {name: terms for name, terms in regrouped(result.base, result.idm.parameter_names).items() if len(terms) > 1}
     if not sums:
         return ""
-    lines = [(f"${symbol(name, label)}$", f"${text}$") for name, text in sums.items()]
+    lines = [(f"${symbol(name, label)}$", f"${_sum_of(terms, label)}$") for name, terms in sums.items()]
     caption = f"Standard parameters regrouped in base parameters of {in_latex(result.robot.name)}."
     return _table(r"lp{0.6\textwidth}", ("Par.", "Sum"), lines, caption)
 
 
-def _sum_of(regrouping: str, label: Mapping[str, str]) -> str:
-    terms = []
-    for sign, factor, name in re.findall(TERM, regrouping):
-        terms += [sign, factor and rf"{factor}\,", symbol(parameter_of(name), label)]
-    return " ".join(filter(None, terms))
+def _sum_of(terms: Mapping[Parameter, float], label: Mapping[str, str]) -> str:
+    signed = []
+    for name, factor in terms.items():
+        size = rf"{abs(factor):.5g}\, ".removeprefix(r"1\, ")
+        signed.append(f"{'-' if factor < 0 else '+'} {size}{symbol(name, label)}")
+    return " ".join(signed).removeprefix("+ ")
 
 
 def in_latex(text: str) -> str:

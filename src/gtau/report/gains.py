@@ -226,16 +226,11 @@ def value_cells(estimate: Estimate) -> tuple[object, ...]:
     return shown, estimate.std, estimate.rel_std, estimate.unit
 
 
-def regroups(estimate: Estimate) -> str:
-    """Return what an estimate regroups, empty where that is its name."""
-    return estimate.regrouping if estimate.regrouping != estimate.name else ""
-
-
 def estimates_table_of(estimates: Mapping[str, Estimate], known: Iterable[str] = ()) -> Table:
     """Tabulate estimates by name, with whether they are ``known``, or what they regroup."""
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL, wide=True), Column(""))
     rows = []
     for name, estimate in estimates.items():
-        role = "known" if name in known else "not identifiable" if estimate.value is None else regroups(estimate)
+        role = "known" if name in known else "not identifiable" if estimate.value is None else estimate.regroups
         rows.append((name, *value_cells(estimate), estimate.interval(), role))
     return table(columns, rows)

@@ -14,7 +14,7 @@ from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
-from gtau.report.gains import VALUE, regroups, value_cells
+from gtau.report.gains import VALUE, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
 from gtau.robots.parameter import Parameter, position_unit, torque_unit
 from gtau.signals.channel import LINK_SIDE
@@ -41,7 +41,7 @@ def parameters_section(result: Result) -> Section:
     """Show base, friction and sensor parameters in one table that sorts and searches."""
     listed = [(row.group, row.estimate) for row in estimates_table(result) if row.group.startswith(GROUPS)]
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
-    rows = [(value.name, *value_cells(value), _role(value, group), regroups(value)) for group, value in listed]
+    rows = [(value.name, *value_cells(value), _role(value, group), value.regroups) for group, value in listed]
     faint = frozenset(k for k, (_, value) in enumerate(listed) if value.essential is False)
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (

@@ -86,6 +86,11 @@ class Estimate:
         return None if half is None or not self.value else 100 * half / abs(self.value)
 
     @property
+    def regroups(self) -> str:
+        """Sum of parameters that a base parameter stands for; empty where it is one parameter."""
+        return self.regrouping if self.regrouping != self.name else ""
+
+    @property
     def random_std(self) -> float | None:
         """The random part of ``std``."""
         if self.std is None or self.model_std is None:

@@ -103,8 +103,7 @@ def _by_name(estimates: tuple[Estimate, ...]) -> dict[str, Estimate]:
 
 
 def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
-    regrouped = {name: len(estimate.regrouping.split()) > 1 for name, estimate in estimates.items()}
-    return {parameter_of(name, regrouped=regrouped[name]): estimate for name, estimate in estimates.items()}
+    return {parameter_of(name, regrouped=bool(estimate.regroups)): estimate for name, estimate in estimates.items()}
 
 
 def _alternative(alternative: Alternative) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def _one_friction(document: dict[str, Any]) -> dict[str, Any]:
         shapes = [curve[key] for curve in curves for key in ("width", "speed") if curve[key] is not None]
         parameters = {entry["name"]: entry for entry in document["parameters"]}
         of_base = {
-            name: name.removesuffix("R") if len(entry["regrouping"].split()) > 1 else name
+            name: name.removesuffix("R") if entry["regrouping"] not in ("", name) else name
             for name, entry in parameters.items()
         }
         replaced = {name: predicted.pop(plain) for name, plain in of_base.items() if plain in predicted}
