@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -149,6 +150,45 @@ def test_an_mjcf_keeps_all_but_inertias_friction_and_gears(tmp_path: Path, rng: 
         mujoco.mj_mulM(model, data, Ma, motion.ydd[:, k].copy())
         found = Ma + data.qfrc_bias - data.qfrc_passive + model.dof_frictionloss * np.sign(data.qvel)
         np.testing.assert_allclose(found, tau[:, k], rtol=1e-8, atol=1e-8)
+
+
+COMPACT = """<mujoco model="arm"><!-- f\u00fcr --><worldbody><body name="upper" pos="0 0 0.4"><joint name="shoulder"
+axis="0 1 0"/><body name="lower" pos="0.5 0.1 0"><joint name="turn"/><inertial pos="0 0 0" mass="1"
+diaginertia=".1 .1 .1"/></body><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body></worldbody><actuator
+><motor joint="shoulder"/><motor joint="turn"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+@pytest.mark.parametrize(("text", "kind"), [(COMPACT, "mjcf"), (re.sub(r">\s+<", "><", URDF).strip(), "urdf")])
+def test_a_file_without_line_breaks_is_edited_like_any(text: str, kind: str, encoding: str, tmp_path: Path) -> None:
+    source = tmp_path / f"arm.{'xml' if kind == 'mjcf' else 'urdf'}"
+    head = '<?xml version="1.0" encoding="ISO-8859-1"?>' if encoding == "latin-1" else '<?xml version="1.0"?>'
+    source.write_bytes((head + text.removeprefix('<?xml version="1.0"?>')).encode(encoding))
+    result = model_of(load_robot(source), terms=False)
+    exported = gtau.export_model(result, kind, tmp_path / "out", into=source)
+    back, identified = load_robot(exported.files[0]), result.consistency.standard
+    assert back.joints == result.robot.joints
+    inertias = dict(back.file.inertias)
+    assert inertias
+    for name, value in inertias.items():
+        assert value == pytest.approx(identified[name], abs=1e-9)
+
+
+def test_a_file_in_utf_16_is_refused(tmp_path: Path) -> None:
+    source = tmp_path / "arm.urdf"
+    source.write_bytes(URDF.replace('"1.0"?', '"1.0" encoding="UTF-16"?').encode("utf-16"))
+    with pytest.raises(gtau.GtauError, match="UTF-16 text, which cannot be edited in place; save it as UTF-8"):
+        gtau.export_model(model_of(load_robot(source), terms=False), "urdf", tmp_path / "out", into=source)
+
+
+@pytest.mark.filterwarnings("ignore:compiler attribute")
+@pytest.mark.parametrize("changed", ['settotalmass="9"', 'boundmass="8"', 'boundinertia="3"'])
+def test_a_file_whose_masses_mujoco_changes_is_refused(changed: str, tmp_path: Path) -> None:
+    source = tmp_path / "arm.xml"
+    source.write_text(COMPACT.replace("<worldbody>", f"<compiler {changed}/><worldbody>"))
+    with pytest.raises(gtau.GtauError, match="takes another mass or inertia of 'upper' than the identified one"):
+        gtau.export_model(model_of(load_robot(source), terms=False), "mjcf", tmp_path / "out", into=source)
+    assert not (tmp_path / "out").exists()
 
 
 def test_another_robot_s_file_is_refused(tmp_path: Path) -> None:

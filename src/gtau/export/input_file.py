@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, indent, tostring
 from xml.parsers.expat import ParserCreate
@@ -93,28 +93,29 @@ def input_file(path: Path, robot: Robot) -> InputFile:
     except GtauError as error:
         raise GtauError(f"{path}: {error}") from None
     content = path.read_bytes()
+    if b"\0" in content:
+        raise GtauError(f"{path} is UTF-16 text, which cannot be edited in place; save it as UTF-8.")
     return InputFile(path, content, root, dict(zip(root.iter(), _spans(content), strict=True)))
 
 
 def _spans(content: bytes) -> list[Span]:
     """Find the spans of all elements, in the order in which they begin."""
     parser = ParserCreate()
-    stops: dict[int, int] = {}  # by where the elements begin
+    spans: dict[int, Span] = {}  # by where the elements begin
     inside: list[int] = []
 
     def start(name: str, attributes: object) -> None:
         inside.append(parser.CurrentByteIndex)
-        stops[inside[-1]] = 0
+        spans[inside[-1]] = Span(inside[-1], _tag_end(content, inside[-1]), 0)
 
     def end(name: str) -> None:
-        begun, at = inside.pop(), parser.CurrentByteIndex
-        # the end of an empty tag is reported where it begins, or after it
-        closes = content[at : at + 2] == b"</"
-        stops[begun] = content.index(b">", at) + 1 if closes else _tag_end(content, begun)
+        span = spans[inside.pop()]
+        empty = content.endswith(b"/>", 0, span.inner)  # its end is reported where it begins, or after it
+        spans[span.start] = replace(span, stop=span.inner if empty else _tag_end(content, parser.CurrentByteIndex))
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.Parse(content, True)
-    return [Span(begun, _tag_end(content, begun), stop) for begun, stop in stops.items()]
+    return list(spans.values())
 
 
 def _tag_end(content: bytes, start: int) -> int:

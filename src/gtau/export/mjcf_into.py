@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from codecs import BOM_UTF8
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
@@ -54,7 +55,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
     said = [*_put_gears(file, model), *_allow_inertias(file)]
     if unchanged:
         said.append(f"these springs are not tendons with a stiffness and were left unchanged: {', '.join(unchanged)}")
-    _check(mujoco, file)
+    _check(mujoco, file, inertias)
     unable = {Parameter("off", joint.name) for joint in result.robot.joints}
     unable |= {Parameter(kind, name) for kind in SPRING for name in unchanged}
     expressed = {name: value for name, value in model.values.items() if name not in unable}
@@ -164,23 +165,32 @@ def _allow_inertias(file: InputFile) -> list[str]:
         if compiler.get("inertiafromgeom") == "true":
             file.set(compiler, inertiafromgeom="auto")
             notes.append("inertiafromgeom is now 'auto', so that the identified inertias count")
-        if float(compiler.get("settotalmass", "-1")) > 0:
-            raise GtauError(
-                f"{file.path} rescales all masses (settotalmass); remove that attribute of <compiler> first."
-            )
     return notes
 
 
-def _check(mujoco: Any, file: InputFile) -> None:
+def _check(mujoco: Any, file: InputFile, inertias: Mapping[int, RigidBody]) -> None:
+    """Refuse a file that MuJoCo does not compile, or to other masses and inertias than those identified."""
     try:
-        spec = mujoco.MjSpec.from_string(file.text().decode())
+        text = file.text().removeprefix(BOM_UTF8).decode("latin-1")  # of names only whether they differ matters
+        spec = mujoco.MjSpec.from_string(text)
         for kind in SHAPES:
             for shape in list(getattr(spec, kind)):
                 spec.delete(shape)
-        spec.compile()
+        compiled = spec.compile()
     except ValueError as error:
         said = " ".join(str(error).split()).rstrip(".")
         raise GtauError(f"{file.path}: MuJoCo refuses the identified parameters in it ({said}).") from None
+    for number in range(1, compiled.nbody):
+        body = inertias.get(number, NO_BODY)
+        made, wanted = (
+            [compiled.body_mass[number], *sorted(compiled.body_inertia[number])],
+            [body.mass, *body.principal[0]],
+        )
+        if not np.allclose(made, wanted, rtol=1e-6, atol=1e-9):
+            raise GtauError(
+                f"{file.path}: MuJoCo takes another mass or inertia of '{compiled.body(number).name}' than the "
+                "identified one; remove settotalmass, boundmass, boundinertia and balanceinertia from <compiler> first."
+            )
 
 
 EXPORTS = {"mjcf": Export(mjcf.export, into=export, simulates=True)}
