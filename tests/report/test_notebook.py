@@ -89,6 +89,8 @@ def test_estimates_as_a_table(result: gtau.Result) -> None:
         each = result.parameters[name]
         assert (value, std, kept) == (each.value, each.std, name in result.essential)
     assert "payload steel of loaded" in frame["group"].to_list()
+    columns = frame.to_dict(as_series=False)  # which pandas takes without pyarrow
+    assert {type(value) for column in columns.values() for value in column} == {str, float, bool, type(None)}
 
 
 def test_a_prediction_as_a_table(result: gtau.Result) -> None:

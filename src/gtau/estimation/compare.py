@@ -65,7 +65,7 @@ class EstimatorComparison:
         return f"EstimatorComparison(joints {', '.join(self.joints)}; {', '.join(row.method for row in self.rows)})"
 
     def to_frame(self) -> pl.DataFrame:
-        """Return the comparison as a Polars table, one row per estimator and joint; ``.to_pandas()`` converts it."""
+        """Return the comparison as a Polars table, one row per estimator and joint."""
         import polars as pl
 
         rows = [

@@ -93,7 +93,7 @@ class Prediction:
         return pl.DataFrame(columns)
 
     def to_frame(self) -> pl.DataFrame:
-        """Return the prediction as a Polars table, one row per instant and joint; ``.to_pandas()`` converts it."""
+        """Return the prediction as a Polars table, one row per instant and joint."""
         import polars as pl
 
         samples, n = self.measured.shape

@@ -263,7 +263,10 @@ class Result:
         views().write(self, Path(path))
 
     def to_frame(self) -> pl.DataFrame:
-        """Return all estimates as a Polars table, one row per estimate; ``to_frame().to_pandas()`` converts it."""
+        """Return all estimates as a Polars table, one row per estimate.
+
+        ``pandas.DataFrame(result.to_frame().to_dict(as_series=False))`` is the same table in pandas.
+        """
         frame: pl.DataFrame = late("estimation.results.table").estimates_frame(self)
         return frame
 
