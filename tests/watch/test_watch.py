@@ -220,6 +220,32 @@ def test_an_alarm_ends(model: Result, healthy: list[LogStatistics]) -> None:
             call()
 
 
+def test_a_common_warming_is_one_alarm(model: Result, healthy: list[LogStatistics]) -> None:
+    known = model.friction_parameters
+    size = np.array([abs(known[chart.name].value) if chart.group == "friction" else 0.0 for chart in healthy[0].charts])
+    watch, alarms = watched(model, healthy[:12]), []
+
+    def add(share: float, days: int) -> None:
+        for _ in range(days):
+            k, before = watch.view.logs.ids.max(), watch.alarm
+            log = healthy[k % len(healthy)]
+            log = replace(log, name=f"log {k}", values=log.values + share * size)
+            date = np.datetime64("2026-01-13") + np.timedelta64(int(k) - 12, "D")
+            watch.update_statistics(log, f"common {k}", str(date))
+            if watch.alarm is not None and before is None:
+                alarms.append([(cause.kind, cause.joint) for cause in watch.alarm.explanations])
+
+    add(0.5, 1)
+    add(0.0, 2)
+    assert not alarms  # one warm day is not odd
+    for _ in range(2):  # warm weeks come and go
+        add(0.5, 9)
+        add(0.0, 9)
+    assert alarms == [[("warming", "")]]
+    add(1.2, 5)
+    assert alarms[1:] == [[("warming", "")]]  # more than ever
+
+
 def rows(folder: Path) -> list[tuple]:
     with closing(sqlite3.connect(folder / "history.db")) as database:
         return database.execute("SELECT log, date, numbers, alarm FROM logs ORDER BY id").fetchall()

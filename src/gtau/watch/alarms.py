@@ -25,7 +25,7 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics
 WEEK, WEEKLY = 7.0, 7  # days, and logs that count as a week where they have one date
 FEWEST_OF_WEEK = 3  # logs of a week; fewer are filled up with earlier ones
 ODD = 5.0  # standard deviations, and tolerances from the model where there are too few logs to compare with
-COMMON = 3  # joints from which the friction of all has a median that one of them does not set
+COMMON = 2  # joints whose friction has a median; of two, a change of one is seen in both by half
 LOUDER = float(np.log(2))  # growth of a residual that counts as odd
 RATED = 50.0  # kg of a payload, where it is not stated; no load is twice as heavy
 SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in standard deviations
@@ -39,6 +39,7 @@ class View:
 
     ``values`` and ``std`` (N, m) are those of the quantities, NaN where not counted. They have a ``tolerance`` about a
     ``reference`` (m,) and, where they are relative to an identified gain, its standard deviation ``of_model``.
+    Alarms of ``warmings`` of all joints, by their sizes, have come and gone: only a larger one is news.
     """
 
     settings: WatchSettings
@@ -49,11 +50,20 @@ class View:
     tolerance: np.ndarray
     reference: np.ndarray
     of_model: np.ndarray
+    warmings: list[float]
 
     @property
     def names(self) -> list[str]:
         """Names of the quantities."""
         return [quantity.name for quantity in self.quantities]
+
+    @cached_property
+    def excess(self) -> np.ndarray:
+        """Values (N, m), friction less the factor common to all joints: no warm day is odd, or a change of a joint."""
+        x, friction = self.values.copy(), self.of_kind("friction")
+        rows = np.isfinite(x[:, friction]).sum(axis=1) >= COMMON
+        x[np.ix_(rows, friction)] -= median(x[np.ix_(rows, friction)].T)[:, None]
+        return x
 
     @cached_property
     def odd(self) -> np.ndarray:
@@ -62,13 +72,13 @@ class View:
         The next log confirms it where that is far off on the same side. Where there are too few logs to compare with,
         they are compared with the model.
         """
-        shown = np.isfinite(self.values)
+        shown = np.isfinite(self.excess)
         few = shown.sum(axis=0) < FEWEST
-        change = self.values - np.where(few, self.reference, median(self.values))
+        change = self.excess - np.where(few, self.reference, median(self.excess))
         size = np.abs(change)
         material = np.where(self.of_kind(RESIDUAL), LOUDER, self.tolerance)
         known = self.of_kind("m", "gain")  # of which the model is right in other motions too
-        far = np.where(few, known & (size > ODD * material), far_off(self.values) & (size > material))
+        far = np.where(few, known & (size > ODD * material), far_off(self.excess) & (size > material))
         far &= size > ODD * np.nan_to_num(self.std)
         rows, odd = shown.any(axis=1), np.zeros(shown.shape, dtype=bool)
         single = alone(np.where(far, np.sign(change), 0.0)[rows])
@@ -82,11 +92,12 @@ class View:
 
     @cached_property
     def compared(self) -> np.ndarray:
-        """Values (N, m) that are compared from log to log: friction less the factor common to all joints."""
-        x, friction = self.counted.copy(), self.of_kind("friction")
-        rows = np.isfinite(x[:, friction]).sum(axis=1) >= COMMON
-        x[np.ix_(rows, friction)] -= median(x[np.ix_(rows, friction)].T)[:, None]
-        return x
+        """Values (N, m) that are compared from log to log: :attr:`excess` without odd logs."""
+        return np.where(np.isfinite(self.counted), self.excess, np.nan)
+
+    def judged(self, kind: str) -> np.ndarray:
+        """Values (N, m) that an alarm of a ``kind`` is about: those of the model's friction hold what is common."""
+        return self.counted if kind == "tolerance" else self.compared
 
     @cached_property
     def there(self) -> np.ndarray:
@@ -130,7 +141,7 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
     tolerance[vague] = np.inf  # one log does not determine these, and errors of the model exceed them
     of_gains = {joint: (gain.std or 0.0) / abs(gain.value or 1.0) for joint, gain in model.drive_gains.items()}
     of_model = np.array([of_gains.get(quantity.joint, 0.0) * (quantity.kind == "gain") for quantity in quantities])
-    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), of_model)
+    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), of_model, [])
     for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
             values[logs.dates < event.subject] = np.nan
@@ -138,6 +149,7 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
             values[logs.names == event.subject] = np.nan
         elif event.kind == "repaired":
             values[(logs.ids >= event.details["first"]) & (logs.ids < event.details["inside"])] = np.nan
+            view.warmings.extend(event.details.get("warmings", ()))
         elif event.kind == "acknowledge":
             changed = [view.names.index(name) for name in event.details["changed"]]
             values[np.ix_(logs.ids < event.details["first"], changed)] = np.nan
@@ -158,7 +170,7 @@ def judge(
         return previous or _alarm("log", model, view, log, np.flatnonzero(view.odd[row]), row), None
     if previous is not None:
         healthy, changed = np.array(previous.healthy), np.array(previous.changed)
-        x = view.compared[:, [view.names.index(name) for name in previous.charts]]
+        x = view.judged(previous.kind)[:, [view.names.index(name) for name in previous.charts]]
         back = _last(x, (np.abs(x - healthy) / np.abs(changed - healthy) > 0.5).any(axis=1))
         if len(back):  # all of these are nearer to the healthy means
             spent = np.ptp(view.logs.days[back])
@@ -195,6 +207,8 @@ def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
         return True  # it makes the others wrong
     kind = "friction" if cause.quantity in PLAIN_FRICTION else cause.quantity
     size = np.inf if cause.kind == "units" else abs(cause.size if cause.relative is None else cause.relative)
+    if cause.kind == "warming":
+        size -= max((abs(before) for before in view.warmings if before * cause.size > 0), default=0.0)
     concerned = [cause.joint in ("", quantity.joint) for quantity in view.quantities] & view.of_kind(kind)
     second = cause.and_also is not None and _is_beyond(view, cause.and_also, far)
     return second or bool((concerned & far & (size > view.tolerance)).any())
@@ -223,10 +237,10 @@ def _last(x: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np.ndarray, start: int) -> Alarm:
     """Make an alarm of the quantities ``columns`` since the row ``start``, and explain it."""
-    logs, rows, x = view.logs, view.there, view.compared
+    logs, rows, x = view.logs, view.there, view.judged(kind)
     before, after = rows[rows < start], rows[rows >= start]
     if kind == "log":
-        x, before, after = view.values, rows, np.array([start])
+        x, before, after = view.excess, rows, np.array([start])
     by_model = kind == "tolerance" or len(before) < FEWEST
     healthy = view.reference if by_model else mean_of(x[before])
     changed = mean_of(x[after])

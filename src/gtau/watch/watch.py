@@ -144,7 +144,8 @@ class Watch:
                 ids = view.logs.ids.tolist()
                 alarm, inside = judge(self.model, view, log, ids.index(number), before)
                 if before is not None and inside is not None:
-                    details = {"first": ids[view.logs.place(before)], "inside": ids[inside]}
+                    warmings = [cause.size for cause in before.explanations if cause.kind == "warming"]
+                    details = {"first": ids[view.logs.place(before)], "inside": ids[inside], "warmings": warmings}
                     history.add_event("repaired", ", ".join(before.charts), date, details=details)
                 history.alarm = alarm
                 history.condense()
