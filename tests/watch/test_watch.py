@@ -15,15 +15,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 from five_bar_logs import CHI, STEEL, Plant, write_experiment, write_log
+from models_to_export import model_of
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
 from gtau.report.watch import alarm_words, state_of, verdict_text
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
+from gtau.watch.alarms import power
+from gtau.watch.quantities import unseen_zeros
 from gtau.watch.statistics import LogStatistics, statistics_of
 from gtau.watch.watch import Watch
 
@@ -246,6 +250,29 @@ def test_a_common_warming_is_one_alarm(model: Result, healthy: list[LogStatistic
     assert alarms[1:] == [[("warming", "")]]  # more than ever
 
 
+def test_the_power_of_a_motion_is_what_is_found(model: Result, healthy: list[LogStatistics]) -> None:
+    bias = np.mean([log.values for log in healthy], axis=0)  # which the imagined robot lacks
+    for times, wanted in ((1.5, True), (0.3, False)):
+        watch = Watch(model, baseline=HEALTHY)
+        watch.imagine(day(0))
+        assert watch.alarm is None
+        k = watch.view.names.index("gain_left")
+        week, month, slowly = power(watch.view)[k]
+        assert 0 < month <= week <= 0.05 < slowly < 0.1  # the tolerance, and the interval of the gain beside it
+        for number, log in enumerate(healthy[:7]):
+            step = times * week * np.array([chart.name == "gain_left" for chart in log.charts])
+            date = f"2000-02-{number + 1:02d}"
+            watch.update_statistics(replace(log, name=date, values=log.values - bias + step), date, date)
+        assert (watch.alarm is not None) is wanted
+
+
+def test_no_motion_shows_the_zero_of_a_vertical_axis(model: Result) -> None:
+    arm = load_robot("ur10e")
+    assert unseen_zeros(model_of(arm)) == ("shoulder_pan_joint",)
+    assert unseen_zeros(model_of(replace(arm, gravity=(1.0, 0.0, -9.7)))) == ()
+    assert unseen_zeros(model) == ()
+
+
 def rows(folder: Path) -> list[tuple]:
     with closing(sqlite3.connect(folder / "history.db")) as database:
         return database.execute("SELECT log, date, numbers, alarm FROM logs ORDER BY id").fetchall()
@@ -360,6 +387,9 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     assert "not a safety function" in report
     assert len(report) < 2e6
     assert call(str(logs[6]), "--json").stdout == ""
+    found = {row["quantity"]: row for row in json.loads(call(str(logs[0]), "--power", "--json").stdout)}
+    assert found["drive gain of left"]["slowly"] > found["drive gain of left"]["week"] > 0
+    assert "visible in a week" in call(str(logs[0]), "--power").stdout
     forgotten = call("--forget", logs[6].stem)
     assert forgotten.exit_code == 0, forgotten.output
     assert call("--undo", logs[6].stem).exit_code == 3

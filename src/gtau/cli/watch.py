@@ -44,6 +44,7 @@ def watch(
     undo: Annotated[str | None, option("LOG|DATE", "Undo what was last done about a log or a date.")] = None,
     follow: Annotated[bool, option("", Following, "--follow")] = False,
     block: Block = 30.0,
+    power: Annotated[bool, option("", "Only state which changes the motion of a log would show.", "--power")] = False,
     json_: Annotated[bool, option("", "Print a line of JSON for each log instead of a table.", "--json")] = False,
 ) -> None:
     """Watch a robot: compare its logs with its model and with each other, and name what has changed.
@@ -76,11 +77,18 @@ def watch(
     result = Result.load(model)
     tolerances = None if experiment is None else read_experiment(experiment).tolerances
     settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
+    read = partial(read_log, result, experiment=experiment, payload=payload)
+    if power:
+        from gtau.report.watch import power_page, power_rows
+
+        imagined = Watch(result, None, tolerances, baseline=baseline, **settings)
+        imagined.imagine(read(given[-1]))
+        answer(json_, lambda: power_rows(imagined), lambda: power_page(imagined))
+        return
     watched = Watch(result, out, tolerances, baseline=baseline, **settings)
     for what, subject in done.items():
         if subject is not None:
             getattr(watched, what)(subject)
-    read = partial(read_log, result, experiment=experiment, payload=payload)
     statuses = blocks(watched, sources[0], read, block) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)

@@ -14,13 +14,19 @@ from gtau.errors import GtauError
 from gtau.findings.words import filled, phrase, to_width
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
-from gtau.watch.alarms import FEWEST_OF_WEEK, beyond, visible_changes, week_of
+from gtau.watch.alarms import FEWEST_OF_WEEK, beyond, power, visible_changes, week_of
 from gtau.watch.history import HISTORY, Alarm, Event, Explained, History
-from gtau.watch.quantities import Quantity
+from gtau.watch.quantities import Quantity, unseen_zeros
 from gtau.watch.watch import Status, Watch
 
 SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}
 """Units that are shown as others, and the factors to them."""
+VISIBLE = (
+    Column("visible in a week", Kind.NUMBER, 2, missing="no"),
+    Column("in a month", Kind.NUMBER, 2, missing="no"),
+    Column("grown slowly", Kind.NUMBER, 2, missing="no"),
+)
+"""Columns of :func:`visible_changes`."""
 STATES = ("replace", "check", "baseline", "OK")  # those to look after first
 DRAWN = 400  # points of a panel, beyond which days are averaged
 SPREAD = 1.5  # times what nine of ten logs stay within, that a panel shows at least
@@ -115,15 +121,46 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
         Column("unit"),
         Column("last week", Kind.SPREAD, 3),
         Column("tolerance", Kind.NUMBER, 3),
-        Column("visible in a week", Kind.NUMBER, 2, missing="no"),
-        Column("in a month", Kind.NUMBER, 2, missing="no"),
+        *VISIBLE,
     )
     first, others = np.flatnonzero(shown & far), np.flatnonzero(shown & ~far)
     faint = frozenset(range(len(first), len(first) + len(others)))
     yield table(columns, map(row, [*first, *others]), name="quantities-table", faint=faint)
     yield Text(phrase("watched quantities"))
-    if hidden := ", ".join(_shown(view.quantities[k])[0] for k in np.flatnonzero(~shown)):
-        yield Text(f"Not visible with this motion: {hidden}. {phrase('reference motion')}", style="soft")
+    yield from _hidden(watch)
+
+
+def _hidden(watch: Watch) -> Iterator[Text]:
+    """List the quantities that the motion does not show, and apart from them the zeros that none can show."""
+    hidden = [
+        quantity
+        for quantity, values in zip(watch.view.quantities, watch.view.values.T, strict=True)
+        if not np.isfinite(values).any()
+    ]
+    unseen = unseen_zeros(watch.model) if hidden else ()
+    of_none = [quantity for quantity in hidden if quantity.kind == "zero" and quantity.joint in unseen]
+    if names := ", ".join(_shown(quantity)[0] for quantity in hidden if quantity not in of_none):
+        yield Text(f"Not visible with this motion: {names}. {phrase('reference motion')}", style="soft")
+    if names := ", ".join(_shown(quantity)[0] for quantity in of_none):
+        yield Text(f"Visible with no motion: {names}. {phrase('unseen zeros')}", style="soft")
+
+
+def power_rows(watch: Watch) -> list[dict[str, object]]:
+    """List the smallest change of each quantity that is found; None where none is."""
+    rows: list[dict[str, object]] = []
+    for quantity, sizes in zip(watch.view.quantities, power(watch.view), strict=True):
+        name, unit, factor = _shown(quantity)
+        found = [float(factor * size) if np.isfinite(size) else None for size in sizes]
+        rows.append({"quantity": name, "unit": unit} | dict(zip(("week", "month", "slowly"), found, strict=True)))
+    return rows
+
+
+def power_page(watch: Watch) -> Page:
+    """Show which faults the motion of an imagined history finds, and how large they must be."""
+    rows = [[*row.values()] for row in power_rows(watch)]
+    sizes = table((Column("quantity"), Column("unit"), *VISIBLE), rows, name="power-table")
+    notes = [Text(phrase("power")), *_hidden(watch)]
+    return page(f"What watching {watch.model.robot.name} finds", section("Power", sizes, *notes, id="power"))
 
 
 def watch_report(watch: Watch) -> Page:

@@ -30,6 +30,7 @@ LOUDER = float(np.log(2))  # growth of a residual that counts as odd
 RATED = 50.0  # kg of a payload, where it is not stated; no load is twice as heavy
 SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in standard deviations
 PERIODS = (7, 30)  # days in which it is visible
+DRAWS, FOUND = 40, 0.9  # of a change of white scatter, and the share of them in which it is found
 MOST = 120  # last logs that the imagined ones follow
 
 
@@ -288,18 +289,18 @@ def beyond(view: View, since: int = 0, times: float = 1.0) -> np.ndarray:
 
 
 def visible_changes(view: View) -> np.ndarray:
-    """Compute the smallest sudden change of each quantity (m, 2) found within a week and a month, NaN where none is.
+    """Compute the smallest change of each quantity (m, 3) that is found, NaN where none is.
 
-    The last logs are followed by as many as such a period brings, with the same scatter, and judged by the detector and
-    by the tolerance.
+    Sudden ones are found within a week and a month: the last logs are followed by as many as such a period brings, with
+    the same scatter, and judged by the detector and by the tolerance. One that grows slowly is found by its tolerance.
     """
     rows = view.there[-MOST:]
     x, std = view.compared[rows], view.std[rows]
     if len(rows) < FEWEST:
-        return np.full((x.shape[1], len(PERIODS)), np.nan)
+        return np.full((x.shape[1], len(PERIODS) + 1), np.nan)
     scale = 1.4826 * median(np.abs(x - median(x)))
     half = np.nan_to_num(week_of(view)[1], nan=np.inf)
-    smallest = np.tile((view.tolerance + half)[:, None], len(PERIODS))
+    smallest = np.tile((view.tolerance + 2 * half)[:, None], len(PERIODS) + 1)
     columns = np.flatnonzero(scale > 0)
     sizes = np.outer(scale[columns], SIZES)
     before, white = (np.repeat(part[:, columns], len(SIZES), axis=1) for part in (x, std))
@@ -311,4 +312,25 @@ def visible_changes(view: View) -> np.ndarray:
         certain = ((proof.log_e >= view.limit) & proof.confirmed).reshape(sizes.shape)
         change = np.where(certain, sizes, np.inf).min(axis=1)
         smallest[columns, p] = np.minimum(smallest[columns, p], change)
+    return np.where(np.isfinite(smallest), smallest, np.nan)
+
+
+def power(view: View) -> np.ndarray:
+    """Compute changes as :func:`visible_changes` does, found in ``FOUND`` of all cases, of days that do not correlate.
+
+    Then the detector depends on the ratio of a change to the scatter alone, and is tried once for all quantities.
+    """
+    rows, logs_of = view.there, view.settings.logs_per_year / 365
+    shown = np.isfinite(view.compared[rows]).any(axis=0)
+    smallest = np.tile((view.tolerance + 2 * np.nan_to_num(week_of(view)[1], nan=np.inf))[:, None], len(PERIODS) + 1)
+    scale = np.full(len(shown), np.nan)
+    scale[shown] = np.nanstd(view.compared[rows][:, shown], axis=0)
+    for p, days in enumerate(PERIODS):
+        logs = int(np.clip(round(days * logs_of), 2, WINDOW // 2))
+        x = np.random.default_rng(0).normal(size=(len(rows) + logs, len(SIZES), DRAWS))
+        x[len(rows) :] += SIZES[:, None]
+        proof = evidence(x.reshape(len(x), -1), np.ones((len(x), SIZES.size * DRAWS)), view.settings.baseline)
+        share = ((proof.log_e >= view.limit) & proof.confirmed).reshape(len(SIZES), DRAWS).mean(axis=1)
+        found = SIZES[share >= FOUND]
+        smallest[:, p] = np.fmin(smallest[:, p], scale * found.min(initial=np.inf))
     return np.where(np.isfinite(smallest), smallest, np.nan)

@@ -35,6 +35,8 @@ from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs
 from gtau.estimation.regression.rows import Rows, instants, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
 from gtau.estimation.results.result import Result
+from gtau.model.loops import Labels, Motion
+from gtau.model.singularities import random_motion
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.statements import Payload
@@ -43,6 +45,9 @@ from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_
 
 STEP = 1e-3  # rad or m of an encoder zero, or share of the rate: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification
+STATES = 50  # at random, at which the zero of a joint moves some torque, or none does
+UNSEEN = 1e-6  # of the largest torque, per degree: 0 of the vertical axes of three arms, 6e-8 with a rounded pi/2 in
+# the file; 4e-5 and more of all other axes, least of the last one of a UR10e
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
 
@@ -168,7 +173,7 @@ def _columns(
     A = np.zeros((*tau.shape, len(quantities) + 1))
     A[..., : payload.shape[1]] = W @ payload
     A[..., -1] = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays)) - tau
-    zeros, rate = _of_motion(model, part, load, run)
+    zeros, rate = _of_motion(model, part.motion, load, instants(run, part.time))
     A[..., -2] = rate + W @ [identified(model, name) * (name.kind == "fv") for name in standard]
     for k, quantity in enumerate(quantities[payload.shape[1] : -1], start=payload.shape[1]):
         j = idm.actuated.index(quantity.joint)
@@ -184,9 +189,22 @@ def _columns(
     return A
 
 
-def _of_motion(model: Result, part: Rows, load: np.ndarray, run: str) -> tuple[np.ndarray, np.ndarray]:
+def unseen_zeros(model: Result) -> tuple[str, ...]:
+    """List the joints of a tree whose encoder zero no motion shows, such as one of an arm about the vertical."""
+    idm, base = model.idm, model.base
+    if model.robot.closures:  # whose poses need not close with another zero
+        return ()
+    load = np.array(transmitted(np, base.standard, loaded_parameters(model, None, "the robot")))
+    motion = random_motion(idm, STATES, np.random.default_rng(0))
+    zeros, _ = _of_motion(model, motion, load, instants("random states", np.arange(STATES, dtype=float)))
+    torques = idm.columns(base.standard).torques_along(idm.layout, motion, load)
+    moved = np.abs(zeros).max(axis=(1, 2)) / np.abs(torques).max()
+    return tuple(joint for joint, share in zip(idm.actuated, moved, strict=True) if share < UNSEEN)
+
+
+def _of_motion(model: Result, motion: Motion, load: np.ndarray, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate the torques (n, K) by each encoder zero (n, n, K), per degree or millimetre, and by the rate."""
-    idm, motion, labels = model.idm, part.motion, instants(run, part.time)
+    idm = model.idm
     regressor = idm.columns(model.base.standard)
     q, qd, qdd = (np.ascontiguousarray(states[idm.layout.actuated]) for states in (motion.c, motion.yd, motion.ydd))
     before = regressor.torques_along(idm.layout, motion, load)

@@ -47,6 +47,9 @@ class Status(BaseModel):
         return self.alarm is None
 
 
+DAYS = 30  # healthy, of an imagined history
+
+
 class Watch:
     """Watch a robot: feed it finished logs, and it reports whether the robot has changed.
 
@@ -167,6 +170,22 @@ class Watch:
             std={name: std for name, _, std in shown},
             alarm=self.alarm,
         )
+
+    def imagine(self, run: Run) -> None:
+        """Fill the history with days on which the estimates of a log scatter by their own covariance.
+
+        They are those of a robot that equals its model, so that the smallest visible changes are known beforehand. Real
+        days scatter more. Raises GtauError where the log does not fit the model.
+        """
+        log = statistics_of(self.model, run)
+        values, vectors = np.linalg.eigh(log.covariance)
+        root, rng = vectors * np.sqrt(np.maximum(values, 0.0)), np.random.default_rng(0)
+        with self.history.writing():
+            for day in range(DAYS):
+                drawn = np.where(log.shown, root @ rng.normal(size=len(root)), np.nan)
+                date = str(np.datetime64("2000-01-01") + np.timedelta64(day, "D"))
+                self.history.add_row(run.name, date, [drawn, log.std, log.uneven, log.speed])
+        self._read()
 
     def set_aside(self, log: str, why: str) -> None:
         """Note a log that cannot be read, until it can."""
