@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,11 +12,10 @@ from pathlib import Path
 import psutil
 import pytest
 from five_bar_logs import DESIGN
-from programs import has_ended, start, wait_until
+from programs import LIMIT, has_ended, start, wait_until, work_of
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
-LIMIT = 10.0  # s to end, on a busy machine; on an idle one less than one
 SLOW = "import gtau.fleet.fleet, process_functions; gtau.fleet.fleet.identify_member = process_functions.slow_member"
 USUAL = [("SIGINT", True), ("SIGKILL", False)]
 ENDINGS = [(name, group) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL") for group in (False, True)]
@@ -82,7 +80,8 @@ def test_a_search_ends_without_a_word_of_its_solver(tmp_path: Path, name: str) -
     (tmp_path / "design.yaml").write_text(DESIGN)
     process = start(tmp_path, "excite", "design.yaml", "--out", "plan", "--starts", "1000")
     wait_until((tmp_path / "plan" / "trajectory.csv").exists, process)
-    time.sleep(1.0)  # into a search
+    begun = work_of(process)
+    wait_until(lambda: work_of(process) > begun + 1.0)  # into a search
     process.send_signal(signal.Signals[name])
     stdout, stderr = process.communicate(timeout=LIMIT)
     assert process.returncode == 128 + signal.Signals[name]

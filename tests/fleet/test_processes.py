@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from process_functions import fragile, limits, square
-from programs import start_python, wait_until
+from programs import LIMIT, start_python, wait_until
 
 from gtau.fleet.workers import processes
 
@@ -48,5 +48,5 @@ if __name__ == "__main__":
     process = start_python(tmp_path, "main.py", str(tmp_path))
     wait_until(lambda: len(list(tmp_path.glob("[0-9]"))) == 2, process)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: all of them
-    assert process.communicate(timeout=20) == ("", "")
+    assert process.communicate(timeout=LIMIT) == ("", "")
     assert process.returncode == 130

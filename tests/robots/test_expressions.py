@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gtau.robots.readers import expressions
@@ -52,6 +52,7 @@ def test_linear_in_the_joint_coordinate(text: str, expected: tuple[float, float]
     assert linear(text, CONSTANTS) == pytest.approx(expected)
 
 
+@settings(deadline=None)  # on a machine that others use
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_every_float_is_read_as_written(number: float) -> None:
     assert evaluate(repr(number)) == number

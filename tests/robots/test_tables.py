@@ -120,14 +120,14 @@ def test_bad_csv(text: str | bytes, sentence: str, tmp_path: Path) -> None:
 
 
 def refused(path: Path, sentence: str) -> None:
-    start = time.perf_counter()
+    start = time.process_time()  # of this process: others may keep the machine busy
     with pytest.raises(GtauError) as refusal:
         load_robot(path)
     said = str(refusal.value)
     assert said.startswith(str(path))
     assert sentence in said.removeprefix(str(path))
     assert "\n" not in said
-    assert time.perf_counter() - start < 10.0
+    assert time.process_time() - start < 10.0
 
 
 # OpenSYMORO: a turret, a parallelogram of lower arm 2, upper arm 3, crank 5 and rod 6, cut at joint 7, and a wrist 4

@@ -32,8 +32,16 @@ def limits(_: int) -> str:
 
 
 def slow(path: Path) -> None:
+    """Work for longer than any test lasts."""
     path.touch()
-    time.sleep(60)
+    time.sleep(600)
+
+
+def held(path: Path) -> None:
+    """Work until there is a file ``go`` beside the path; the item called ``first`` at once."""
+    path.touch()
+    while path.name != "first" and not (path.parent / "go").exists():
+        time.sleep(0.01)
 
 
 def slow_square(x: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -56,6 +57,14 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen | None =
                 process.kill()
             raise AssertionError(f"still waiting after {limit:.0f} s")
         time.sleep(0.02)
+
+
+def work_of(process: subprocess.Popen) -> float:
+    """Seconds of processor time that a program has taken: other programs do not make it longer."""
+    try:
+        return sum(psutil.Process(process.pid).cpu_times()[:2])
+    except (psutil.NoSuchProcess, psutil.ZombieProcess):
+        return math.inf
 
 
 def has_ended(process: psutil.Process) -> bool:
