@@ -26,6 +26,7 @@ import gtau.estimation.experiment_runs
 import gtau.estimation.identify
 from gtau.cli.commands import COMMANDS, app
 from gtau.cli.identification import percent
+from gtau.documents.files import beside
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.registry import NAMES
 from gtau.estimation.experiment_runs import read_runs
@@ -724,6 +725,32 @@ def test_an_output_folder_with_a_name_that_is_too_long(here: Path) -> None:
     result = run("identify", "experiment.yaml", "--out", 300 * "x")
     assert result.exit_code == 2
     assert "x cannot be the output folder (File name too long); choose another one." in result.stderr
+
+
+def test_an_output_path_through_a_missing_folder_makes_no_folder(here: Path) -> None:
+    before = sorted(here.iterdir())
+    for refusal in (
+        run("identify", "experiment.yaml", "--out", "x/../y/../out").stderr,
+        run("simulate", "simulation.yaml", "--out", "x/../y/../out").stderr,
+    ):
+        assert refusal == "gtau: x/../y/../out leads through x, which does not exist; write out.\n"
+    assert sorted(here.iterdir()) == before
+
+
+def test_paths_of_an_experiment_file_are_said_without_steps_back(here: Path) -> None:
+    (here / "deep" / "er").mkdir(parents=True)
+    (here / "deep" / "link").symlink_to(here / "deep" / "er")
+    text = re.sub(r"(\w+\.csv)", r"../../\1", (here / "experiment.yaml").read_text())
+    file = here / "deep" / "er" / "experiment.yaml"
+    file.write_text(text.replace("free.csv", "gone/../lost.csv"))
+    assert "there is no file 'lost.csv';" in run("check", "deep/er/experiment.yaml").stderr
+    file.write_text(text)
+    assert read_experiment("deep/er/experiment.yaml").runs[0].log == (Path("free.csv"),)
+    (here / "er.csv").write_bytes((here / "free.csv").read_bytes())
+    assert beside(Path("deep/link"), "../../er.csv") == Path("er.csv")
+    (here / "other").mkdir()
+    (here / "deep" / "away").symlink_to(here / "other")
+    assert beside(Path("deep/away"), "../er.csv") == Path("deep/away/../er.csv")  # the link leads elsewhere
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe"])

@@ -67,6 +67,7 @@ def refuse_as_folder(path: str | Path | None) -> None:
     if path is None:
         return
     try:
+        _refuse_detour(Path(path))
         existing = next(place for place in (Path(path), *Path(path).absolute().parents) if place.exists())
     except OSError as error:  # such as a name that is too long
         raise GtauError(f"{path} cannot be the output folder ({error.strerror}); choose another one.") from None
@@ -82,10 +83,27 @@ def folder_of(path: str | Path) -> Path:
     """Make a folder where it is missing, and return it; raises GtauError."""
     path = Path(path)
     try:
+        _refuse_detour(path)
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise GtauError(f"the folder {path} cannot be made ({error.strerror}); choose another one.") from None
     return path
+
+
+def _refuse_detour(path: Path) -> None:
+    """Refuse a path that leads through a folder that does not exist, which would be made for nothing; GtauError."""
+    for place in (p for p in reversed((path, *path.parents)) if p.name == ".." and not p.parent.exists()):
+        raise GtauError(f"{path} leads through {place.parent}, which does not exist; write {os.path.normpath(path)}.")
+
+
+def beside(folder: Path, path: str | Path) -> Path:
+    """Return a path that a file in ``folder`` states, without steps that lead back: ``a/../b`` is ``b``.
+
+    Where a step is a link that leads elsewhere, the path stays as it is.
+    """
+    joined = folder / path
+    short = Path(os.path.normpath(joined))
+    return short if not joined.exists() or (short.exists() and short.samefile(joined)) else joined
 
 
 def regular(path: Path) -> Path:

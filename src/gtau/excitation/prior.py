@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, model_validator
 
+from gtau.documents.files import beside
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
@@ -34,7 +35,7 @@ STATES = 200
 
 
 def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
-    return path if info.context is None else info.context / path
+    return path if info.context is None else beside(info.context, path)
 
 
 FilePath = Annotated[Path, AfterValidator(_beside_the_file)]

@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, model_validator
 
+from gtau.documents.files import beside
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
 from gtau.robots.robot import Joint, Robot
@@ -146,7 +147,7 @@ def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToP
 
 def _existing(path: Path, info: ValidationInfo) -> Path:
     """Return a path of the simulation file from its folder; raises ValueError where there is no file."""
-    path = path if info.context is None else info.context / path
+    path = path if info.context is None else beside(info.context, path)
     if not path.is_file():
         raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
     return path

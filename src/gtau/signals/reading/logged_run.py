@@ -9,7 +9,7 @@ from typing import Annotated, NamedTuple
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
 
-from gtau.documents.files import matching
+from gtau.documents.files import beside, matching
 from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.reading.samples import Part
 from gtau.signals.reading.statements import Payload
@@ -27,7 +27,7 @@ def file_or_name(robot: str, folder: Path) -> str:
 
     Raises ValueError where the entry is the path of a file that does not exist.
     """
-    file = folder / robot
+    file = beside(folder, robot)
     if file.is_file() or (file / "robot.urdf").is_file():
         return str(file)
     if file.suffix or "/" in robot:
@@ -71,7 +71,7 @@ class LoggedRun(Part):
         placed = tuple(_placed(info.context.logs, path) for path in log)
         matches = [_logs_at(path) for path in placed]
         for written, logs in zip(log, matches, strict=True):
-            path = info.context.logs / written
+            path = beside(info.context.logs, written)
             if not logs and has_magic(str(written)):
                 raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
             for existing in logs or [path]:
@@ -97,7 +97,8 @@ class LoggedRun(Part):
 
 def _placed(folder: Path, path: Path) -> Path:
     """Join a path to a folder whose name is taken literally."""
-    return folder / path if (folder / path).exists() else Path(escape(str(folder))) / path
+    existing = beside(folder, path)
+    return existing if existing.exists() else beside(Path(escape(str(folder))), path)
 
 
 def _logs_at(path: Path) -> list[Path]:
