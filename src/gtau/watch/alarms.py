@@ -25,7 +25,8 @@ from gtau.watch.statistics import RESIDUAL, LogStatistics
 WEEK, WEEKLY = 7.0, 7  # days, and logs that count as a week where they have one date
 FEWEST_OF_WEEK = 3  # logs of a week; fewer are filled up with earlier ones
 ODD = 5.0  # standard deviations, and tolerances from the model where there are too few logs to compare with
-COMMON = 2  # joints whose friction has a median; of two, a change of one is seen in both by half
+COMMON = 2  # joints whose friction has a median; of two, a change of one is seen in both by half. Of a five-bar with
+# 40 % more friction on four days of ten, a year had 38 alarms with 3 joints, and has one
 LOUDER = float(np.log(2))  # growth of a residual that counts as odd
 RATED = 50.0  # kg of a payload, where it is not stated; no load is twice as heavy
 SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in standard deviations
