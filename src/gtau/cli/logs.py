@@ -226,7 +226,7 @@ def experiment_of(
         return sources[0], ()
     if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
-    from gtau.signals.reading.drafting import draft_logs, guesses, to_weigh, with_sensors, write_draft
+    from gtau.signals.reading.drafting import alternatives, draft_logs, guesses, to_weigh, with_sensors, write_draft
 
     masses = _masses(payloads or [])
     drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
@@ -240,6 +240,11 @@ def experiment_of(
         raise GtauError(
             f"{sources[0]} has neither times nor velocities to find its sampling rate from; draft a file by 'gtau "
             "init', write the rate there (time: {rate: HZ}), and give that file."
+        )
+    for log, masses in draft.readings.items():
+        raise GtauError(
+            f"the name of {log} may mean a payload of {alternatives(masses)} kg, which sets the scale of all drive "
+            f"gains; state it by --payload {log.name}={masses[0]:g} (0 for none)."
         )
     file = folder / "experiment.yaml"
     write_draft(draft, file)

@@ -157,11 +157,3 @@ def _words(text: str) -> list[str]:
     plain = "".join(letter for letter in unicodedata.normalize("NFD", text) if not unicodedata.combining(letter))
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
     return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
-
-
-def mass_in_name(name: str) -> float | None:
-    """Read a mass in kg from the name of a file, as in ``loaded_1983g``."""
-    match = re.search(r"(?<![\d.])(\d+(?:[.]\d+)?)[_ ]?(kg|g|grams?)(?![a-z])", name, re.IGNORECASE)
-    if not match:
-        return None
-    return round(float(match[1]) * (1.0 if match[2].lower() == "kg" else 1e-3), 6)

@@ -12,8 +12,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, mass_in_name, wrench_like
+from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, wrench_like
 from gtau.signals.reading.log_contents import Group, LogContents
+from gtau.signals.reading.masses import masses_in_name
 
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
 TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm
@@ -23,6 +24,8 @@ TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm
 COMPUTED = 0.3
 
 UNSURE = {
+    "masses": "write the payload masses ('or' in the file) that file names give in several ways: they set the scale of "
+    "all drive gains",
     "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
     "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
     "joints": "confirm that the columns are in the order of the joints",
@@ -53,10 +56,10 @@ class Draft:
 
     ``logs`` are one file or two of each run; ``signals``, ``units`` and ``robot`` are as under these keys of the file,
     but ``robot`` has no ``file`` where it is unknown, and a rate is None. ``masses`` (kg) of payloads by log come from
-    the names of the files where they are not ``stated``; NaN is to be weighed. ``beside`` are columns that are not
-    used, some by joint: ``temperature``, ``torques`` that may be of sensors, a ``pose``, the ``motion`` of a base,
-    ``wrenches``, and ``others`` that might be meant instead, torques that are ``still``. ``urdf`` is the text of the
-    robot's file where a bag holds it.
+    the names of the files where they are not ``stated``; NaN is to be weighed. ``readings`` are those of names with
+    several. ``beside`` are columns that are not used, some by joint: ``temperature``, ``torques`` that may be of
+    sensors, a ``pose``, the ``motion`` of a base, ``wrenches``, and ``others`` that might be meant instead, torques
+    that are ``still``. ``urdf`` is the text of the robot's file where a bag holds it.
     """
 
     logs: tuple[tuple[Path, ...], ...]
@@ -66,6 +69,7 @@ class Draft:
     masses: Mapping[Path, float]
     reasons: Mapping[str, str]
     open: tuple[str, ...]
+    readings: Mapping[Path, tuple[float, ...]] = field(default_factory=dict)
     stated: frozenset[Path] = frozenset()
     beside: Mapping[str, Any] = field(default_factory=dict)
     urdf: str | None = None
@@ -139,9 +143,10 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         reasons["torques"] = "a straight line of the currents, from which they may be computed"
     used = {*positions.columns.values(), *commands.columns.values()}
     beside = _unused(position_log, command_log, used, columns, torques, base is not None) | {"still": still}
-    masses = {run[0]: mass for run in runs if (mass := mass_in_name(run[0].name)) is not None}
-    doubtful = beside | {"base": beside["motion"], "mass": masses, "robot": source is None}
-    unsure |= {key for key in ("torques", "wrenches", "base", "mass", "robot") if doubtful[key]}
+    readings = {run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))}
+    several = {log: masses for log, masses in readings.items() if len(masses) > 1}
+    doubtful = beside | {"base": beside["motion"], "mass": readings, "masses": several, "robot": source is None}
+    unsure |= {key for key in ("torques", "wrenches", "base", "mass", "masses", "robot") if doubtful[key]}
     moving = list(joints) if robot and len(joints) < len(robot.actuated) else None
     entries = {"file": source, "base": base, "gravity": [0, 0, 0] if compensated else None, "joints": moving}
     return Draft(
@@ -149,7 +154,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         signals={"time": time, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {}),
         units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
         robot={key: entry for key, entry in entries.items() if entry is not None},
-        masses=masses,
+        masses={log: masses[0] for log, masses in readings.items()},
+        readings=several,
         reasons=reasons,
         open=tuple(key for key in UNSURE if key in unsure),
         beside=beside,

@@ -100,8 +100,14 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
     """Return the draft with payloads, kg, of logs where they are known, 0 for none."""
     kept = {log: mass for log, mass in ({**draft.masses, **masses}).items() if mass > 0}
     stated = draft.stated.union(masses)
-    draft = _settled(draft, "mass") if stated.issuperset(kept) else draft
-    return replace(draft, masses=kept, stated=stated)
+    readings = {log: several for log, several in draft.readings.items() if log not in stated}
+    settled = ["masses"] * (not readings) + ["mass"] * stated.issuperset(kept)
+    return replace(_settled(draft, *settled), masses=kept, stated=stated, readings=readings)
+
+
+def alternatives(masses: Sequence[float]) -> str:
+    """Write masses of which one is right, in kg."""
+    return " or ".join(f"{mass:g}" for mass in masses)
 
 
 def to_weigh(draft: Draft) -> Draft:
@@ -193,6 +199,9 @@ def draft_text(draft: Draft, folder: Path) -> str:
             known = isfinite(mass)
             entry = _flow({"name": f"load_{1000 * mass:.0f}g", "mass": mass} if known else {"name": run[0].stem})
             doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name" if known else "to be weighed"
+            if several := draft.readings.get(run[0]):
+                entry = _flow({"name": "load", "mass": alternatives(several)})
+                doubt = f"{CHECK}write one of them, kg; without a payload remove this line"
             payload = [_line(f"    payload: {entry}", doubt)]
         for episode in find_columns(run[0]).episodes or (None,):
             numbered = [] if episode is None else [f"    episode: {episode}"]

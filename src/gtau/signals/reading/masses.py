@@ -1,0 +1,56 @@
+"""Masses of payloads in the names of logs, as in ``loaded_1983g``, and all readings of those that have several."""
+
+from __future__ import annotations
+
+import re
+
+UNITS = {("kg", "kilo"): 1.0, "g": 1e-3, ("lb", "pound"): 0.45359237, "oz": 0.45359237 / 16}
+MASS = re.compile(
+    r"(?:(?<!\d)(?P<times>\d+) ?[x*×] ?)?(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)[-_ ]?"
+    r"(?P<unit>kg(?![fm]|cm)|kilos?(?![a-z])|kilogram|(?:g|gr|gms?|grams?|grammes?|gramm)(?![a-z])|lbs?(?![a-z])|pounds?"
+    r"|oz(?![a-z]))(?P<rest>\d+(?![\d.,]*[-_ ]?(?:kg|g|lb|oz)(?![a-z])))?",
+    re.IGNORECASE,
+)
+DATE = re.compile(
+    r"(?<!\d)20\d\d([-_.]?)[01]\d\1[0-3]\d(?:[-_T ][0-2]\d[-_.:h]?[0-5]\d(?:[-_.:]?[0-5]\d)?(?=[-_ ]))?(?!\d)"
+)
+DECIMAL = (".", ",", "·", "p", "dot", "pt")  # between digits; others may also separate a number from what precedes it
+LEAST, MOST = 0.01, 1e3  # kg; of a payload. Less may be an acceleration (0.5g), more a time or a count
+
+
+def masses_in_name(name: str) -> tuple[float, ...]:
+    """Read the mass in kg from the name of a file: no reading, one, or several, of which the user must choose.
+
+    ``1,5kg``, ``1p5kg`` and ``1500g`` have one; ``loaded_1_5kg`` may be 1.5 kg or log 1 with 5 kg, ``1kg5`` 1.5 kg or
+    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg. A mass that is too small or too large may be none (0).
+    """
+    matches = list(MASS.finditer(DATE.sub(" ", name)))
+    readings = [_readings(match) for match in matches]
+    masses = {mass: None for of_match in readings for mass in of_match}
+    if len(matches) > 1:
+        masses |= {round(sum(of_match[0] for of_match in readings), 6): None}
+    likely = [mass for mass in masses if mass == 0 or LEAST <= mass <= MOST]
+    return tuple(likely or ((*masses, 0.0) if masses else ()))
+
+
+def _readings(match: re.Match[str]) -> list[float]:
+    """List the masses, kg, that a number and its unit may mean, the likeliest first."""
+    unit = match["unit"].lower()
+    factor = next(size for letters, size in UNITS.items() if unit.startswith(letters))
+    *before, last = re.split(r"(\D+)", match["number"])
+    whole, separator = before[-2:] if before else ("", "")
+    texts = []
+    if whole and (separator in DECIMAL or whole == "0" or whole[0] != "0"):
+        texts.append(f"{whole}.{last}")
+    if len(last) == 3 and factor < 0.01 and whole and whole[0] != "0":
+        texts.append(whole + last)  # thousands of grams
+    if separator not in DECIMAL or len(before) > 2:
+        texts.append(last)
+    if match["point"] and not whole:
+        texts.append(f"0.{last}")
+    if match["rest"]:
+        texts.insert(0, f"{texts[0].partition('.')[0]}.{match['rest']}")
+    numbers = [float(text) for text in texts]
+    if match["times"]:
+        numbers += [int(match["times"]) * number for number in numbers]
+    return [round(number * factor, 6) for number in numbers]
