@@ -139,6 +139,8 @@ def _answered(draft: Draft) -> Draft:
 
 
 def _page(draft: Draft, out: Path, open_: list[str]) -> str:
+    from gtau.signals.reading.drafting import listed_units
+
     rate = f"{draft.rate:g} Hz" if draft.rate else "rate unknown"
     clock = " and ".join(draft.time) or f"no column, {rate}"
     why = draft.reasons.get("time")
@@ -146,7 +148,7 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
         "time": clock + (f" ({why})" if why else ""),
         "position": ", ".join(f"{joint}: {column}" for joint, column in draft.signals["position"].items()),
         draft.kind: ", ".join(f"{joint}: {column}" for joint, column in draft.command.items()),
-        "units": ", ".join(f"{key} in {unit}" for key, unit in draft.units.items()),
+        "units": listed_units(draft),
         "to check": ", ".join((*draft.beside.get("motion", ()), *draft.beside.get("wrenches", ()))),
         "not used": "; ".join(draft.beside.get("others", ())),
     }
@@ -241,10 +243,10 @@ def experiment_of(
             f"{sources[0]} has neither times nor velocities to find its sampling rate from; draft a file by 'gtau "
             "init', write the rate there (time: {rate: HZ}), and give that file."
         )
-    for log, masses in draft.readings.items():
+    for log, readings in draft.readings.items():
         raise GtauError(
-            f"the name of {log} may mean a payload of {alternatives(masses)} kg, which sets the scale of all drive "
-            f"gains; state it by --payload {log.name}={masses[0]:g} (0 for none)."
+            f"the name of {log} may mean a payload of {alternatives(readings)} kg, which sets the scale of all drive "
+            f"gains; state it by --payload {log.name}={readings[0]:g} (0 for none)."
         )
     file = folder / "experiment.yaml"
     write_draft(draft, file)

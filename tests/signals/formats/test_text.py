@@ -49,8 +49,9 @@ BEFORE: list[tuple[list[str], str, tuple[str, str, str]]] = [
         "skipped lines 1 to 2 before the table, took the names of",
         ("t", "q", "v"),
     ),
+    (["t,q,v", "s,rad,A"], "", ("t", "q", "v")),
     (
-        ["t,q,v", "s,rad,A"],
+        ["t,q,v", "first,second,third"],
         "skipped line 2 before the table, took the names of its columns from line 1",
         ("t", "q", "v"),
     ),

@@ -14,6 +14,8 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from gtau.signals.reading.written_units import WrittenUnit, read_unit, split_unit
+
 WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())
     for kind, words in {
@@ -26,11 +28,15 @@ WORDS: dict[str, frozenset[str]] = {
         "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente",
         "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza",
         "motor": "motor",
-        "other": "ext external mocap grav gravity temp temperature err error latency voltage rate success filtered age",
+        "other": "ext external mocap grav gravity temp temperature err error latency voltage rate success filtered age "
+        "fric friction comp compensation coriolis ff feedforward limit limits enable enabled mode status flag",
     }.items()
 }
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
-REFERENCE = frozenset(["ref", "reference", "target", "desired", "des", "cmd", "setpoint", "goal", "d", "soll"])
+REFERENCE = frozenset(
+    "ref reference target desired des cmd commanded con demand demanded setpoint goal d soll".split()  # noqa: SIM905
+)
+MEASURED = frozenset("meas measured act actual ist present fb feedback".split())  # noqa: SIM905
 TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
 TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # bodies other than the base
@@ -43,9 +49,10 @@ COMPONENTS = {  # words before the letter of an axis, and all axes
     "force": ("f|force", "xyz"),
     "moment": ("m|t|moment|torque", "xyz"),
 }
-COMMAND = frozenset(["v", "u", "control", "action", "command"])  # currents or torques, unless they are velocities
-UNITS = {unit.lower(): unit for unit in ("deg", "rad", "mm", "m", "mA", "A", "s", "ms", "us", "ns", "%", "N m", "N")}
-UNITS |= {"°": "deg", "nm": "N m"}
+COMMAND = frozenset(["v", "u", "control", "action", "command", "load"])  # currents or torques, unless velocities
+NO_UNIT = frozenset[str]().union(*WORDS.values(), REFERENCE, MEASURED, TEMPERATURE)  # words in brackets
+KIND_OF_UNIT = {("position", "motor"), ("torque", "current"), ("torque", "position")}  # the unit decides, not the name
+ODD = re.compile(r"(?<=[\s\d#])\[\s*([^\[\]]*[^\[\]\s\d][^\[\]]+)\]\s*$")  # brackets that may hold an unknown unit
 
 
 @dataclass(frozen=True)
@@ -54,7 +61,8 @@ class ColumnName:
 
     ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
     ``motor`` is a motor torque, or a column merely named after a motor;
-    ``reference`` is True for a setpoint rather than a measurement.
+    ``reference`` is True for a setpoint rather than a measurement. The ``unit`` is one that an experiment file takes,
+    or what is written where units are.
     """
 
     name: str
@@ -65,19 +73,28 @@ class ColumnName:
     unit: str | None
 
 
-def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
-    """Parse the name of a column; the names of ``joints`` are recognised in it."""
-    unit = re.search(r"[\[(]\s*([^\[\]()\d]+?)\s*[\])]\s*$", name)
-    bare = name[: unit.start()] if unit else name
-    label, stem, words = "", bare, list[str]()
+def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = None) -> ColumnName:
+    """Parse the name of a column; the names of ``joints`` are recognised in it.
+
+    The ``unit`` is one that the log gives elsewhere.
+    """
+    label, bare, words = "", name, list[str]()
     for joint in sorted(joints, key=len, reverse=True):
         before = r"(?<!\d)" if joint.isdigit() else r"(?<![A-Za-z0-9])[A-Za-z]{0,3}?"  # q11; qleft as well as q_left
-        match = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", bare, re.IGNORECASE)
+        match = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", name, re.IGNORECASE)
         if match:
-            label, stem = joint, bare[: match.start(1)] + "#" + bare[match.end(1) :]
+            label, bare = joint, name[: match.start(1)] + "#" + name[match.end(1) :]
             break
+    bare, written = split_unit(bare)
+    if unit:
+        written = read_unit(unit) or WrittenUnit(None, unit)
+    elif written is None and (odd := ODD.search(bare)) and NO_UNIT.isdisjoint(_words(odd[1])):
+        bare, written = bare[: odd.start()], WrittenUnit(None, odd[1])
+    stem = bare
     if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag
+    elif not label and (match := re.fullmatch("time of (.+)", bare)):
+        label, words = match[1], ["time"]  # of a channel of TwinCAT
     elif not label and (match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
         label, stem, words = match[2], f"{match[1]}#]", ["position"]
     elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
@@ -95,8 +112,29 @@ def parse_column_name(name: str, joints: Sequence[str] = ()) -> ColumnName:
         kind = "motor"
     if kind is None and not COMMAND.isdisjoint(words):
         kind = "command"
-    of_unit = UNITS.get(unit[1].lower()) if unit else None
-    return ColumnName(name, stem, label, kind, not REFERENCE.isdisjoint(words), of_unit)
+    reference = not REFERENCE.isdisjoint(words)
+    if written and kind != "other":
+        if written.measures == "position" and kind == "command":
+            reference = True
+        kind = _by_unit(kind, written.measures)
+    return ColumnName(name, stem, label, kind, reference, written.text or None if written else None)
+
+
+def _by_unit(kind: str | None, measures: str | None) -> str | None:
+    """Correct the kind of a column, as its name says, by what its unit measures."""
+    if measures in ("velocity", "acceleration", "other"):
+        return measures
+    alike = {
+        "time": (None, "time"),
+        "position": (None, "position", "motor", "command", "velocity"),
+        "current": (None, "current", "torque", "motor", "command"),
+        "torque": (None, "torque", "sensor", "motor", "command", "current", "position"),
+    }
+    if measures not in alike:
+        return kind
+    if kind not in alike[measures]:
+        return "other"
+    return measures if kind in (None, "command") or (measures, kind) in KIND_OF_UNIT else kind
 
 
 def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnName:
@@ -110,6 +148,11 @@ def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnNam
     field = "position" if quantity == "state" else quantity
     column_name = parse_column_name(f"/{feature}/{joint or name}/{field}", joints)
     return replace(column_name, name=column, reference=column_name.reference or feature == "action")
+
+
+def is_measured(name: str) -> bool:
+    """Decide from its name whether a column is said to be a measurement."""
+    return not MEASURED.isdisjoint(_words(name))
 
 
 def is_temperature(name: str) -> bool:

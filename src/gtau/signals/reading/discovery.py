@@ -15,6 +15,8 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, wrench_like
 from gtau.signals.reading.log_contents import Group, LogContents
 from gtau.signals.reading.masses import masses_in_name
+from gtau.signals.reading.units import si_factor
+from gtau.signals.reading.written_units import SI, read_unit
 
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
 TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm
@@ -32,6 +34,8 @@ UNSURE = {
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "unit": "confirm the unit of the positions (units: {position: ...})",
+    "counts": "replace units that are none by the size of one count (units: {current: 0.00269 A}); for shares add the "
+    "rated values (units: {rated: {JOINT: 5.2}})",
     "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
     "'gear_ratio:'",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
@@ -64,7 +68,7 @@ class Draft:
 
     logs: tuple[tuple[Path, ...], ...]
     signals: Mapping[str, Any]
-    units: Mapping[str, str]
+    units: Mapping[str, Any]
     robot: Mapping[str, Any]
     masses: Mapping[Path, float]
     reasons: Mapping[str, str]
@@ -117,21 +121,20 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
             "(docs/lookup/experiment-file.md), or rename columns or arrays, such as q1 and current1.",
             source=paths[0],
         )
-    reasons, units = dict(position_log.reasons), dict[str, str]()
+    reasons, units = dict(position_log.reasons), dict[str, Any]()
     joints, unmatched, reasons["position"], by_order = _joints(positions, commands, robot)
     if unmatched:
         reasons["unmatched"] = ", ".join(unmatched)
     unsure = {"joints"} if by_order else set()
     columns, currents = ({joint: pair[k] for joint, pair in joints.items()} for k in (0, 1))
     time = _time(position_log, command_log, positions, units, reasons, unsure)
-    if unit := _position_unit(position_log, positions, columns, robot, reasons):
-        units["position"] = unit
-        unsure |= {"unit"} if positions.unit is None else set()
     kind, doubts = _kind(commands, command_log, currents)
     compensated = "current_as_torque" in commands.first.lower()
     unsure |= doubts | ({"gravity"} if compensated else set()) | ({"reference"} if commands.reference else set())
-    if commands.unit in ("A", "mA", "N m", "N"):
-        units[kind] = commands.unit
+    units |= _units(position_log, "position", columns) | _units(command_log, kind, currents)
+    if unit := _unit_by_reach(position_log, columns, robot, reasons, units.get("position")):
+        units["position"] = unit
+        unsure.add("unit")
     labels = {name: label for label, name in positions.columns.items()}
     logged = {joint: labels[column] for joint, column in columns.items()}
     sensors, still = _sensors(command_log, "sensor", logged)
@@ -141,6 +144,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         still += others
     if _computed(command_log, currents, torques):
         reasons["torques"] = "a straight line of the currents, from which they may be computed"
+    units |= _units(command_log, "joint_torque", sensors)
+    unsure |= {"counts"} if any(_unread(key, unit) for key, unit in units.items()) else set()
     used = {*positions.columns.values(), *commands.columns.values()}
     beside = _unused(position_log, command_log, used, columns, torques, base is not None) | {"still": still}
     readings = {run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))}
@@ -152,7 +157,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     return Draft(
         logs=tuple(runs),
         signals={"time": time, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {}),
-        units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
+        units=units,
         robot={key: entry for key, entry in entries.items() if entry is not None},
         masses={log: masses[0] for log, masses in readings.items()},
         readings=several,
@@ -166,7 +171,7 @@ def _time(
     log: LogContents,
     command_log: LogContents,
     positions: Group,
-    units: dict[str, str],
+    units: dict[str, Any],
     reasons: dict[str, str],
     unsure: set[str],
 ) -> Any:
@@ -178,7 +183,8 @@ def _time(
             rate, reasons["time"] = log.rate_from_velocities(positions)
             unsure.add("rate" if rate is None else "velocities")
         return {"rate": rate}
-    units["time"], reasons["time"] = log.time_unit()
+    unit, reasons["time"] = log.time_unit()
+    units |= {"time": unit} if unit != "s" else {}
     apart = command_log.table.path == log.table.path or command_log.rows != log.rows
     stamps = command_log.time if command_log is not log and apart else ()
     if unstamped := [name for name in (*log.time[:1], *stamps[:1]) if name.endswith("/received")]:
@@ -195,7 +201,8 @@ def _time(
 
 def _kind(commands: Group, log: LogContents, columns: Mapping[str, str]) -> tuple[str, set[str]]:
     """Decide whether commands are currents or torques, and whether that is to be confirmed."""
-    in_amperes = commands.unit in ("A", "mA")
+    written = [read_unit(log.units[column]) for column in columns.values() if column in log.units]
+    in_amperes = any(unit and unit.measures == "current" for unit in written)
     if commands.kind == "torque":  # efforts of ROS are what the driver writes
         return "current" if in_amperes else "torque", {"kind"} if "effort" in commands.first.lower() else set()
     if commands.kind == "motor" and not in_amperes:
@@ -334,13 +341,32 @@ def _ordered(labels: Iterable[str]) -> list[str]:
     return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels
 
 
-def _position_unit(
-    log: LogContents, positions: Group, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str]
+def _units(log: LogContents, key: str, columns: Mapping[str, str]) -> dict[str, Any]:
+    """Return what to write under ``key`` of the units: the units in the log, other than SI, one or by joint."""
+    written = {joint: unit for joint, column in columns.items() if (unit := log.units.get(column)) and unit not in SI}
+    units = set(written.values())
+    if not units:
+        return {}
+    return {key: units.pop() if len(units) == 1 and len(written) == len(columns) else written}
+
+
+def _unread(key: Any, units: Any) -> bool:
+    """Decide whether an experiment file refuses one of these units, as that of a count."""
+    try:
+        for unit in units.values() if isinstance(units, Mapping) else [units]:
+            si_factor(unit, "torque" if key == "joint_torque" else key)
+    except ValueError:
+        return True
+    return False
+
+
+def _unit_by_reach(
+    log: LogContents, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str], written: Any
 ) -> str | None:
-    """Determine the unit of the positions, as written or from their range; None for rad and m."""
-    if positions.unit in ("deg", "rad", "mm", "m"):
-        reasons["unit"] = "unit in the columns' names"
-        return positions.unit
+    """Determine the unit of positions from their range where the log does not say it; None for rad and m."""
+    if written or any(column in log.units for column in columns.values()):
+        reasons["unit"] = "units as written in the log"
+        return None
     reach, joint = max((float(np.nanmax(np.abs(log.values[column]))), joint) for joint, column in columns.items())
     kinds = {robot.joint(name).kind for name in columns} if robot else {"revolute"}
     if not reach > TURNS or len(kinds) > 1:

@@ -61,7 +61,7 @@ def draft_logs(
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     """Return the draft with commands of known kind."""
     signals = {kind if key == draft.kind else key: entry for key, entry in draft.signals.items()}
-    units = {key: unit for key, unit in draft.units.items() if key in ("time", "position", kind)}
+    units = {key: unit for key, unit in draft.units.items() if key != draft.kind or key == kind}
     return replace(_settled(draft, "kind", "motor"), signals=signals, units=units)
 
 
@@ -103,6 +103,11 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
     readings = {log: several for log, several in draft.readings.items() if log not in stated}
     settled = ["masses"] * (not readings) + ["mass"] * stated.issuperset(kept)
     return replace(_settled(draft, *settled), masses=kept, stated=stated, readings=readings)
+
+
+def listed_units(draft: Draft) -> str:
+    """List the units of a draft, those of a joint where they differ."""
+    return ", ".join(f"{key} in {_flow(unit)}" for key, unit in draft.units.items())
 
 
 def alternatives(masses: Sequence[float]) -> str:
@@ -265,6 +270,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     assumed = {
         "joints": f"columns were assigned to the joints in order: {columns}",
         "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
+        "counts": f"the log gives units that are none, or shares ({listed_units(draft)})",
         "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
         "kind": f"{first} are assumed to be {draft.kind}s",
         "motor": f"{first} are assumed to be currents",
@@ -327,7 +333,8 @@ def _units(draft: Draft) -> Iterator[str]:
     yield "units:"
     for key, unit in draft.units.items():
         comment = CHECK * ("unit" in draft.open) + reason if key == "position" else ""
-        yield _line(f"  {key}: {unit}", comment)
+        comment = comment if "counts" not in draft.open else f"{CHECK}{UNSURE['counts']}"
+        yield _line(f"  {key}: {_flow(unit)}", comment)
 
 
 def _line(text: str, comment: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import ColumnName, parse_column_name, parse_item
+from gtau.signals.reading.column_names import ColumnName, is_measured, parse_column_name, parse_item
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
@@ -40,7 +40,6 @@ class Group:
     stem: str
     columns: Mapping[str, str]
     reference: bool = False
-    unit: str | None = None
 
     @property
     def first(self) -> str:
@@ -56,7 +55,10 @@ class Group:
 
 @dataclass(frozen=True)
 class LogContents:
-    """A log with its columns by kind, and the values of the first rows (N,) by column; ``rate`` (Hz) if described."""
+    """A log with its columns by kind, and the values of the first rows (N,) by column; ``rate`` (Hz) if described.
+
+    ``units`` are those written in the log, by column.
+    """
 
     table: LogTable
     values: Mapping[str, np.ndarray]
@@ -64,6 +66,7 @@ class LogContents:
     groups: tuple[Group, ...]
     reasons: Mapping[str, str] = field(default_factory=dict)
     rate: float | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
@@ -71,7 +74,9 @@ class LogContents:
         table = find_columns(path)
         joints, (rate, labels) = robot.actuated if robot else (), data_set(path, table.columns)
         names = [
-            parse_item(name, labels[name], joints) if name in labels else parse_column_name(name, joints)
+            parse_item(name, labels[name], joints)
+            if name in labels
+            else parse_column_name(name, joints, table.units.get(name))
             for name, count in Counter(table.columns).items()
             if name and count == 1
         ]
@@ -87,7 +92,8 @@ class LogContents:
             groups = [group for group in groups if _topic(group.first, topics) == main]
         values = _values(path, [name.name for name in wanted], table)
         time = _time_columns(wanted, values)
-        return cls(table, values, time, tuple(_classified(groups, values, path)), rate=rate)
+        units = {name.name: name.unit for name in names if name.unit}
+        return cls(table, values, time, tuple(_classified(groups, values, path)), rate=rate, units=units)
 
     def of_another_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
@@ -109,16 +115,30 @@ class LogContents:
         return not (values != values[:1]).any()
 
     def group(self, kind: str) -> Group | None:
-        """Return the columns of a kind, measured ones before references, the group with most joints first."""
+        """Return the columns of a kind, measured ones before references, the group with most joints first.
+
+        Constant and boolean columns, such as switches of torques, come last.
+        """
         of_kind = [
             group for group in self.groups if group.kind == kind and set(group.columns.values()) <= set(self.values)
         ]
-        return min(of_kind, key=lambda group: (group.reference, -len(group.columns)), default=None)
+
+        def rank(group: Group) -> tuple[bool, bool, int, bool]:
+            return self._is_switch(group), group.reference, -len(group.columns), not is_measured(group.stem)
+
+        return min(of_kind, key=rank, default=None)
+
+    def _is_switch(self, group: Group) -> bool:
+        """Return whether no column of commands takes other values than one, or 0 and 1."""
+        columns = group.columns.values()
+        return group.kind in COMMANDS and all(
+            self.is_still(column) or _is_boolean(self.values[column]) for column in columns
+        )
 
     def command_group(self) -> Group | None:
         """Select currents before torques, and torques of motors before those of joints, which sensors may give."""
         position = self.group("position")
-        groups = [group for kind in COMMANDS if (group := self.group(kind)) is not None]
+        groups = [group for kind in COMMANDS if (group := self.group(kind)) is not None and not self._is_switch(group)]
         alike = (group for group in groups if position is None or len(group.columns) >= len(position.columns))
         return next(alike, groups[0] if groups else None)
 
@@ -126,8 +146,13 @@ class LogContents:
         """List further increasing columns with time names, except the message stamps of a bag."""
         if len(self.time) != 1:
             return []
-        names = (name for name in self.values if name not in self.time and not name.startswith("/"))
-        return [name for name in names if parse_column_name(name).kind == "time" and _grows(self.values[name])]
+        names = [parse_column_name(name) for name in self.values if name not in self.time and not name.startswith("/")]
+        own = self.values[self.time[0]]
+        return [
+            time.name
+            for time in names
+            if time.kind == "time" and _grows(values := self.values[time.name]) and not np.array_equal(values, own)
+        ]
 
     def seconds(self) -> np.ndarray:
         """Return the time in its own unit."""
@@ -137,11 +162,14 @@ class LogContents:
     def time_unit(self) -> tuple[str, str]:
         """Determine the time unit, the first with a plausible logging rate of drives, and the reason."""
         step = float(np.median(np.diff(self.seconds())))
-        written = parse_column_name(self.time[0]).unit
+        written = self.units.get(self.time[0])
+        if written and written not in TIME_UNITS:
+            return written, "unit as written in the log"
         for unit, factor in TIME_UNITS.items():
             if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
                 return unit, f"median step {step:.4g} {unit}, {1 / (step * factor):.4g} Hz"
-        return "s", f"median step {step:.4g}: not a plausible sampling rate in s, ms, us or ns; correct the column"
+        tried = written or "s, ms, us or ns"
+        return written or "s", f"median step {step:.4g}: not a plausible sampling rate in {tried}; correct the column"
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
         """Find the sampling rate, Hz, at which logged velocities are the positions' derivatives, and the reason."""
@@ -198,13 +226,16 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
 
 
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:
-    groups: dict[str, list[ColumnName]] = {}
+    """Group columns of all kinds but time by their stems; the second one of a joint, in another unit, is apart."""
+    groups: dict[str, dict[str, ColumnName]] = {}
     for name in names:
         if name.kind != "time":
-            groups.setdefault(name.stem, []).append(name)
+            stem = f"{name.stem} [{name.unit}]" if name.label in groups.get(name.stem, ()) else name.stem
+            groups.setdefault(stem, {})[name.label] = name
+    firsts = {stem: next(iter(group.values())) for stem, group in groups.items()}
     return [
-        Group(first.kind, stem, {name.label: name.name for name in (first, *others)}, first.reference, first.unit)
-        for stem, (first, *others) in groups.items()
+        Group(firsts[stem].kind, stem, {label: name.name for label, name in group.items()}, firsts[stem].reference)
+        for stem, group in groups.items()
     ]
 
 
@@ -217,6 +248,10 @@ def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray])
     growing = [name for name in times if _grows(values[name])]
     stamped = [name for name in growing if "stamp" in name.lower()]
     return tuple((stamped or growing)[:1])
+
+
+def _is_boolean(column: np.ndarray) -> bool:
+    return bool(np.all((column == 0) | (column == 1) | ~np.isfinite(column)))
 
 
 def _grows(column: np.ndarray) -> bool:

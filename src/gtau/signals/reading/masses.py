@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import re
 
-UNITS = {("kg", "kilo"): 1.0, "g": 1e-3, ("lb", "pound"): 0.45359237, "oz": 0.45359237 / 16}
+UNITS: dict[tuple[str, ...], float] = {
+    ("kg", "kilo"): 1.0,
+    ("g",): 1e-3,
+    ("lb", "pound"): 0.45359237,
+    ("oz",): 0.45359237 / 16,
+}
 MASS = re.compile(
     r"(?:(?<!\d)(?P<times>\d+) ?[x*×] ?)?(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)[-_ ]?"
     r"(?P<unit>kg(?![fm]|cm)|kilos?(?![a-z])|kilogram|(?:g|gr|gms?|grams?|grammes?|gramm)(?![a-z])|lbs?(?![a-z])|pounds?"

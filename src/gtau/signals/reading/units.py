@@ -177,16 +177,16 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
             )
         return self
 
-    def of_position(self, joint: str) -> str | None:
-        """Return the position unit of a joint; None where nothing is stated."""
-        return _of(self.position, joint)
+    def of(self, key: str, joint: str) -> str | None:
+        """Return the unit that is stated under a key for a joint; None where nothing is stated."""
+        return _of(getattr(self, key), joint)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
         """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
 
         Raises GtauError where a share of a rated value is logged, but the rated value is not given.
         """
-        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
+        positions = [si_factor(self.of("position", joint) or "rad", "position") for joint in signals.position]
         positions += self.base.scale(signals.base) if signals.base else []
         commands = [self._of_command(joint, signals) for joint in signals.position]
         for kind in LINK_SIDE:

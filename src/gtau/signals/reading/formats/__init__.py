@@ -33,7 +33,8 @@ class LogTable:
     log that is then read; a column that holds no numbers is refused there. Row 0 is in ``first_line`` of a text file;
     other logs have rows, counted from 1. ``notes`` report what the reader left out, ``episodes`` are the rows of each
     by its number, where there are several. ``texts`` holds, as far as the log has been read, of every column with a
-    value that is no number the first one as written.
+    value that is no number the first one as written. ``units`` are those that the log gives beside its names, by
+    column, as written.
     """
 
     path: Path
@@ -43,6 +44,7 @@ class LogTable:
     notes: tuple[Finding, ...] = ()
     episodes: Mapping[int, range] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def numbered(self) -> bool:

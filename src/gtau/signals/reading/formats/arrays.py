@@ -110,11 +110,14 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Log
 
     datasets: dict[str, str] = {}
     shapes: dict[str, tuple[int, ...]] = {}
+    units: dict[str, str] = {}
 
     def visit(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not name.startswith("#"):
             column = name.replace("/", between)
             datasets[column], shapes[column] = name, item.shape
+            if isinstance(unit := item.attrs.get("units", item.attrs.get("unit")), str | bytes):
+                units[column] = unit if isinstance(unit, str) else unit.decode(errors="replace")
 
     with readable(path, kind), h5py.File(path, "r") as file:
         file.visititems(visit)
@@ -124,18 +127,19 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Log
         with h5py.File(path, "r") as file:
             yield {column: file[datasets[column]] for column in names}
 
-    return _table(path, shapes, load)
+    return _table(path, shapes, load, units)
 
 
 def _table(
     path: Path,
     shapes: Mapping[str, tuple[int, ...]],
     load: Callable[[Collection[str]], AbstractContextManager[Mapping[str, Any]]],
+    units: Mapping[str, str] | None = None,
 ) -> LogTable:
     """Make a table of named arrays, whose longer axis counts the samples; ``load`` opens some of them.
 
     A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
-    ``WIDEST``, of more axes or a single number is left out.
+    ``WIDEST``, of more axes or a single number is left out. The ``units`` are by array.
     """
     places: dict[str, tuple[str, tuple[int, ...], tuple[int, ...]]] = {}  # array, and what is before and after samples
     rows: dict[str, int] = {}
@@ -162,7 +166,9 @@ def _table(
                     frame[name] = np.asarray(arrays[array][(*before, slice(start, stop), *after)], dtype=float)
                 yield pl.DataFrame(frame), stop / count
 
-    return LogTable(path, tuple(places), frames)
+    of_arrays = units or {}
+    of_columns = {name: of_arrays[place[0]] for name, place in places.items() if of_arrays.get(place[0])}
+    return LogTable(path, tuple(places), frames, units=of_columns)
 
 
 LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}

@@ -19,6 +19,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.formats import LogTable, numbers
+from gtau.signals.reading.written_units import unit_row
 from gtau.signals.storage import BYTES, block_size
 
 if TYPE_CHECKING:
@@ -77,11 +78,16 @@ def open_text(path: Path) -> LogTable:
                 return
 
     notes: tuple[Finding, ...] = ()
-    if skipped := [k + 1 for k in written if k < begin and k != header]:
+    below = range(begin if header is None else header + 1, begin)
+    of_units = next((k for k in below if len(fields[k]) == width and unit_row(fields[k])), None)
+    units = dict(zip(columns, () if of_units is None else unit_row(fields[of_units]) or (), strict=False))
+    if skipped := [k + 1 for k in written if k < begin and k not in (header, of_units)]:
         last = skipped[-1] if len(skipped) > 1 else 0
         values = {"first": skipped[0], "last": last, "header": 0 if header is None else header + 1}
         notes = (Finding(F.SKIPPED_LINES, values=values),)
-    table = LogTable(path, columns, frames, begin + 1, notes)
+    table = LogTable(
+        path, columns, frames, begin + 1, notes, units={name: unit for name, unit in units.items() if unit}
+    )
     return table
 
 
