@@ -205,7 +205,12 @@ def handed(fingers: int = 2) -> Robot:
     ("header", "columns", "unmatched", "open_"),
     [
         ("q_j1,q_j2,i_j1,i_j2", {"j1": "q_j1", "j2": "q_j2"}, None, ()),
-        ("/s/j1/position,/s/wheel/position,/s/j1/current,/s/wheel/current", {"j1": "/s/j1/position"}, "wheel", ()),
+        (
+            "/s/j1/position,/s/wheel/position,/s/j1/current,/s/wheel/current",
+            {"j1": "/s/j1/position"},
+            "/s/wheel/position, /s/wheel/current",
+            ("unmatched",),
+        ),
         ("q1,q2,i1,i2", {"j1": "q1", "j2": "q2"}, None, ("joints",)),
     ],
 )

@@ -13,6 +13,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from difflib import SequenceMatcher
 
 from gtau.signals.reading.written_units import WrittenUnit, read_unit, split_unit
 
@@ -52,6 +53,12 @@ COMPONENTS = {  # words before the letter of an axis, and all axes
 COMMAND = frozenset(["v", "u", "control", "action", "command", "load"])  # currents or torques, unless velocities
 NO_UNIT = frozenset[str]().union(*WORDS.values(), REFERENCE, MEASURED, TEMPERATURE)  # words in brackets
 KIND_OF_UNIT = {("position", "motor"), ("torque", "current"), ("torque", "position")}  # the unit decides, not the name
+OF_JOINT = ("position", "velocity", "acceleration", "current", "torque")
+OF_ANY = frozenset(
+    ["joint", "joints", "axis", "axes", "link", "motor", "actual", "state", "states", "drive", "encoder"]
+)
+SIGNAL_WORDS = NO_UNIT | COMMAND | OF_ANY
+ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
 ODD = re.compile(r"(?<=[\s\d#])\[\s*([^\[\]]*[^\[\]\s\d][^\[\]]+)\]\s*$")  # brackets that may hold an unknown unit
 
 
@@ -102,6 +109,8 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
         stem, words = "/".join([*topic, "#", field]), _words(field)
     elif not label and (match := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
         label, stem = match[2], f"{match[1]}#{match[3]}"
+    elif not label:
+        label, stem = _named(bare)
     words = words or _words(stem)
     kind = next((kind for kind in PRECEDENCE if not WORDS[kind].isdisjoint(words)), None)
     if kind == "current" and {"as", "torque"} <= set(words):  # of UR: actual_current_as_torque
@@ -118,6 +127,45 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
             reference = True
         kind = _by_unit(kind, written.measures)
     return ColumnName(name, stem, label, kind, reference, written.text or None if written else None)
+
+
+def _named(name: str) -> tuple[str, str]:
+    """Find the only part of a name that is no word of signals, and the stem: ``elbow`` in ``elbow_pos``; or none."""
+    words = [(match.span(), _words(match[0])) for match in re.finditer(r"[A-Z]+(?![a-z])|[A-Z]?[^\W\d_A-Z]+|\d+", name)]
+    odd = [k for k, (_, word) in enumerate(words) if SIGNAL_WORDS.isdisjoint(word)]
+    of_joint = any(not WORDS[kind].isdisjoint(word) for _, word in words for kind in OF_JOINT)
+    if not odd or not of_joint or odd[-1] - odd[0] >= len(odd) or not WORDS["other"].isdisjoint(_words(name)):
+        return "", name
+    start, stop = words[odd[0]][0][0], words[odd[-1]][0][1]
+    return name[start:stop], f"{name[:start]}#{name[stop:]}"
+
+
+def by_words(name: ColumnName) -> ColumnName | None:
+    """Return a name with another label, all words in it that are none of signals; None where it has no such words."""
+    label, stem = _named(name.stem.replace("#", name.label, 1))
+    return replace(name, label=label, stem=stem) if label and name.kind not in (None, "other") else None
+
+
+def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
+    """Match labels of columns with joints of nearly the same name, such as ``elbo`` or ``elbow_lift``; of two, neither.
+
+    Words such as ``joint`` do not count, numbers must agree.
+    """
+    names = {
+        name: [word for word in re.findall(r"[a-z]+|\d+", name.lower()) if word not in OF_ANY]
+        for name in (*labels, *joints)
+    }
+
+    def alike(label: str, joint: str) -> bool:
+        a, b = names[label], names[joint]
+        numbers = [[word for word in words if word.isdigit()] for words in (a, b)]
+        if not a or not b or (all(numbers) and numbers[0] != numbers[1]):
+            return False
+        return set(a) <= set(b) or set(b) <= set(a) or SequenceMatcher(None, "".join(a), "".join(b)).ratio() >= ALIKE
+
+    of_label = {label: [joint for joint in joints if alike(label, joint)] for label in labels}
+    of_joint = [joint for candidates in of_label.values() for joint in candidates]
+    return {label: found[0] for label, found in of_label.items() if len(found) == 1 and of_joint.count(found[0]) == 1}
 
 
 def _by_unit(kind: str | None, measures: str | None) -> str | None:

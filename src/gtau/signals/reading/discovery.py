@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.findings.words import counted
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, wrench_like
+from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, resembling, wrench_like
 from gtau.signals.reading.log_contents import Group, LogContents
 from gtau.signals.reading.masses import masses_in_name
 from gtau.signals.reading.units import si_factor
@@ -30,7 +31,9 @@ UNSURE = {
     "all drive gains",
     "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
     "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
-    "joints": "confirm that the columns are in the order of the joints",
+    "unmatched": "joints that the log lacks are held at home, but columns move that are not used; if they are of such "
+    "a joint, write them at its name",
+    "joints": "confirm that the columns are in the order of the joints, or of those taken for their names",
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "unit": "confirm the unit of the positions (units: {position: ...})",
@@ -122,10 +125,18 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
             source=paths[0],
         )
     reasons, units = dict(position_log.reasons), dict[str, Any]()
-    joints, unmatched, reasons["position"], by_order = _joints(positions, commands, robot)
-    if unmatched:
-        reasons["unmatched"] = ", ".join(unmatched)
-    unsure = {"joints"} if by_order else set()
+    if position_log.elsewhere and len(positions.columns) == 1:
+        listed = ", ".join((positions.first, *position_log.elsewhere[:7]))
+        raise GtauError(
+            f"every joint has a topic of its own ({listed}), but gtau takes the positions of a run from one; merge the topics into a table with one clock.",
+            source=paths[0],
+        )
+    alike = dict[str, str]()
+    if robot:
+        positions, commands = (_alike(group, robot.actuated, alike) for group in (positions, commands))
+    joints, reasons["position"], by_order = _joints(positions, commands, robot)
+    reasons["position"] += "".join(f", {label} taken for {joint}" for label, joint in alike.items())
+    unsure = {"joints"} if by_order or alike else set()
     columns, currents = ({joint: pair[k] for joint, pair in joints.items()} for k in (0, 1))
     time = _time(position_log, command_log, positions, units, reasons, unsure)
     kind, doubts = _kind(commands, command_log, currents)
@@ -146,6 +157,13 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         reasons["torques"] = "a straight line of the currents, from which they may be computed"
     units |= _units(command_log, "joint_torque", sensors)
     unsure |= {"counts"} if any(_unread(key, unit) for key, unit in units.items()) else set()
+    logs = {log.table.path: log for log in (position_log, command_log)}.values()
+    taken, known = (*columns.values(), *currents.values()), (*logged, *logged.values())
+    lonely = [column for log in logs for column in log.moving_beside(taken, known, commands.kind)]
+    lonely += position_log.elsewhere
+    if robot and lonely:
+        reasons["unmatched"] = ", ".join(lonely)
+        unsure |= {"unmatched"} if len(joints) < len(robot.actuated) else set()
     used = {*positions.columns.values(), *commands.columns.values()}
     beside = _unused(position_log, command_log, used, columns, torques, base is not None) | {"still": still}
     readings = {run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))}
@@ -249,6 +267,7 @@ def _sensors(log: LogContents, kind: str, labels: Mapping[str, str]) -> tuple[di
     group = log.group(kind)
     if group is None or group.reference:
         return {}, []
+    group = _alike(group, list(labels.values()), {})
     columns = {joint: group.columns[label] for joint, label in labels.items() if label in group.columns}
     still = [column for column in columns.values() if log.is_still(column)]
     return {joint: column for joint, column in columns.items() if column not in still}, still
@@ -282,12 +301,10 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
     return first, second, list(zip(paths[:half], paths[half:], strict=True))
 
 
-def _joints(
-    positions: Group, commands: Group, robot: Robot | None
-) -> tuple[dict[str, tuple[str, str]], list[str], str, bool]:
+def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
     """Match columns of positions and commands to joints, of a robot without loops some of them.
 
-    Also return the labels of those without a joint, how they were matched, and whether by their order alone.
+    Also return how they were matched, and whether by their order alone.
     """
     common = [label for label in positions.columns if label in commands.columns]
     pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
@@ -297,20 +314,20 @@ def _joints(
         pairs = {q: (positions.columns[q], commands.columns[v]) for q, v in columns}
         by_order = True
     if robot is None:
-        named = {label if not label.isdigit() else f"j{label}": pair for label, pair in pairs.items()}
-        return named, [], "joint names from the log", by_order
+        named = {f"j{label or 1}" if label.isdigit() or not label else label: pair for label, pair in pairs.items()}
+        return named, "joint names from the log", by_order
     joints = robot.actuated
     known, unknown = [joint for joint in joints if joint in pairs], [name for name in pairs if name not in joints]
     some = known and not robot.closures and not any(name.isdigit() for name in unknown)
     if some or len(known) == len(joints):
         how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
-        return {joint: pairs[joint] for joint in known}, unknown, how, by_order
+        return {joint: pairs[joint] for joint in known}, how, by_order
     if 0 < len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
         joints = chain
     if len(pairs) < len(joints):
-        listed = f" ({', '.join(pairs)})" if pairs else ""
+        listed = f" ({', '.join(pairs)})" if any(pairs) else ""
         raise GtauError(
-            f"the log has positions and commands of {len(pairs)} joints{listed}, but robot "
+            f"the log has positions and commands of {counted(len(pairs), 'joint')}{listed}, but robot "
             f"'{robot.name}' has {len(joints)} actuated ones; "
             + (f"name the columns after their joints (q_{joints[0]}), or " if not robot.closures else "")
             + "give matching logs and robot."
@@ -323,7 +340,15 @@ def _joints(
         joints = by_number
     ordered = _ordered(pairs)
     assigned = {joint: pairs[label] for joint, label in zip(joints, ordered, strict=False)}
-    return assigned, ordered[len(joints) :], how, True
+    return assigned, how, True
+
+
+def _alike(group: Group, joints: Sequence[str], alike: dict[str, str]) -> Group:
+    """Rename labels that are no joint's name but nearly, and collect them in ``alike``."""
+    unknown = [label for label in group.columns if label not in joints and not label.isdigit()]
+    renamed = resembling(unknown, [joint for joint in joints if joint not in group.columns])
+    alike |= renamed
+    return replace(group, columns={renamed.get(label, label): column for label, column in group.columns.items()})
 
 
 def _chain(robot: Robot) -> tuple[str, ...]:

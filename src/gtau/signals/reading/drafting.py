@@ -183,7 +183,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
     Guesses are marked ``CHECK``.
     """
     count = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
-    doubt = _question(draft, "robot") or "the other joints are held at home" * ("joints" in draft.robot)
+    doubt = _question(draft, "robot", "unmatched") or "the other joints are held at home" * ("joints" in draft.robot)
     lines = [
         f"# Drafted by gtau from {count}. Edit the lines marked CHECK, then run gtau check.",
         "",
@@ -268,7 +268,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     torques, sensors = beside.get("torques", {}), signals.get("joint_torque", {})
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
     assumed = {
-        "joints": f"columns were assigned to the joints in order: {columns}",
+        "joints": f"columns were assigned to the joints, {draft.reasons['position']}: {columns}",
         "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
         "counts": f"the log gives units that are none, or shares ({listed_units(draft)})",
         "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
@@ -286,7 +286,14 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     }
     other = "torque" if draft.kind == "current" else "current"
     advice = UNSURE | {"kind": f"if they are {other}s, state --kind {other}"}
-    notes = [(assumed[key], advice[key]) for key in draft.open if key in assumed]
+    moving = draft.robot.get("joints", ())
+    notes = []
+    if unknown := draft.reasons.get("unmatched"):
+        held = f"the log has {', '.join(moving)}, and other joints are held at home, but " * bool(moving)
+        notes.append(
+            (f"{held}columns {unknown} move, too, and are not used, as no joint with a motor has their names", RENAME)
+        )
+    notes += [(assumed[key], advice[key]) for key in draft.open if key in assumed]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
     if loads := [f"{path.name} {mass:g} kg" for path in named if isfinite(mass := draft.masses.get(path, nan))]:
         notes.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
@@ -298,10 +305,8 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
             notes.append((what, "remove unwanted episodes from 'runs', where each may have a 'payload' of its own"))
     if draft.urdf is not None:
         notes.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
-    if moving := draft.robot.get("joints"):
+    if moving and not unknown:
         notes.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
-    if unknown := draft.reasons.get("unmatched"):
-        notes.append((f"the log's {unknown} are not used, as the robot has no such joints", ""))
     if still := beside.get("still"):
         notes.append((f"columns that never change are no torque sensors: {_first(still)}", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
@@ -309,6 +314,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in notes)
 
 
+RENAME = "if they are of a joint, write them at its name in that file"
 STATE = "correct this by --payload LOG=KG (0 for none)"
 
 

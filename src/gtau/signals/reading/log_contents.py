@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import ColumnName, is_measured, parse_column_name, parse_item
+from gtau.signals.reading.column_names import ColumnName, by_words, is_measured, is_pose, parse_column_name, parse_item
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
@@ -57,7 +57,7 @@ class Group:
 class LogContents:
     """A log with its columns by kind, and the values of the first rows (N,) by column; ``rate`` (Hz) if described.
 
-    ``units`` are those written in the log, by column.
+    ``units`` are those written in the log, by column; ``elsewhere`` are positions of other joints in other topics.
     """
 
     table: LogTable
@@ -67,6 +67,7 @@ class LogContents:
     reasons: Mapping[str, str] = field(default_factory=dict)
     rate: float | None = None
     units: Mapping[str, str] = field(default_factory=dict)
+    elsewhere: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
@@ -83,17 +84,19 @@ class LogContents:
         groups = _grouped(names)
         if table.numbered or _is_matrix(groups, path):
             return _numbered(path, table, len(joints))
-        wanted = [name for name in names if name.kind not in (None, "other")] or names
-        topics = _topics(table)
+        topics, elsewhere = _topics(table), list[str]()
         if len(topics) > 1:
             of_kind = (_topic(group.first, topics) for group in groups if group.kind in kinds)
             main = next((topic for topic in of_kind if topic != but), None)
-            wanted = [name for name in wanted if _topic(name.name, topics) == main] or wanted[:1]
-            groups = [group for group in groups if _topic(group.first, topics) == main]
+            positions = [name for name in names if name.kind == "position" and not name.reference]
+            names = [name for name in names if _topic(name.name, topics) == main] or names[:1]
+            groups, known = _grouped(names), {name.label for name in names}
+            elsewhere = [name.name for name in positions if name.label not in known]
+        wanted = [name for name in names if name.kind not in (None, "other")] or names
         values = _values(path, [name.name for name in wanted], table)
         time = _time_columns(wanted, values)
         units = {name.name: name.unit for name in names if name.unit}
-        return cls(table, values, time, tuple(_classified(groups, values, path)), rate=rate, units=units)
+        return cls(table, values, time, tuple(_classified(groups, values, path)), {}, rate, units, tuple(elsewhere))
 
     def of_another_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
@@ -141,6 +144,18 @@ class LogContents:
         groups = [group for kind in COMMANDS if (group := self.group(kind)) is not None and not self._is_switch(group)]
         alike = (group for group in groups if position is None or len(group.columns) >= len(position.columns))
         return next(alike, groups[0] if groups else None)
+
+    def moving_beside(self, used: Iterable[str], labels: Iterable[str], kind: str | None) -> list[str]:
+        """List columns of positions, and of commands of a kind, that change, beside those used, and of other labels."""
+        columns_used, known = set(used), set(labels)
+        columns = [
+            (label, column)
+            for group in self.groups
+            if group.kind in ("position", kind) and not group.reference
+            for label, column in group.columns.items()
+            if label and column in self.values and column not in columns_used and not is_pose(column)
+        ]
+        return [column for label, column in columns if label not in known and not self.is_still(column)]
 
     def other_clocks(self) -> list[str]:
         """List further increasing columns with time names, except the message stamps of a bag."""
@@ -226,16 +241,25 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
 
 
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:
-    """Group columns of all kinds but time by their stems; the second one of a joint, in another unit, is apart."""
+    """Group columns of all kinds but time by their stems; the second one of a joint, as in another unit, is apart.
+
+    Names that are alike but for several words (``base_pos``, ``j2_arm_pos``) are labelled by all of these.
+    """
+    names = [name for name in names if name.kind != "time"]
+    stems = Counter(name.stem.casefold() for name in names)
+    others = {name: other for name in names if stems[name.stem.casefold()] == 1 and (other := by_words(name))}
+    stems += Counter(other.stem.casefold() for other in others.values())
     groups: dict[str, dict[str, ColumnName]] = {}
-    for name in names:
-        if name.kind != "time":
-            stem = f"{name.stem} [{name.unit}]" if name.label in groups.get(name.stem, ()) else name.stem
-            groups.setdefault(stem, {})[name.label] = name
-    firsts = {stem: next(iter(group.values())) for stem, group in groups.items()}
+    for name in (
+        others[name] if name in others and stems[others[name].stem.casefold()] > 1 else name for name in names
+    ):
+        stem = name.stem.casefold()
+        stem += f" [{name.unit}]" if name.label in groups.get(stem, ()) else ""
+        groups.setdefault(stem, {})[name.label] = name
+    firsts = [(next(iter(group.values())), group) for group in groups.values()]
     return [
-        Group(firsts[stem].kind, stem, {label: name.name for label, name in group.items()}, firsts[stem].reference)
-        for stem, group in groups.items()
+        Group(first.kind, first.stem, {label: name.name for label, name in group.items()}, first.reference)
+        for first, group in firsts
     ]
 
 

@@ -1,0 +1,136 @@
+"""Columns whose names are nearly those of joints: matched and asked about; what moves and is not used is said first."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gtau.errors import GtauError
+from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.signals.reading.column_names import parse_column_name, resembling
+from gtau.signals.reading.discovery import discover
+from gtau.signals.reading.drafting import draft_text, guesses
+
+TIME = np.arange(500) / 250
+JOINTS = ("base_yaw", "shoulder", "elbow")
+ARM = Robot(
+    "arm",
+    tuple(
+        Joint(joint, antecedent, "revolute", Mdh(d=0.3, alpha=1.5))
+        for joint, antecedent in zip(JOINTS, ("ground", *JOINTS), strict=False)
+    ),
+)
+
+
+def save(path: Path, header: str, still: str = "") -> Path:
+    names = header.split(",")
+    columns = [np.sin((k + 1) * TIME) * (name != still) for k, name in enumerate(names)]
+    np.savetxt(path, np.column_stack([TIME, *columns]), delimiter=",", header=f"t,{header}", comments="")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "label", "stem"),
+    [
+        ("elbow_pos", "elbow", "#_pos"),
+        ("posElbow", "Elbow", "pos#"),
+        ("base_yaw.effort", "base_yaw", "#.effort"),
+        ("joint_position", "", "joint_position"),
+        ("goal_position", "", "goal_position"),
+        ("torque_enable", "", "torque_enable"),
+        ("controller_time", "", "controller_time"),
+        ("comment", "", "comment"),
+    ],
+)
+def test_what_is_no_word_of_signals_is_a_joint(name: str, label: str, stem: str) -> None:
+    column = parse_column_name(name)
+    assert (column.label, column.stem) == (label, stem)
+
+
+def test_resembling_names() -> None:
+    robot = ["shoulder", "elbow", "wrist_1_joint", "wrist_2_joint", "fl_hip", "fr_hip"]
+    matched = {"elbo": "elbow", "shoulder_lift": "shoulder", "wrist1": "wrist_1_joint"}
+    assert resembling([*matched, "rail", "rr_hip"], robot) == matched
+    assert resembling(["wrist", "hip"], robot) == {}  # of two, neither
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "base_yaw_pos,shoulder_pos,elbo_pos,base_yaw_torque,shoulder_torque,elbo_torque",
+        "base_yaw_pos,shoulder_pos,elbo_pos,base_yaw_torque,shoulder_torque,elbow_torque",
+        "base_yaw_pos,shoulder_lift_pos,elbow_pos,base_yaw_torque,shoulder_lift_torque,elbow_torque",
+        "base_pos,shoulder_pan_pos,elbow_flex_pos,base_tau,shoulder_pan_tau,elbow_flex_tau",
+        "pos.base_yaw,pos.shoulder,pos.elbow2,tau.base_yaw,tau.shoulder,tau.elbow2",
+    ],
+)
+def test_misspelt_joints_are_matched_and_asked_about(header: str, tmp_path: Path) -> None:
+    draft = discover([save(tmp_path / "a.csv", header)], ARM, "arm.urdf")
+    names = header.split(",")
+    assert draft.signals["position"] == dict(zip(JOINTS, names[:3], strict=True))
+    assert draft.command == dict(zip(JOINTS, names[3:], strict=True))
+    assert draft.open == ("joints",)
+    assert " taken for " in str(guesses(draft, tmp_path)[0])
+
+
+def test_names_that_differ_in_their_case(tmp_path: Path) -> None:
+    header = "base_yaw_pos,Shoulder_Pos,ELBOW_POS,base_yaw_torque,Shoulder_Torque,ELBOW_TORQUE"
+    draft = discover([save(tmp_path / "a.csv", header)], ARM, "arm.urdf")
+    assert (tuple(draft.signals["position"]), draft.open) == (JOINTS, ())
+
+
+@pytest.mark.parametrize(
+    ("header", "unused"),
+    [
+        ("base_yaw_pos,shoulder_pos,rail_pos,base_yaw_tau,shoulder_tau,rail_tau", "rail_pos, rail_tau"),
+        ("base_yaw_pos,shoulder_pos,base_yaw_tau,shoulder_tau,elbow_tau", "elbow_tau"),
+        ("base_yaw_pos,shoulder_pos,elbow_pos,base_yaw_tau,shoulder_tau", "elbow_pos"),
+    ],
+)
+def test_columns_that_move_unused_beside_held_joints_are_asked_about_first(
+    header: str, unused: str, tmp_path: Path
+) -> None:
+    draft = discover([save(tmp_path / "a.csv", header)], ARM, "arm.urdf")
+    assert draft.reasons["unmatched"] == unused
+    assert draft.open == ("unmatched",)
+    assert f"columns {unused} move, too, and are not used" in str(guesses(draft, tmp_path)[0])
+    assert "CHECK: joints that the log lacks are held at home" in draft_text(draft, tmp_path).split("signals:")[0]
+
+
+def test_a_further_axis_is_named_and_one_that_never_moves_is_not(tmp_path: Path) -> None:
+    header = "base_yaw_pos,shoulder_pos,elbow_pos,rail_pos,base_yaw_tau,shoulder_tau,elbow_tau"
+    moving, resting = (discover([save(tmp_path / "a.csv", header, still)], ARM, "a") for still in ("", "rail_pos"))
+    assert (moving.open, moving.reasons["unmatched"]) == ((), "rail_pos")
+    assert "rail_pos move, too" in str(guesses(moving, tmp_path)[0])
+    assert "unmatched" not in resting.reasons
+
+
+def test_without_a_robot_joints_have_the_names_of_the_columns(tmp_path: Path) -> None:
+    draft = discover([save(tmp_path / "a.csv", "j1_base_pos,j2_arm_pos,j1_base_tau,j2_arm_tau")])
+    assert draft.signals["position"] == {"j1_base": "j1_base_pos", "j2_arm": "j2_arm_pos"}
+    single = discover([save(tmp_path / "b.csv", "position,speed,load,torque_enable", still="torque_enable")])
+    assert (single.signals["position"], single.command) == ({"j1": "position"}, {"j1": "load"})
+
+
+def test_a_bag_with_a_topic_for_every_joint_is_refused(tmp_path: Path) -> None:
+    """As several drives publish: one of them would be taken, and the other joints held."""
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    state = "sensor_msgs/msg/JointState"
+    stamp_of, header_of = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        topics = {joint: bag.add_connection(f"/{joint}/joint_states", state, typestore=store) for joint in JOINTS}
+        for time in TIME:
+            stamp = round((100 + time) * 1e9)
+            header = header_of(stamp=stamp_of(*divmod(stamp, 10**9)), frame_id="")
+            for joint, topic in topics.items():
+                values = np.array([np.sin(time)]), np.empty(0), np.array([np.cos(time)])
+                message = store.types[state](header, [joint], *values)
+                bag.write(topic, stamp, store.serialize_cdr(message, state))
+    with pytest.raises(GtauError, match=r"every joint has a topic of its own .*merge the topics into a table"):
+        discover([tmp_path / "bag"], ARM, "arm.urdf")
