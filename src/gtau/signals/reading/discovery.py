@@ -128,7 +128,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     if position_log.elsewhere and len(positions.columns) == 1:
         listed = ", ".join((positions.first, *position_log.elsewhere[:7]))
         raise GtauError(
-            f"every joint has a topic of its own ({listed}), but gtau takes the positions of a run from one; merge the topics into a table with one clock.",
+            f"every joint has a topic of its own ({listed}), but gtau takes the positions of a run from one; merge the "
+            "topics into a table with one clock.",
             source=paths[0],
         )
     alike = dict[str, str]()
