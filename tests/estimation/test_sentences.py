@@ -514,6 +514,12 @@ SENTENCES = [  # finding, reason, advice
      "typically 0.71 ms from a position to the nearest); left out 12 positions before the first or after the last of "
      "them", ""),
     (Finding(F.STILL, ("a", "b")), "the position of joint 'a', 'b' never changes: it yields no rows", ""),
+    (Finding(F.REGISTER, ("a",), values={"signal": "command", "bits": 16, "sign": False}),
+     "the command of joint 'a' is a signed number of 16 bits that was logged as unsigned: 65536 is subtracted from "
+     "32768 and more", ""),
+    (Finding(F.REGISTER, ("a",), values={"signal": "position", "bits": 11, "sign": True}),
+     "the position of joint 'a' is a signed number of 11 bits that was logged as unsigned: 1024 and more are negative, "
+     "with the magnitude above that", ""),
     (Finding(F.UNWRAPPED, ("a",)), "unwrapped the angle of joint 'a', which jumped by a turn", ""),
     (Finding(F.OUTLIERS, ("a",), time=1.4,
      values={"counts": [["a", 1]], "first": "a", "place": "line 9", "logged": 3.0, "instead": 0.51234}),

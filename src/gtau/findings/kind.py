@@ -85,6 +85,7 @@ class FindingKind(StrEnum):
     BAD_ROWS = "rows without numbers", REPAIR
     REPEATED_ROWS = "repeated rows", REPAIR
     ALIGNED = "aligned commands", READING
+    REGISTER = "unsigned register", READING
     UNWRAPPED = "unwrapped angle", READING
     OUTLIERS = "outliers", REPAIR
     MISSING = "missing samples", REPAIR

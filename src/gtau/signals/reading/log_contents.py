@@ -17,6 +17,7 @@ from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
+from gtau.signals.reading.registers import register_of
 from gtau.signals.reading.samples import refuse_short
 
 ROWS = 200_000  # of a log that are evaluated
@@ -94,6 +95,7 @@ class LogContents:
             elsewhere = [name.name for name in positions if name.label not in known]
         wanted = [name for name in names if name.kind not in (None, "other")] or names
         values = _values(path, [name.name for name in wanted], table)
+        values |= {name.name: _signed(values[name.name]) for name in wanted if name.kind != "time"}
         time = _time_columns(wanted, values)
         units = {name.name: name.unit for name in names if name.unit}
         return cls(table, values, time, tuple(_classified(groups, values, path)), {}, rate, units, tuple(elsewhere))
@@ -238,6 +240,11 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
     refuse_short(str(path), sum(map(len, parts)))
     table_of_rows = np.vstack(parts)
     return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}
+
+
+def _signed(column: np.ndarray) -> np.ndarray:
+    register = register_of(column)
+    return column if register is None else register.signed(column)
 
 
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:

@@ -28,6 +28,7 @@ from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
+from gtau.signals.reading.registers import with_signs
 from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
 from gtau.signals.reading.units import Units
 from gtau.signals.reading.written_units import SI
@@ -150,7 +151,9 @@ def read_logs(
 
     named = (*_labels(signals), " and ".join(times) or "rate")
     empty = Samples(" and ".join(map(str, paths)), signals.channels, named, table)
-    return complete(empty, parts(), notes, part)
+    joints = list(signals.position)
+    scales = dict(zip(joints, position_scale, strict=False)), dict(zip(joints, command_scale, strict=False))
+    return with_signs(complete(empty, parts(), notes, part), scales, notes)
 
 
 def _refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Units) -> None:

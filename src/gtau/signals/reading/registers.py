@@ -1,0 +1,104 @@
+"""Signed registers that were logged as unsigned: recognised by jumps of half their range and more, and corrected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.signals.reading.samples import Samples, extremes
+from gtau.signals.storage import blocks, stored_like
+
+LEAST = 128  # counts; below, it is a small number in any register
+# Median jump where a signal passes the middle of its register, over the jump that remains once it is signed. Present
+# PWM of twelve logs of a Dynamixel XL330: 0.0001 to 0.0003; no other integer column of the shared logs passes it so.
+# Positive signals that pass it in steps have 1 and more.
+REMAINING = 0.3
+FULL = 0.9  # of the range that a number in two's complement reaches at least where it is just below zero
+VALUES = 3  # different ones on either side; a switch has fewer
+
+
+class Register(NamedTuple):
+    """A register: the number of its ``bits``, and whether the first one is a ``sign`` beside a magnitude."""
+
+    bits: int
+    sign: bool
+
+    def signed(self, values: np.ndarray) -> np.ndarray:
+        """Return the signed numbers of unsigned ones."""
+        half = 2.0 ** (self.bits - 1)
+        return np.where(values < half, values, half - values if self.sign else values - 2 * half)
+
+
+def register_of(values: np.ndarray) -> Register | None:
+    """Recognise a register by its values (N,) as logged.
+
+    None where a value is negative or no whole number, where the values pass the middle of the range in small steps or
+    never, and of a switch.
+    """
+    values = values[np.isfinite(values)]
+    if not values.size or values.min() < 0 or values.max() < LEAST or (values != np.rint(values)).any():
+        return None
+    bits = int(values.max()).bit_length()
+    above = values >= 2.0 ** (bits - 1)
+    at = np.flatnonzero(above[1:] != above[:-1])
+    if not at.size or min(len(np.unique(values[above])), len(np.unique(values[~above]))) < VALUES:
+        return None
+
+    def jump(numbers: np.ndarray) -> float:
+        return float(np.median(np.abs(np.diff(numbers)[at])))
+
+    register = min((Register(bits, sign) for sign in (False, True)), key=lambda one: jump(one.signed(values)))
+    full = register.sign or values.max() >= FULL * 2.0**bits
+    return register if full and jump(register.signed(values)) < REMAINING * jump(values) else None
+
+
+def with_signs(
+    samples: Samples, scales: tuple[Mapping[str, float], Mapping[str, float]], notes: list[Finding]
+) -> Samples:
+    """Correct the positions and the commands that are registers without their signs, and say so in the ``notes``.
+
+    ``scales`` are what one count of a joint's position and command is, SI units.
+    """
+    arrays = []
+    for kind, array, scale in zip(("position", "command"), (samples.position, samples.command), scales, strict=True):
+        columns = {j: scale[joint] for j, joint in enumerate(samples.joints) if joint in scale}
+        registers = _registers(array, columns)
+        for register in set(registers.values()):
+            names = tuple(samples.joints[j] for j, other in registers.items() if other == register)
+            notes.append(Finding(F.REGISTER, names, values={"signal": kind} | register._asdict()))
+        arrays.append(_signed(array, registers, columns) if registers else array)
+    return replace(samples, position=arrays[0], command=arrays[1])
+
+
+def _registers(array: np.ndarray, columns: Mapping[int, float]) -> dict[int, Register]:
+    """Recognise registers among columns of an array, by what one count is.
+
+    A signal that stays in the upper half of its range is taken for one where another joint's is one.
+    """
+    low, high = extremes(array)
+    ends = {j: sorted((low[j] / size, high[j] / size)) for j, size in columns.items()}
+    bits = {j: int(np.rint(most)).bit_length() for j, (least, most) in ends.items() if least >= 0 and most >= LEAST}
+    found = (register_of(_counts(array, j, columns[j])) for j in bits)
+    common = {register.bits: register for register in found if register}
+    return {j: common[width] for j, width in bits.items() if width in common}
+
+
+def _counts(array: np.ndarray, column: int, scale: float) -> np.ndarray:
+    """Divide a column by what one count is, and round what is a whole number but for that division."""
+    counts = np.concatenate([part[:, column] for part in blocks(array)]) / scale
+    whole = np.rint(counts)
+    return np.where(np.abs(counts - whole) <= 1e-9 * np.abs(whole), whole, counts)
+
+
+def _signed(array: np.ndarray, registers: Mapping[int, Register], scale: Mapping[int, float]) -> np.ndarray:
+    def signed(part: np.ndarray) -> np.ndarray:
+        for j, register in registers.items():
+            part[:, j] = scale[j] * register.signed(part[:, j] / scale[j])
+        return part
+
+    return stored_like(array, map(signed, blocks(array)))
