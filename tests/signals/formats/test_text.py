@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
+from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import read_run
 from gtau.signals.storage import working_with
@@ -179,6 +180,29 @@ def test_twincat_scope(tmp_path: Path, each: bool) -> None:
     np.testing.assert_allclose(run.time, TIME, atol=1e-9)
     assert str(run.notes[0]).startswith("skipped lines 1 to ")
     assert tuple(map(str, run.notes[1:])) == ("dropped 1 row with missing or non-numeric values (line 612)",)
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_a_draft_of_twincat_scope_takes_no_times_for_torques(tmp_path: Path, late: int) -> None:
+    """Units from the properties; times of channels are named where they differ."""
+    channels = ["Axis 1.ActPos", "Axis 2.ActPos", "Axis 1.Torque", "Axis 2.Torque"]
+    units = ["°", "°", "mNm", "mNm"]
+    lines = ["Name\tYT Scope", "", "\t".join(f"Name\t{name}" for name in channels)]
+    lines += ["\t".join(f"{key}\t{value}" for value in units) for key in ("Data-Type", "Unit")]
+    lines[-2] = "\t".join(["Data-Type\tREAL64"] * 4)
+    for k in range(N):
+        values = [f"{2 * k + late * (j > 1)}\t{np.sin(k / (20 + j)):.6f}" for j in range(4)]
+        lines.append("\t".join(values).replace(".", ","))
+    path = tmp_path / "scope.csv"
+    path.write_text("\n".join([*lines, "EOF"]), encoding="utf-8")
+    draft = discover([path])
+    assert draft.signals == {
+        "time": "time",
+        "position": {"j1": channels[0], "j2": channels[1]},
+        "torque": {"j1": channels[2], "j2": channels[3]},
+    }
+    assert draft.units == {"time": "ms", "position": "deg", "torque": "mN m"}
+    assert draft.open == (("robot", "clock") if late else ("robot",))
 
 
 @pytest.mark.parametrize(

@@ -168,7 +168,9 @@ class LogContents:
         return [
             time.name
             for time in names
-            if time.kind == "time" and _grows(values := self.values[time.name]) and not np.array_equal(values, own)
+            if time.kind == "time"
+            and _grows(values := self.values[time.name])
+            and not np.array_equal(values, own, equal_nan=True)
         ]
 
     def seconds(self) -> np.ndarray:
@@ -178,7 +180,7 @@ class LogContents:
 
     def time_unit(self) -> tuple[str, str]:
         """Determine the time unit, the first with a plausible logging rate of drives, and the reason."""
-        step = float(np.median(np.diff(self.seconds())))
+        step = float(np.nanmedian(np.diff(self.seconds())))
         written = self.units.get(self.time[0])
         if written and written not in TIME_UNITS:
             return written, "unit as written in the log"
