@@ -114,6 +114,29 @@ def test_without_a_robot_joints_have_the_names_of_the_columns(tmp_path: Path) ->
     assert (single.signals["position"], single.command) == ({"j1": "position"}, {"j1": "load"})
 
 
+@pytest.mark.parametrize("names", [("con", "meas"), ("meas", "con"), ("des", "act"), ("cmd", "meas"), ("", "measured")])
+def test_measured_torques_come_before_commanded_ones(names: tuple[str, str], tmp_path: Path) -> None:
+    header = "pos1,pos2," + ",".join(f"tau_{name}{k}" for name in (*names, "fric") for k in (1, 2))
+    draft = discover([save(tmp_path / "a.csv", header)])
+    measured = next(name for name in names if name in ("meas", "act", "measured"))
+    assert list(draft.command.values()) == [f"tau_{measured}1", f"tau_{measured}2"]
+    assert draft.open == ("robot",)
+
+
+@pytest.mark.parametrize("still", ["motor_torque1", "torque1"])
+def test_constant_and_boolean_columns_are_no_commands(still: str, tmp_path: Path) -> None:
+    """Whatever their names; where nothing else is logged, that is said."""
+    header = f"q1,{still},i1"
+    draft = discover([save(tmp_path / "a.csv", header, still)])
+    assert draft.command == {"j1": "i1"}
+    table = np.column_stack([TIME, np.sin(TIME), np.sin(TIME) > 0, np.cos(TIME)])
+    log = tmp_path / "b.csv"
+    np.savetxt(log, table, delimiter=",", header=f"t,{header}", comments="")
+    assert discover([log]).command == {"j1": "i1"}
+    with pytest.raises(GtauError, match="no columns of currents or torques are recognised"):
+        discover([save(tmp_path / "c.csv", f"q1,{still}", still)])
+
+
 def test_a_bag_with_a_topic_for_every_joint_is_refused(tmp_path: Path) -> None:
     """As several drives publish: one of them would be taken, and the other joints held."""
     pytest.importorskip("rosbags")
