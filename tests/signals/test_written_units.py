@@ -95,7 +95,7 @@ def test_what_is_no_unit(text: str) -> None:
         ("tau1 (ext)", "other", "1", None),
         ("tau1 (m)", "torque", "1", None),
         ("q[1]", "position", "1", None),
-        ("position[elbow]", "position", "", None),
+        ("position[elbow]", "position", "elbow", None),
         ("terms1", None, "1", None),
         ("time of Axis 1.Torque", "time", "Axis 1.Torque", None),
     ],

@@ -59,7 +59,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
         if not joints:
             continue
         widest = max(joints, key=lambda j: span[j])
-        declared = {units.of("position", run.joints[j]) or basic for j in joints} if units else {basic}
+        declared = {units.of_position(run.joints[j]) or basic for j in joints} if units else {basic}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"
         if 0 < span[widest] < LEAST[kind] * size and declared == {other}:

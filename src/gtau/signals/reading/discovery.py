@@ -140,13 +140,15 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     unsure = {"joints"} if by_order or alike else set()
     columns, currents = ({joint: pair[k] for joint, pair in joints.items()} for k in (0, 1))
     time = _time(position_log, command_log, positions, units, reasons, unsure)
+    if written := _units(position_log, "position", columns):
+        units, reasons["unit"] = units | written, "units as written in the log"
+    elif unit := _position_unit(position_log, positions, columns, robot, reasons):
+        units["position"] = unit
+        unsure |= {"unit"} if positions.unit is None else set()
     kind, doubts = _kind(commands, command_log, currents)
     compensated = "current_as_torque" in commands.first.lower()
     unsure |= doubts | ({"gravity"} if compensated else set()) | ({"reference"} if commands.reference else set())
-    units |= _units(position_log, "position", columns) | _units(command_log, kind, currents)
-    if unit := _unit_by_reach(position_log, columns, robot, reasons, units.get("position")):
-        units["position"] = unit
-        unsure.add("unit")
+    units |= _units(command_log, kind, currents)
     labels = {name: label for label, name in positions.columns.items()}
     logged = {joint: labels[column] for joint, column in columns.items()}
     sensors, still = _sensors(command_log, "sensor", logged)
@@ -176,7 +178,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     return Draft(
         logs=tuple(runs),
         signals={"time": time, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {}),
-        units=units,
+        units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
         robot={key: entry for key, entry in entries.items() if entry is not None},
         masses={log: masses[0] for log, masses in readings.items()},
         readings=several,
@@ -386,13 +388,13 @@ def _unread(key: Any, units: Any) -> bool:
     return False
 
 
-def _unit_by_reach(
-    log: LogContents, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str], written: Any
+def _position_unit(
+    log: LogContents, positions: Group, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str]
 ) -> str | None:
-    """Determine the unit of positions from their range where the log does not say it; None for rad and m."""
-    if written or any(column in log.units for column in columns.values()):
-        reasons["unit"] = "units as written in the log"
-        return None
+    """Determine the unit of the positions, as written or from their range; None for rad and m."""
+    if positions.unit in ("deg", "rad", "mm", "m"):
+        reasons["unit"] = "unit in the columns' names"
+        return positions.unit
     reach, joint = max((float(np.nanmax(np.abs(log.values[column]))), joint) for joint, column in columns.items())
     kinds = {robot.joint(name).kind for name in columns} if robot else {"revolute"}
     if not reach > TURNS or len(kinds) > 1:

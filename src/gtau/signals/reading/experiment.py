@@ -253,7 +253,7 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
             raise GtauError(
                 f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."
             )
-        kind, unit = robot.joint(joint).kind, experiment.units.of("position", joint)
+        kind, unit = robot.joint(joint).kind, experiment.units.of_position(joint)
         if unit is not None and is_angle(unit) != (kind == "revolute"):
             raise GtauError(
                 f"units.position is '{unit}' for joint '{joint}', which is {kind}; write "

@@ -41,6 +41,7 @@ class Group:
     stem: str
     columns: Mapping[str, str]
     reference: bool = False
+    unit: str | None = None
 
     @property
     def first(self) -> str:
@@ -267,7 +268,7 @@ def _grouped(names: Sequence[ColumnName]) -> list[Group]:
         groups.setdefault(stem, {})[name.label] = name
     firsts = [(next(iter(group.values())), group) for group in groups.values()]
     return [
-        Group(first.kind, first.stem, {label: name.name for label, name in group.items()}, first.reference)
+        Group(first.kind, first.stem, {label: name.name for label, name in group.items()}, first.reference, first.unit)
         for first, group in firsts
     ]
 

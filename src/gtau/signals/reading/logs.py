@@ -30,7 +30,7 @@ from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
 from gtau.signals.reading.registers import with_signs
 from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
-from gtau.signals.reading.units import Units
+from gtau.signals.reading.units import Units, unit_of
 from gtau.signals.reading.written_units import SI
 from gtau.signals.storage import Store, block, blocks, store
 
@@ -166,7 +166,7 @@ def _refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: U
         columns += [("time", "", column) for column in signals.time_columns]
     for key, joint, column in columns:
         unit = parse_column_name(column, [joint] if joint else [], written.get(column)).unit
-        if unit and unit not in SI and units.of(key, joint) is None:
+        if unit and unit not in SI and unit_of(getattr(units, key), joint) is None:
             raise GtauError(
                 f"column '{column}' is in '{unit}' by the log, but the experiment file states no unit; write units: "
                 f"{{{key}: {unit}}}, or the SI unit if the log is wrong. Of counts state the size of one, as in "

@@ -177,27 +177,27 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
             )
         return self
 
-    def of(self, key: str, joint: str) -> str | None:
-        """Return the unit that is stated under a key for a joint; None where nothing is stated."""
-        return _of(getattr(self, key), joint)
+    def of_position(self, joint: str) -> str | None:
+        """Return the position unit of a joint; None where nothing is stated."""
+        return unit_of(self.position, joint)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
         """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
 
         Raises GtauError where a share of a rated value is logged, but the rated value is not given.
         """
-        positions = [si_factor(self.of("position", joint) or "rad", "position") for joint in signals.position]
+        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
         positions += self.base.scale(signals.base) if signals.base else []
         commands = [self._of_command(joint, signals) for joint in signals.position]
         for kind in LINK_SIDE:
             units = getattr(self, kind.calibration)
-            commands += [si_factor(_of(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
+            commands += [si_factor(unit_of(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
         commands += [factor for wrench in signals.all_wrenches for factor in self.wrenches.scale(wrench)]
         preset = PRESETS[signals.preset] if signals.preset else {}
         return positions, commands, si_factor(self.time or preset.get("units", {}).get("time", "s"), "time")
 
     def _of_command(self, joint: str, signals: Signals) -> float:
-        unit = _of(self.current if signals.kind == "current" else self.torque, joint)
+        unit = unit_of(self.current if signals.kind == "current" else self.torque, joint)
         ratio = (signals.gear_ratio or {}).get(joint, 1.0)
         if unit is None:
             return ratio
@@ -210,5 +210,6 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
         return ratio * SHARES[unit] * self.rated[joint]
 
 
-def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
+def unit_of(units: str | dict[str, str] | None, joint: str) -> str | None:
+    """Return the unit of a joint among those of a signal; None where nothing is stated."""
     return units.get(joint) if isinstance(units, dict) else units
