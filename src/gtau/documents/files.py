@@ -196,8 +196,20 @@ USES = {
     ROBOT: "use it with 'gtau robot', or name it under 'robot' in an experiment file",
     LOG: "name it under 'runs' in an experiment file",
     DESIGNED: "the robot follows the trajectory beside it",
+    FOLDER: "give the file itself",
+    PICTURE: "give another file",
+    BINARY: "export what it holds as CSV, Parquet, NPZ, MAT or HDF5",
 }
-"""What a file of a kind is for; those of other kinds are not used."""
+"""What to do with a file of a kind."""
+CONVERSIONS = {
+    ".npy": "save arrays by name in its place (np.savez(PATH, t=..., q=..., current=...))",
+    **dict.fromkeys(
+        (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz"), "unpack it and give what it holds"
+    ),
+    **dict.fromkeys((".xlsx", ".xls", ".ods"), "export its table as CSV"),
+    **dict.fromkeys((".tdms", ".mf4", ".mdf", ".ulg", ".blf", ".dat"), "export its signals as CSV or MAT"),
+}
+"""What to do with files of other programs, by their endings."""
 
 _KEYS = (
     (EXPERIMENT, {"signals"}),
@@ -245,7 +257,7 @@ def refuse_other_kind(path: str | Path, wanted: str) -> None:
     kind = kind_of(path)
     if kind is None or kind == wanted:
         return
-    advice = USES.get(kind, "give the file itself")
+    advice = CONVERSIONS.get(Path(path).suffix.lower(), USES[kind]) if kind == BINARY else USES[kind]
     if kind == FOLDER:
         inside = sorted(file for file in Path(path).glob("*") if file.is_file() and kind_of(file) == wanted)
         advice += f", such as {inside[0]}" if inside else ""

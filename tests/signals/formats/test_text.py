@@ -182,6 +182,23 @@ def test_twincat_scope(tmp_path: Path, each: bool) -> None:
     assert tuple(map(str, run.notes[1:])) == ("dropped 1 row with missing or non-numeric values (line 612)",)
 
 
+@pytest.mark.parametrize(
+    ("ending", "advice"),
+    [
+        (".npy", "save arrays by name in its place"),
+        (".csv.gz", "unpack it and give what it holds"),
+        (".xlsx", "export its table as CSV"),
+        (".tdms", "export its signals as CSV or MAT"),
+        (".log", "export what it holds as CSV, Parquet, NPZ, MAT or HDF5"),
+    ],
+)
+def test_what_to_do_with_files_of_other_programs(ending: str, advice: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a{ending}"
+    path.write_bytes(b"\x1f\x8b\x00\x93NUMPY\x00\x01" * 40)
+    with pytest.raises(GtauError, match=f"is a binary file of another program, not a log; {advice}"):
+        find_columns(path)
+
+
 @pytest.mark.parametrize("late", [0, 1])
 def test_a_draft_of_twincat_scope_takes_no_times_for_torques(tmp_path: Path, late: int) -> None:
     """Units from the properties; times of channels are named where they differ."""

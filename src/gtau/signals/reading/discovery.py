@@ -33,12 +33,12 @@ UNSURE = {
     "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
     "unmatched": "joints that the log lacks are held at home, but columns move that are not used; if they are of such "
     "a joint, write them at its name",
+    "counts": "replace units that are none by the size of one count (units: {current: 0.00269 A}); for shares add the "
+    "rated values (units: {rated: {JOINT: 5.2}})",
     "joints": "confirm that the columns are in the order of the joints, or of those taken for their names",
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "unit": "confirm the unit of the positions (units: {position: ...})",
-    "counts": "replace units that are none by the size of one count (units: {current: 0.00269 A}); for shares add the "
-    "rated values (units: {rated: {JOINT: 5.2}})",
     "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
     "'gear_ratio:'",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
