@@ -578,6 +578,10 @@ SENTENCES = [  # finding, reason, advice
      "the motion passes within 0.021 of a type 2 singularity at 1.25 s, where errors of position and geometry are "
      "amplified",
      "keep the motion away from that pose"),
+    (Finding(F.SINGULARITY, values={"distance": 0.021}, time=1700000012.345),
+     "the motion passes within 0.021 of a type 2 singularity at 2023-11-14 22:13:32.345 UTC "
+     "(1700000012.345 s), where errors of position and geometry are amplified",
+     "keep the motion away from that pose"),
     (Finding(F.CONFIRMED_GEOMETRY, (), "tool", {"before": "0.2 mm"}),
      "the logged pose of 'tool' confirms the robot's geometry to 0.2 mm rms", ""),
     (Finding(F.UNEXPLAINED_POSE, (), "tool", {"before": "12 mm", "changes": ["the length of leg '1' by 2 mm"],

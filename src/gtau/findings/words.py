@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
 from math import asin, atan2, ceil, floor, hypot, log10, pi
@@ -65,6 +66,7 @@ def _environment() -> Environment:
     environment.globals["pi"] = pi
     environment.filters |= {
         "form": format,
+        "moment": moment,
         "percent": lambda share, spec: f"{100 * share:{spec}} %",
         "percent_text": percent_text,
         "plural": lambda number: "s" * (number != 1),
@@ -92,6 +94,15 @@ def _rpy(gravity: Sequence[float]) -> str:
     x, y, z = gravity
     roll = atan2(-y, -z) if round(hypot(y, z), 3) else 0.0
     return f"{roll:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
+
+
+def moment(time: float, digits: int = 9) -> str:
+    """Write an instant of a log in s, or as a date where it is one since 1970: ``1.7e+09 s`` says nothing."""
+    if time < 1e8:
+        return f"{time:.{digits}g} s"
+    if time > 1e10:
+        return f"{time:.3f} s"
+    return f"{datetime.fromtimestamp(time, UTC).isoformat(' ', 'milliseconds')[:-6]} UTC ({time:.3f} s)"
 
 
 def counted(number: int, noun: str) -> str:

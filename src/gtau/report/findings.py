@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from gtau.findings import Finding
 from gtau.findings.finding import by_severity
+from gtau.findings.words import moment
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 
 APART = 4  # notes of one kind on different logs that are still listed one by one
@@ -39,7 +40,7 @@ def findings_table(notes: Sequence[Finding], most: int | None = None) -> Table:
 def _where(note: Finding) -> str:
     """Describe where in a log a finding is: joint, time and size, as far as they are known."""
     share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
-    time = None if note.time is None else f"{note.time:.4g} s"
+    time = None if note.time is None else moment(note.time, 4)
     return ", ".join(part for part in (note.joint and joint_label(note.joint), time, share) if part)
 
 

@@ -332,8 +332,8 @@ def test_two_clocks_are_refused(topics: Callable) -> None:
     time = 1000.0 + np.arange(N) / RATE
     with pytest.raises(GtauError) as refusal:
         read_run(topics(time, time - 900), EACH)
-    assert "holds positions from 1000 to 1002.998 s, but" in str(refusal.value)
-    assert "torques from 100 to 102.998 s: their clocks do not overlap; log both with one clock" in str(refusal.value)
+    assert "holds positions from 1000 s to 1002.998 s, but" in str(refusal.value)
+    assert "torques from 100 s to 102.998 s: their clocks do not overlap; log both with one clock" in str(refusal.value)
 
 
 def test_commands_whose_time_goes_back(topics: Callable) -> None:

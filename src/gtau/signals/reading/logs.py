@@ -20,18 +20,16 @@ from gtau.errors import GtauError
 from gtau.extensions import find
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.signals.channel import LINK_SIDE
+from gtau.findings.words import moment
 from gtau.signals.reading.body_columns import at_origins
-from gtau.signals.reading.column_names import parse_column_name
-from gtau.signals.reading.columns import PRESETS, SampleRate, Signals
+from gtau.signals.reading.columns import SampleRate, Signals
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
 from gtau.signals.reading.registers import with_signs
 from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
-from gtau.signals.reading.units import Units, unit_of
-from gtau.signals.reading.written_units import SI
+from gtau.signals.reading.units import Units, refuse_unstated_units
 from gtau.signals.storage import Store, block, blocks, store
 
 GROUP = "gtau.log_formats"
@@ -127,7 +125,7 @@ def read_logs(
     files, rows, commands_at = [table], part.rows(table), None
     if len(paths) == 2 and not stamps:
         files.append(replace(read_log(paths[1], commands), texts=table.texts))
-    _refuse_unstated_units(files, signals, units)
+    refuse_unstated_units(files, signals, units)
     notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
     if stamps:
         inside, commands_at = _aligned(paths[0], paths[-1], signals, time_scale, notes)
@@ -154,25 +152,6 @@ def read_logs(
     joints = list(signals.position)
     scales = dict(zip(joints, position_scale, strict=False)), dict(zip(joints, command_scale, strict=False))
     return with_signs(complete(empty, parts(), notes, part), scales, notes)
-
-
-def _refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Units) -> None:
-    """Refuse columns in other units than SI by their names, or by the log, where the experiment file states none."""
-    written = {name: unit for file in files for name, unit in file.units.items()}
-    columns = [("position", *pair) for pair in signals.position.items()]
-    columns += [(signals.kind, *pair) for pair in signals.command.items()]
-    columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
-    if "units" not in PRESETS.get(signals.preset or "", {}):
-        columns += [("time", "", column) for column in signals.time_columns]
-    for key, joint, column in columns:
-        unit = parse_column_name(column, [joint] if joint else [], written.get(column)).unit
-        if unit and unit not in SI and unit_of(getattr(units, key), joint) is None:
-            raise GtauError(
-                f"column '{column}' is in '{unit}' by the log, but the experiment file states no unit; write units: "
-                f"{{{key}: {unit}}}, or the SI unit if the log is wrong. Of counts state the size of one, as in "
-                "'0.0012 A'; of shares the rated values, too.",
-                source=files[0].path,
-            )
 
 
 def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
@@ -281,10 +260,10 @@ def _aligned(
     inside = np.flatnonzero((clock >= stamps[0]) & (clock <= stamps[-1]))
     finite = clock[np.isfinite(clock)]
     if not inside.size or not finite.size:
-        spanned = f"{finite[0]:.9g} to {finite[-1]:.9g} s" if finite.size else "no time"
+        spanned = f"{moment(finite[0])} to {moment(finite[-1])}" if finite.size else "no time"
         raise GtauError(
-            f"{path} holds positions from {spanned}, but {other_path} {what} from {stamps[0]:.9g} to {stamps[-1]:.9g} "
-            "s: their clocks do not overlap; log both with one clock, or give the logs of one run."
+            f"{path} holds positions from {spanned}, but {other_path} {what} from {moment(stamps[0])} to "
+            f"{moment(stamps[-1])}: their clocks do not overlap; log both with one clock, or give the logs of one run."
         )
     rows = range(int(inside[0]), int(inside[-1]) + 1)
     steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]

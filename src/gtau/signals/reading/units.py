@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Annotated, Any, Literal
 
@@ -11,9 +12,13 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.documents.yaml_document import Document
+from gtau.errors import GtauError
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
+from gtau.signals.reading.column_names import parse_column_name
 from gtau.signals.reading.columns import PRESETS, Signals, of_link_side
+from gtau.signals.reading.formats import LogTable
+from gtau.signals.reading.written_units import SI
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 
@@ -179,7 +184,7 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
 
     def of_position(self, joint: str) -> str | None:
         """Return the position unit of a joint; None where nothing is stated."""
-        return unit_of(self.position, joint)
+        return _of(self.position, joint)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
         """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
@@ -191,13 +196,13 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
         commands = [self._of_command(joint, signals) for joint in signals.position]
         for kind in LINK_SIDE:
             units = getattr(self, kind.calibration)
-            commands += [si_factor(unit_of(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
+            commands += [si_factor(_of(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
         commands += [factor for wrench in signals.all_wrenches for factor in self.wrenches.scale(wrench)]
         preset = PRESETS[signals.preset] if signals.preset else {}
         return positions, commands, si_factor(self.time or preset.get("units", {}).get("time", "s"), "time")
 
     def _of_command(self, joint: str, signals: Signals) -> float:
-        unit = unit_of(self.current if signals.kind == "current" else self.torque, joint)
+        unit = _of(self.current if signals.kind == "current" else self.torque, joint)
         ratio = (signals.gear_ratio or {}).get(joint, 1.0)
         if unit is None:
             return ratio
@@ -210,6 +215,28 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
         return ratio * SHARES[unit] * self.rated[joint]
 
 
-def unit_of(units: str | dict[str, str] | None, joint: str) -> str | None:
-    """Return the unit of a joint among those of a signal; None where nothing is stated."""
+def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
+
     return units.get(joint) if isinstance(units, dict) else units
+
+
+def refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Units) -> None:
+    """Refuse columns in other units than SI by their names, or by the log, where the experiment file states none.
+
+    Raises GtauError.
+    """
+    written = {name: unit for file in files for name, unit in file.units.items()}
+    columns = [("position", *pair) for pair in signals.position.items()]
+    columns += [(signals.kind, *pair) for pair in signals.command.items()]
+    columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
+    if "units" not in PRESETS.get(signals.preset or "", {}):
+        columns += [("time", "", column) for column in signals.time_columns]
+    for key, joint, column in columns:
+        unit = parse_column_name(column, [joint] if joint else [], written.get(column)).unit
+        if unit and unit not in SI and _of(getattr(units, key), joint) is None:
+            raise GtauError(
+                f"column '{column}' is in '{unit}' by the log, but the experiment file states no unit; write units: "
+                f"{{{key}: {unit}}}, or the SI unit if the log is wrong. Of counts state the size of one, as in "
+                "'0.0012 A'; of shares the rated values, too.",
+                source=files[0].path,
+            )

@@ -14,6 +14,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
+from gtau.findings.words import moment
 from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
 from gtau.signals.storage import Store, block, blocks, spans, store
@@ -153,7 +154,7 @@ def uniform(
     if longest > max(MAX_GAP, 3 * clock.period):
         raise GtauError(
             f"{samples.name}, {samples.place(before)}: {longest:.3g} s are missing after "
-            f"{samples.time[before]:.9g} s; cut the log there into two runs (from: and to:)."
+            f"{moment(samples.time[before])}; cut the log there into two runs (from: and to:)."
         )
     time = store(clock.time(*span) for span in spans(count))
     delay = max((channel.delay for channel in samples.channels), key=abs)
