@@ -216,7 +216,6 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
 
 
 def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
-
     return units.get(joint) if isinstance(units, dict) else units
 
 

@@ -265,8 +265,8 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
         if lasts > FROZEN_TIME and _std(samples, j, begin, end) > FROZEN_CURRENT * _std(samples, j, 0, count):
             raise GtauError(
                 f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
-                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {moment(float(samples.time[begin]))}, "
-                f"with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
+                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from "
+                f"{moment(float(samples.time[begin]))}, with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
                 f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."
             )
