@@ -266,8 +266,8 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
             raise GtauError(
                 f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
                 f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from "
-                f"{moment(float(samples.time[begin]))}, with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
-                f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
+                f"{moment(float(samples.time[begin]))}, with a step of {edges[j]:.2g} (rad or m) between two samples, while "
+                f"its {samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."
             )
 
