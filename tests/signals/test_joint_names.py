@@ -50,8 +50,8 @@ def test_what_is_no_word_of_signals_is_a_joint(name: str, label: str, stem: str)
 
 
 def test_resembling_names() -> None:
-    robot = ["shoulder", "elbow", "wrist_1_joint", "wrist_2_joint", "fl_hip", "fr_hip"]
-    matched = {"elbo": "elbow", "shoulder_lift": "shoulder", "wrist1": "wrist_1_joint"}
+    robot = ["shoulder", "elbow", "wrist_1_joint", "wrist_2_joint", "fl_hip", "fr_hip", "knee_joint"]
+    matched = {"elbo": "elbow", "kneee": "knee_joint", "shoulder_lift": "shoulder", "wrist1": "wrist_1_joint"}
     assert resembling([*matched, "rail", "rr_hip"], robot) == matched
     assert resembling(["wrist", "hip"], robot) == {}  # of two, neither
 

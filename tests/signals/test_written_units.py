@@ -44,6 +44,7 @@ def save(path: Path, *head: str) -> Path:
         ("Grad", "position", np.pi / 180),
         ("º", "position", np.pi / 180),
         ("1/100 deg", "position", np.pi / 18000),
+        ("1/0 deg", "position", np.pi / 180),
         ("0.01A", "current", 0.01),
         ("0,1 mA", "current", 1e-4),
         ("Arms", "current", 1.0),
@@ -67,7 +68,7 @@ def test_other_quantities(text: str, measures: str) -> None:
     assert unit.measures == measures
 
 
-@pytest.mark.parametrize("text", ["measured", "link", "1", "0", ""])
+@pytest.mark.parametrize("text", ["measured", "link", "1", "0", "", "1 " * 20000 + "A"])
 def test_what_is_no_unit(text: str) -> None:
     assert read_unit(text) is None
 

@@ -52,14 +52,15 @@ COMPONENTS = {  # words before the letter of an axis, and all axes
 }
 COMMAND = frozenset(["v", "u", "control", "action", "command", "load"])  # currents or torques, unless velocities
 NO_UNIT = frozenset[str]().union(*WORDS.values(), REFERENCE, MEASURED, TEMPERATURE)  # words in brackets
-KIND_OF_UNIT = {("position", "motor"), ("torque", "current"), ("torque", "position")}  # the unit decides, not the name
 OF_JOINT = ("position", "velocity", "acceleration", "current", "torque")
 OF_ANY = frozenset(
     ["joint", "joints", "axis", "axes", "link", "motor", "actual", "state", "states", "drive", "encoder"]
 )
 SIGNAL_WORDS = NO_UNIT | COMMAND | OF_ANY
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
-ODD = re.compile(r"(?<=[\s\d#])\[\s*([^\[\]]*[^\[\]\s\d][^\[\]]+)\]\s*$")  # brackets that may hold an unknown unit
+ODD = re.compile(
+    r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$"
+)  # brackets that may hold an unknown unit
 
 
 @dataclass(frozen=True)
@@ -121,12 +122,10 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
         kind = "motor"
     if kind is None and not COMMAND.isdisjoint(words):
         kind = "command"
-    reference = not REFERENCE.isdisjoint(words)
-    if written and kind != "other":
-        if written.measures == "position" and kind == "command":
-            reference = True
-        kind = _by_unit(kind, written.measures)
-    return ColumnName(name, stem, label, kind, reference, written.text or None if written else None)
+    measures, text = written or (None, "")
+    reference = not REFERENCE.isdisjoint(words) or (measures == "position" and kind == "command")
+    kind = kind if kind == "other" else _by_unit(kind, measures)
+    return ColumnName(name, stem, label, kind, reference, text or None)
 
 
 def _named(name: str) -> tuple[str, str]:
@@ -151,17 +150,15 @@ def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
 
     Words such as ``joint`` do not count, numbers must agree.
     """
-    names = {
-        name: [word for word in re.findall(r"[a-z]+|\d+", name.lower()) if word not in OF_ANY]
-        for name in (*labels, *joints)
-    }
 
     def alike(label: str, joint: str) -> bool:
-        a, b = names[label], names[joint]
-        numbers = [[word for word in words if word.isdigit()] for words in (a, b)]
+        parts = [re.findall(r"[a-z]+|\d+", name.lower()) for name in (label, joint)]
+        names = [[word for word in words if word not in OF_ANY] for words in parts]
+        a, b = map(set, names)
+        numbers = [{word for word in words if word.isdigit()} for words in (a, b)]
         if not a or not b or (all(numbers) and numbers[0] != numbers[1]):
             return False
-        return set(a) <= set(b) or set(b) <= set(a) or SequenceMatcher(None, "".join(a), "".join(b)).ratio() >= ALIKE
+        return a <= b or b <= a or SequenceMatcher(None, "".join(names[0]), "".join(names[1])).ratio() >= ALIKE
 
     of_label = {label: [joint for joint in joints if alike(label, joint)] for label in labels}
     of_joint = [joint for candidates in of_label.values() for joint in candidates]
@@ -170,19 +167,13 @@ def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
 
 def _by_unit(kind: str | None, measures: str | None) -> str | None:
     """Correct the kind of a column, as its name says, by what its unit measures."""
-    if measures in ("velocity", "acceleration", "other"):
-        return measures
-    alike = {
-        "time": (None, "time"),
-        "position": (None, "position", "motor", "command", "velocity"),
-        "current": (None, "current", "torque", "motor", "command"),
-        "torque": (None, "torque", "sensor", "motor", "command", "current", "position"),
-    }
-    if measures not in alike:
+    kept = {"position": "position velocity", "current": "current torque motor", "torque": "torque sensor motor"}
+    taken = {"position": "motor command", "current": "command", "torque": "command current position"}
+    if measures in (None, "share"):
         return kind
-    if kind not in alike[measures]:
-        return "other"
-    return measures if kind in (None, "command") or (measures, kind) in KIND_OF_UNIT else kind
+    if kind in (None, measures) or measures not in {"time", *kept} or kind in taken.get(measures, "").split():
+        return measures
+    return kind if kind in kept.get(measures, "").split() else "other"
 
 
 def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnName:

@@ -40,8 +40,8 @@ def register_of(values: np.ndarray) -> Register | None:
     None where a value is negative or no whole number, where the values pass the middle of the range in small steps or
     never, and of a switch.
     """
-    values = values[np.isfinite(values)]
-    if not values.size or values.min() < 0 or values.max() < LEAST or (values != np.rint(values)).any():
+    values, exact = np.rint(values[np.isfinite(values)]), values[np.isfinite(values)]
+    if not values.size or values.min() < 0 or values.max() < LEAST or not np.allclose(values, exact, 1e-9, 0.0):
         return None
     bits = int(values.max()).bit_length()
     above = values >= 2.0 ** (bits - 1)
@@ -71,7 +71,8 @@ def with_signs(
         for register in set(registers.values()):
             names = tuple(samples.joints[j] for j, other in registers.items() if other == register)
             notes.append(Finding(F.REGISTER, names, values={"signal": kind} | register._asdict()))
-        arrays.append(_signed(array, registers, columns) if registers else array)
+        parts = (_signed(part, registers, columns) for part in blocks(array))
+        arrays.append(stored_like(array, parts) if registers else array)
     return replace(samples, position=arrays[0], command=arrays[1])
 
 
@@ -83,22 +84,12 @@ def _registers(array: np.ndarray, columns: Mapping[int, float]) -> dict[int, Reg
     low, high = extremes(array)
     ends = {j: sorted((low[j] / size, high[j] / size)) for j, size in columns.items()}
     bits = {j: int(np.rint(most)).bit_length() for j, (least, most) in ends.items() if least >= 0 and most >= LEAST}
-    found = (register_of(_counts(array, j, columns[j])) for j in bits)
+    found = (register_of(np.concatenate([part[:, j] for part in blocks(array)]) / columns[j]) for j in bits)
     common = {register.bits: register for register in found if register}
     return {j: common[width] for j, width in bits.items() if width in common}
 
 
-def _counts(array: np.ndarray, column: int, scale: float) -> np.ndarray:
-    """Divide a column by what one count is, and round what is a whole number but for that division."""
-    counts = np.concatenate([part[:, column] for part in blocks(array)]) / scale
-    whole = np.rint(counts)
-    return np.where(np.abs(counts - whole) <= 1e-9 * np.abs(whole), whole, counts)
-
-
-def _signed(array: np.ndarray, registers: Mapping[int, Register], scale: Mapping[int, float]) -> np.ndarray:
-    def signed(part: np.ndarray) -> np.ndarray:
-        for j, register in registers.items():
-            part[:, j] = scale[j] * register.signed(part[:, j] / scale[j])
-        return part
-
-    return stored_like(array, map(signed, blocks(array)))
+def _signed(part: np.ndarray, registers: Mapping[int, Register], scale: Mapping[int, float]) -> np.ndarray:
+    for j, register in registers.items():
+        part[:, j] = scale[j] * register.signed(part[:, j] / scale[j])
+    return part

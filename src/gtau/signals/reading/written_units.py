@@ -11,58 +11,29 @@ import unicodedata
 from collections.abc import Sequence
 from typing import NamedTuple
 
-SPELLINGS: dict[str, dict[str, str]] = {  # by what they measure; without blanks, dots and hyphens
-    "time": {
-        "s": "s sec secs second seconds sek sekunden",
-        "ms": "ms msec msecs millis millisecond milliseconds",
-        "us": "us usec usecs micros microsecond microseconds",
-        "ns": "ns nsec nsecs nanos nanosecond nanoseconds",
-        "min": "min mins minute minutes",
-    },
-    "position": {
-        "rad": "rad rads radian radians radiant",
-        "mrad": "mrad",
-        "deg": "deg degs degree degrees ° grad grado grados gradi degre degres",  # in German, no gon
-        "mdeg": "mdeg millideg millidegrees",
-        "arcmin": "arcmin ' ′",
-        "arcsec": "arcsec",
-        "turn": "turn turns rev revs revolution revolutions rot rotation rotations umdr umdrehungen tour tours",
-        "m": "m meter meters metre metres",
-        "mm": "mm millimeter millimeters millimetre millimetres",
-        "cm": "cm",
-        "um": "um micron microns",
-        "inch": "inch inches",
-    },
-    "current": {"A": "a amp amps ampere amperes arms aeff apk apeak", "mA": "ma mamp mamps milliamp milliamps marms"},
-    "torque": {
-        "N m": "nm newtonmeter newtonmeters newtonmetre newtonmetres",
-        "mN m": "mnm",
-        "uN m": "unm",
-        "N cm": "ncm",
-        "N mm": "nmm",
-        "cN m": "cnm",
-        "kN m": "knm",
-        "kgf m": "kgfm kgm kpm",
-        "kgf cm": "kgfcm kgcm kpcm",
-        "kgf mm": "kgfmm kgmm",
-        "gf cm": "gfcm gcm",
-        "lbf ft": "lbfft lbft ftlb ftlbs ftlbf",
-        "lbf inch": "lbfin lbin inlb inlbs inlbf",
-        "ozf inch": "ozin ozfin inoz",
-        "N": "n newton newtons",
-        "kN": "kn",
-        "kgf": "kgf kp",
-    },
-    "share": {"%": "% percent pct prozent", "‰": "‰ permille promille 0.1% 1/1000"},
-    "other": {"": "v mv volt volts w watt watts kw hz khz °c ºc degc c celsius k kelvin bar pa j bool"},
+SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
+    "time": "s: s sec secs second seconds sek; ms: ms msec msecs millis milliseconds; us: us usec usecs microseconds; "
+    "ns: ns nsec nsecs nanoseconds; min: min minutes",
+    # in German, Grad is no gon
+    "position": "rad: rad rads radian radians radiant; mrad: mrad; deg: deg degs degree degrees ° grad grado gradi; "
+    "mdeg: mdeg millideg; arcmin: arcmin; arcsec: arcsec; m: m meter meters metre metres; mm: mm millimeter; "
+    "cm: cm; um: um micron microns; inch: inch inches; turn: turn turns rev revs revolution revolutions rot rotation "
+    "rotations umdr umdrehungen tours",
+    "current": "A: a amp amps ampere amperes arms aeff apk; mA: ma mamp mamps milliamp milliamps marms",
+    "torque": "N m: nm newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; kN m: knm; "
+    "kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs "
+    "ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; ozf inch: ozin ozfin inoz; N: n newton newtons; kN: kn; kgf: kgf kp",
+    "share": "%: % percent pct prozent; ‰: ‰ permille promille 0.1% 1/1000",
+    "other": ": v mv volt volts w watt watts kw hz khz °c degc c celsius k kelvin bar pa j bool",
 }
-SI = frozenset(["s", "rad", "m", "A", "N m", "N"])
 UNITS = {
     spelling: (what, unit)
     for what, units in SPELLINGS.items()
-    for unit, names in units.items()
-    for spelling in names.split()
+    for unit, spellings in (entry.split(": ") for entry in units.split("; "))
+    for spelling in spellings.split()
 }
+LONGEST = 40  # characters
+SI = frozenset(["s", "rad", "m", "A", "N m", "N"])
 COUNTS = re.compile(
     r"(inc|ink|inkr|incr|increment|inkremente?|count|cnt|ct|tick|pulse?|step|digit)s?|pls|lsb|raw|adc|u"
 )
@@ -91,34 +62,29 @@ class WrittenUnit(NamedTuple):
 
 def read_unit(text: str) -> WrittenUnit | None:
     """Read a unit, or the quantity of one count (``0.01A``); None where the text is none."""
+    if len(text) > LONGEST:
+        return None
     plain = unicodedata.normalize("NFKC", text.replace("º", "°")).replace("μ", "u").strip()
     key = re.sub(r"\s" if plain[:1].isdigit() else r"[\s·⋅._*-]", "", plain).lower()
     if key in UNITS:
         return WrittenUnit(*UNITS[key])
-    if ACCELERATION.fullmatch(key):
-        return WrittenUnit("acceleration", text)
-    if RATE.fullmatch(key):
-        return WrittenUnit("velocity", text)
-    if COUNTS.fullmatch(key):
-        return WrittenUnit(None, text.strip())
+    for measures, pattern in (("acceleration", ACCELERATION), ("velocity", RATE), (None, COUNTS)):
+        if pattern.fullmatch(key):
+            return WrittenUnit(measures, text.strip())
     number = NUMBER.fullmatch(plain)
-    if number is None or not number[3]:
-        return None
-    unit = read_unit(number[3])
-    if unit is None:
-        return None
-    if unit.measures not in SPELLINGS:
-        return WrittenUnit(unit.measures, text.strip())
-    size = float(number[1].replace(",", ".")) / float(number[2] or 1)
+    unit = read_unit(number[3]) if number and number[3] else None
+    if number is None or unit is None or unit.measures not in SPELLINGS:
+        return unit and WrittenUnit(unit.measures, text.strip())
+    size = float(number[1].replace(",", ".")) / (float(number[2] or 1) or 1.0)
     return WrittenUnit(unit.measures, f"{size:g} {unit.text}")
 
 
 def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
     """Split a column's name into the rest and its unit, in brackets or, where there are none, a word."""
-    for match in reversed(list(re.finditer(r"\s*([\[(])([^\[\]()]*)[\])]", name))):
+    for match in reversed(list(re.finditer(r"([\[(])([^\[\]()]*)[\])]", name))):
         remark = match[1] == "(" and re.fullmatch(r"\s*[a-z]\s*", match[2])  # measured, set, actual
         if not remark and (unit := read_unit(match[2])):
-            return name[: match.start()] + name[match.end() :], unit
+            return name[: match.start()].rstrip() + name[match.end() :], unit
     if word := next(reversed(list(WORD.finditer(name))), None):
         unit = read_unit(word[1].replace("_", ""))
         if word[2]:
