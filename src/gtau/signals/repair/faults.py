@@ -261,11 +261,11 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     sudden = (edges > FROZEN_QUANTA * held.quanta) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
     for j in np.flatnonzero(sudden).tolist():
         begin, end = spells[j].tolist()
-        lasts, since = float(instants[end - 1] - instants[begin]), moment(float(samples.time[begin]))
+        lasts, when = float(instants[end - 1] - instants[begin]), moment(float(samples.time[begin]))
         if lasts > FROZEN_TIME and _std(samples, j, begin, end) > FROZEN_CURRENT * _std(samples, j, 0, count):
             raise GtauError(
                 f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
-                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {since}, "
+                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {when}, "
                 f"with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
                 f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."
