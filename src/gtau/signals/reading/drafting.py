@@ -267,8 +267,10 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     columns = ", ".join(f"{joint}: {column}" for joint, column in signals["position"].items())
     torques, sensors = beside.get("torques", {}), signals.get("joint_torque", {})
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
+    how = draft.reasons["position"]
+    nearly = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
     assumed = {
-        "joints": f"columns were assigned to the joints, {draft.reasons['position']}: {columns}",
+        "joints": f"columns were assigned to the joints{nearly}: {columns}",
         "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
         "counts": f"the log gives units that are none, or shares ({listed_units(draft)})",
         "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
