@@ -35,7 +35,7 @@ UNSURE = {
     "a joint, write them at its name",
     "counts": "replace units that are none by the size of one count (units: {current: 0.00269 A}); for shares add the "
     "rated values (units: {rated: {JOINT: 5.2}})",
-    "joints": "confirm that the columns are in the order of the joints, or of those taken for their names",
+    "joints": "confirm which columns are of which joint",
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "unit": "confirm the unit of the positions (units: {position: ...})",

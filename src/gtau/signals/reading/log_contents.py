@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -148,30 +148,27 @@ class LogContents:
         alike = (group for group in groups if position is None or len(group.columns) >= len(position.columns))
         return next(alike, groups[0] if groups else None)
 
-    def moving_beside(self, used: Iterable[str], labels: Iterable[str], kind: str | None) -> list[str]:
+    def moving_beside(self, used: Collection[str], labels: Collection[str], kind: str | None) -> list[str]:
         """List columns of positions, and of commands of a kind, that change, beside those used, and of other labels."""
-        columns_used, known = set(used), set(labels)
-        columns = [
-            (label, column)
+        return [
+            column
             for group in self.groups
             if group.kind in ("position", kind) and not group.reference
             for label, column in group.columns.items()
-            if label and column in self.values and column not in columns_used and not is_pose(column)
+            if label and label not in labels and column in self.values.keys() - used and not is_pose(column)
+            if not self.is_still(column)
         ]
-        return [column for label, column in columns if label not in known and not self.is_still(column)]
 
     def other_clocks(self) -> list[str]:
         """List further increasing columns with time names, except the message stamps of a bag."""
         if len(self.time) != 1:
             return []
-        names = [parse_column_name(name) for name in self.values if name not in self.time and not name.startswith("/")]
         own = self.values[self.time[0]]
         return [
-            time.name
-            for time in names
-            if time.kind == "time"
-            and _grows(values := self.values[time.name])
-            and not np.array_equal(values, own, equal_nan=True)
+            name
+            for name, values in self.values.items()
+            if name not in self.time and not name.startswith("/") and parse_column_name(name).kind == "time"
+            if _grows(values) and not np.array_equal(values, own, equal_nan=True)
         ]
 
     def seconds(self) -> np.ndarray:
@@ -260,9 +257,9 @@ def _grouped(names: Sequence[ColumnName]) -> list[Group]:
     others = {name: other for name in names if stems[name.stem.casefold()] == 1 and (other := by_words(name))}
     stems += Counter(other.stem.casefold() for other in others.values())
     groups: dict[str, dict[str, ColumnName]] = {}
-    for name in (
-        others[name] if name in others and stems[others[name].stem.casefold()] > 1 else name for name in names
-    ):
+    for parsed in names:
+        other = others.get(parsed)
+        name = other if other and stems[other.stem.casefold()] > 1 else parsed
         stem = name.stem.casefold()
         stem += f" [{name.unit}]" if name.label in groups.get(stem, ()) else ""
         groups.setdefault(stem, {})[name.label] = name
