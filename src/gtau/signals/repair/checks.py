@@ -16,7 +16,6 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.findings.words import moment
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.samples import Samples, extremes, refuse_short
 from gtau.signals.repair.clock import Clock, clock_of
@@ -94,9 +93,8 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
         notes.append(Finding(F.STILL, names))
     if not time[-1] > time[0]:
         raise GtauError(
-            f"{samples.name}, column '{samples.columns[-1]}' is {moment(time[-1])} in the last row and "
-            f"{moment(time[0])} in the first, so time does not advance; give the time column, or the rate instead "
-            "(time: {rate: HZ})."
+            f"{samples.name}, column '{samples.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s "
+            "in the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
         )
 
 
@@ -114,8 +112,8 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
         if (step < 0).any():
             i = int(np.argmax(step < 0))
             raise GtauError(
-                f"{samples.name}, {samples.place(start + i + 1)}: time goes back from {moment(part[i])} to "
-                f"{moment(part[i + 1])}; cut the log there into two runs, or correct the time column."
+                f"{samples.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
+                f"{part[i + 1]:.9g} s; cut the log there into two runs, or correct the time column."
             )
         again = np.flatnonzero(step == 0)
         if not again.size:
@@ -127,7 +125,7 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["st
         if different.size:
             i = int(different[0])
             raise GtauError(
-                f"{samples.name}, {samples.place(start + i + 1)}: the time {moment(part[i])} occurs in two rows with "
+                f"{samples.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
                 "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
             )
         repeated += (start + again + 1).tolist()

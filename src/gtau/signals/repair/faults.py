@@ -11,7 +11,6 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.findings.words import moment
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
@@ -228,7 +227,7 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         k = int(places[j])
         raise GtauError(
             f"{samples.name}, {samples.place(k)}: the position of joint '{samples.joints[j]}' jumps by "
-            f"{jumps[j]:.3g} (rad or m) at {moment(samples.time[k])}, which is not a motion; check "
+            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is not a motion; check "
             "the coupling and the counter of its encoder, or cut the log there into two runs."
         )
 
@@ -261,11 +260,11 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     sudden = (edges > FROZEN_QUANTA * held.quanta) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
     for j in np.flatnonzero(sudden).tolist():
         begin, end = spells[j].tolist()
-        lasts, when = float(instants[end - 1] - instants[begin]), moment(float(samples.time[begin]))
+        lasts = float(instants[end - 1] - instants[begin])
         if lasts > FROZEN_TIME and _std(samples, j, begin, end) > FROZEN_CURRENT * _std(samples, j, 0, count):
             raise GtauError(
                 f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
-                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {when}, "
+                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
                 f"with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
                 f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."
