@@ -171,6 +171,13 @@ def test_a_written_unit_must_be_stated(head: tuple[str, ...], tmp_path: Path) ->
         np.testing.assert_allclose(read_run(log, signals, units={"torque": unit}).command, factor * V, atol=1e-9)
 
 
+def test_seconds_and_nanoseconds_need_no_units(tmp_path: Path) -> None:
+    table = np.column_stack([np.floor(TIME), np.rint(1e9 * (TIME % 1)), Q, V])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="t_s,t_ns,q1,q2,tau1,tau2", comments="", fmt="%.9f")
+    run = read_run(tmp_path / "a.csv", SIGNALS | {"time": ["t_s", "t_ns"]})
+    np.testing.assert_allclose(run.time, TIME, atol=1e-8)
+
+
 def test_a_written_unit_of_time_is_not_replaced_by_a_likelier_one(tmp_path: Path) -> None:
     log = save(tmp_path / "a.csv", "t [ms],q1,q2,tau1,tau2")
     draft = discover([log])

@@ -228,7 +228,7 @@ def refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Un
     columns = [("position", *pair) for pair in signals.position.items()]
     columns += [(signals.kind, *pair) for pair in signals.command.items()]
     columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
-    if "units" not in PRESETS.get(signals.preset or "", {}):
+    if len(signals.time_columns) == 1 and "units" not in PRESETS.get(signals.preset or "", {}):
         columns += [("time", "", column) for column in signals.time_columns]
     for key, joint, column in columns:
         unit = parse_column_name(column, [joint] if joint else [], written.get(column)).unit
