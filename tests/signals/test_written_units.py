@@ -153,7 +153,7 @@ def test_counts_and_shares_are_asked_about(unit: str, tmp_path: Path) -> None:
     assert "counts" in draft.open
     assert any(unit in str(note) for note in guesses(draft, tmp_path))
     text = draft_text(draft, tmp_path).replace("NAME-OR-FILE", "five-bar")
-    assert "# CHECK: replace units that are none by the size of one count" in text
+    assert "# CHECK: replace counts and unknown units by the size of one count" in text
     (tmp_path / "e.yaml").write_text(text)
     with pytest.raises(GtauError, match=f"not '{unit}'" if unit != "%" else "the rated value, which is missing"):
         read_experiment(tmp_path / "e.yaml")

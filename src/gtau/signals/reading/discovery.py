@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.findings.words import counted
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, resembling, wrench_like
-from gtau.signals.reading.log_contents import Group, LogContents
+from gtau.signals.reading.log_contents import COMMANDS, Group, LogContents
 from gtau.signals.reading.masses import masses_in_name
 from gtau.signals.reading.units import si_factor
 from gtau.signals.reading.written_units import SI, read_unit
@@ -33,8 +33,8 @@ UNSURE = {
     "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
     "unmatched": "joints that the log lacks are held at home, but columns move that are not used; if they are of such "
     "a joint, write them at its name",
-    "counts": "replace units that are none by the size of one count (units: {current: 0.00269 A}); for shares add the "
-    "rated values (units: {rated: {JOINT: 5.2}})",
+    "counts": "replace counts and unknown units by the size of one count (units: {current: 0.00269 A}); for shares add "
+    "the rated values (units: {rated: {JOINT: 5.2}})",
     "joints": "confirm which columns are of which joint",
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
@@ -118,6 +118,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         names = position_log.table.columns
         listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
         what = "positions" if positions is None else "currents or torques"
+        still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
+        listed += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)
         named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
         raise GtauError(
             f"no columns of {what} are recognised among {listed}; {named}write the experiment file by hand "

@@ -272,7 +272,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     assumed = {
         "joints": f"columns were assigned to the joints{nearly}: {columns}",
         "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
-        "counts": f"the log gives units that are none, or shares ({listed_units(draft)})",
+        "counts": f"the log gives counts, shares or unknown units ({listed_units(draft)})",
         "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
         "kind": f"{first} are assumed to be {draft.kind}s",
         "motor": f"{first} are assumed to be currents",
