@@ -297,9 +297,10 @@ SENTENCES = [  # finding, reason, advice
      "20 %,",
      NO_GRAVITY),
     (Finding(F.WHOLE_NUMBERS, values={"kind": "torque", "largest": 873.0}),
-     "the torques are whole numbers, up to 873: ‰ of the rated torque (CiA 402, object 0x6077), mA or counts "
-     "rather than SI units",
-     "state their unit and the rated values (units: {torque: ‰, rated: {...}}), or {torque: mA}"),
+     "the torques are whole numbers, up to 873: ‰ of the rated torque (CiA 402, object 0x6077), mA, counts, or SI "
+     "units without decimals",
+     "state their unit and the rated values (units: {torque: ‰, rated: {...}}), or {torque: mA}; in SI units, log them "
+     "with decimals"),
     (Finding(F.MOTOR_SIDE, values={"least": 83.2, "most": 138.4}),
      "the true torques are 83.2 to 138 times those logged: by their size they are motor-side torques (before the "
      "gear) or currents",
@@ -533,6 +534,9 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.CLIPPED, ("a",), values={"signal": "current", "level": 7.5, "samples": 12}),
      "the current of joint 'a' is clipped at 7.5: masked 12 samples",
      "log again with smaller accelerations, or a higher limit of the drive"),
+    (Finding(F.COARSE, ("a",), values={"signal": "command", "step": 0.5, "steps": 9}),
+     "the command of joint 'a' is rounded to steps of 0.5, and its range holds only 9 of them",
+     "log it with more digits"),
     (Finding(F.MISSING, values={"count": 9, "masked": 4, "bridged": 3}),
      "interpolated 9 missing samples, and masked 4 of them in gaps of more than 3 samples",
      "log every cycle of the controller"),

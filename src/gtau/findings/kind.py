@@ -64,6 +64,7 @@ class FindingKind(StrEnum):
     SEPARATION = "separable parameters", Severity.WARNING
     MODEL = "model", Severity.WARNING  # evidence of the data against the model
     CLIPPED = "clipped command", Severity.WARNING
+    COARSE = "coarse command", Severity.WARNING
     FILTERED = "filtered command", Severity.WARNING
     HELD = "held signal", Severity.WARNING
     POSITION_NOISE = "position noise", Severity.WARNING

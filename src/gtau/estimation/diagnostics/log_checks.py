@@ -43,7 +43,7 @@ from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.robot import Robot
 from gtau.signals.reading.samples import extremes
-from gtau.signals.repair.checks import whole_numbers
+from gtau.signals.repair.commands import whole_numbers
 from gtau.signals.run import Run
 
 

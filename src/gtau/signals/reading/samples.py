@@ -91,7 +91,7 @@ class Samples:
 
     Messages call the log by its ``name``, the columns of positions, channels and time by those of ``columns``, and
     ``rows`` (N,), from which they come, as the ``table`` of the positions does. On a uniform grid ``valid`` (N, c) is
-    False where a command was interpolated or clipped.
+    False where a command was interpolated or clipped. The times of a :class:`Part` count from ``origin`` (s).
     """
 
     name: str
@@ -103,6 +103,7 @@ class Samples:
     command: np.ndarray = field(default_factory=_none)
     rows: np.ndarray = field(default_factory=lambda: _none(int))
     valid: np.ndarray = field(default_factory=lambda: _none(bool))
+    origin: float = 0.0
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -120,6 +121,16 @@ class Samples:
     def place(self, sample: int) -> str:
         """Describe the location of a sample in the file."""
         return self.places([self.rows[sample]], 1)
+
+    def without(self, begin: int, end: int) -> str:
+        """Write the keys of a run that leave out the samples from ``begin`` to before ``end``."""
+        count = len(self.time)
+        unit = 10.0 ** np.floor(np.log10((self.time[-1] - self.time[0]) / count))
+        last, first = (self.time[min(max(at, 0), count - 1)] - self.origin for at in (begin - 1, end))
+        until, since = f"to: {np.floor(last / unit) * unit:.9g}", f"from: {np.ceil(first / unit) * unit:.9g}"
+        if begin < MIN_SAMPLES:
+            return since
+        return until if count - end < MIN_SAMPLES else f"two runs of that log, one with '{until}', one with '{since}'"
 
 
 def refuse_short(name: str, count: int) -> None:
@@ -181,7 +192,8 @@ def complete(
     if incomplete.count:
         dropped = {"count": incomplete.count, "places": samples.places(incomplete.first, incomplete.count)}
         notes.append(Finding(F.BAD_ROWS, values=dropped, share=incomplete.count / count))
-    return replace(samples, time=time, position=position, command=command, rows=rows)
+    origin = float(time[0]) - part.begin if len(time) else 0.0
+    return replace(samples, time=time, position=position, command=command, rows=rows, origin=origin)
 
 
 class _Rows:

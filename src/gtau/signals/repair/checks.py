@@ -19,6 +19,7 @@ from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.samples import Samples, extremes, refuse_short
 from gtau.signals.repair.clock import Clock, clock_of
+from gtau.signals.repair.commands import Ends, clipped, refuse_held, refuse_magnitudes, whole_numbers
 from gtau.signals.repair.faults import find_glitches, glitch_note, refuse_frozen, refuse_slips, without_glitches
 from gtau.signals.repair.resampling import POSITIONS, holds_of, uniform
 from gtau.signals.storage import block, blocks, rows_at, spans, stored_like
@@ -26,7 +27,6 @@ from gtau.signals.storage import block, blocks, rows_at, spans, stored_like
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
 LATEST = 0.25
-Ends = tuple[np.ndarray, np.ndarray]  # smallest and largest values of the commands
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
@@ -61,8 +61,9 @@ def check(
         instants, holds = clock.instants(samples.time), holds_of(samples)
     refuse_frozen(samples, instants, holds[POSITIONS])
     refuse_slips(samples, instants, holds[POSITIONS])
-    _refuse_magnitudes(samples, ends)
-    clips = _clipped(samples, ends, notes)
+    refuse_held(samples, instants, holds, ends)
+    refuse_magnitudes(samples, ends)
+    clips = clipped(samples, ends, holds, notes)
     whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
     return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share
 
@@ -177,97 +178,3 @@ def _refuse_rates(samples: Samples, clock: Clock) -> None:
         f"plausible sampling rate; {repair}.",
         source=samples.name,
     )
-
-
-REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
-NEAR_ZERO = 0.02  # smallest over largest magnitude; no joint of nine robots is unsigned in 23 shared logs
-TOUCHING = 0.5  # of the joints: others hold against gravity
-UNSIGNED = (
-    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives store the "
-    "sign in a separate bit or column)"
-)
-
-
-def _refuse_magnitudes(samples: Samples, ends: Ends) -> None:
-    """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
-
-    A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
-    """
-    low, high = (column[: len(samples.joints)] for column in ends)
-    steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
-    first, last = extremes(samples.position)
-    acting = (high > low) & (last > first)
-    reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
-    unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
-    if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
-        raise GtauError(f"its commands are {UNSIGNED}.", source=samples.name)
-
-
-def whole_numbers(command: np.ndarray, joints: int) -> float:
-    """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
-    parts = (part[:, :joints] for part in blocks(command))
-    return sum(int(np.sum(part == np.round(part))) for part in parts) / (len(command) * joints)
-
-
-CLIPPED_RUN = 3  # samples in a row at the extreme value
-PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
-MAX_CLIPPED = 0.1
-
-
-def _clipped(samples: Samples, ends: Ends, notes: list[Finding]) -> list[tuple[int, float]]:
-    """Find joints whose commands saturate while they move, as at a drive limit, with the levels.
-
-    Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
-    """
-    count, clips = len(samples.time), []
-    for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
-        if low == high or not channel.kind.of_joint:
-            continue
-        what = f"the {channel.kind.name} of joint '{channel.joint}'"
-        for level in (float(high), float(low)):
-            at, beside = _counts_at(samples.command, j, level)
-            if at < max(CLIPPED_RUN, PILE_UP * beside) or _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
-                continue
-            if at > MAX_CLIPPED * count and level == low == 0.0:
-                raise GtauError(f"{what} is {UNSIGNED}.", source=samples.name)
-            if at > MAX_CLIPPED * count:
-                raise GtauError(
-                    f"{what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
-                    f"with slower motions or a higher limit of the drive.",
-                    source=samples.name,
-                )
-            values = {"signal": channel.kind.name, "level": level, "samples": at}
-            notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
-            clips.append((j, level))
-    return clips
-
-
-def _counts_at(command: np.ndarray, j: int, level: float) -> tuple[int, int]:
-    """Count samples at an extreme value, and at the one next to it."""
-    at, beside, nearest = 0, 0, np.inf
-    for part in blocks(command):
-        away = np.abs(part[:, j] - level)
-        at += int(np.count_nonzero(away == 0))
-        least = away.min(where=away > 0, initial=np.inf)
-        if least < nearest:
-            nearest, beside = least, 0
-        beside += int(np.count_nonzero(away == nearest))
-    return at, beside
-
-
-def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
-    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
-    position, command, count = samples.position, samples.command, len(samples.time)
-    steps = [np.sum(np.diff(part[:, mover]) ** 2) for part in blocks(position, before=1)]
-    least = 0.05 * np.sqrt(sum(steps) / count)
-    longest = now = 0
-    for start, stop in spans(count, before=1):
-        speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
-        at = (block(command, start, stop)[1:, j] == level) & (speed > least)
-        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
-        runs = edges[1::2] - edges[::2]
-        if runs.size and edges[0] == 0:
-            runs[0] += now
-        longest = max(longest, int(runs.max(initial=0)))
-        now = int(runs[-1]) if runs.size and at[-1] else 0
-    return longest

@@ -1,0 +1,242 @@
+"""Faults of logged commands: drives that were off, values that stay, rounded, clipped or without sign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
+from gtau.signals.reading.samples import Samples, extremes
+from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Holds
+from gtau.signals.storage import block, blocks, spans
+
+Ends = tuple[np.ndarray, np.ndarray]  # smallest and largest values of the commands
+# A command stays where it is equal for more than FROZEN samples, twice as long as held signals are, and STAYS (s),
+# while its joint covers MOVED of its range. In 44 shared logs of ten robots none does: in motion, equal ones of up to
+# 38 samples last 0.03 s (sensors of a Rokae), those of 0.1 s have 6 samples (an xMate 7 at 50 Hz). Nor does one of a
+# double pendulum, but where its motors are off: 999 and 1543 samples, 0.5 to 0.9 of the path.
+STAYS, MOVED = 0.1, 0.02
+# It is then a fault where it jumps by JUMP of its steps before or after that, as a slow one that is rounded changes by
+# one, or where it stays ALONE times as long as at any other time. Zeros, which may be the dead band of a sensor that
+# reversals pass again and again, must be of all moving joints or ALONE times as long as other zeros, too.
+ALONE = 4.0
+# Steps in the range of a coarse command: 30 and more in those logs (the last joint of an xMate 7). Its plateaus are
+# no limits, and it jumps by its steps.
+COARSE = 20.0
+MOVING = 50.0  # steps of an encoder; a joint that covers less rests, and its command is noise
+
+
+@dataclass(frozen=True)
+class Spell:
+    """Samples of a channel with one ``value``, from ``begin`` to before ``end``.
+
+    Meanwhile its joint moves by ``moved``; ``jump`` is the larger change of the command at both ends.
+    """
+
+    channel: int
+    begin: int
+    end: int
+    value: float
+    moved: float
+    jump: float
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.end - self.begin
+
+    def beside(self, other: Spell) -> bool:
+        """Decide whether another spell overlaps, and is one of zeros if this one is."""
+        return other.begin < self.end and self.begin < other.end and (other.value == 0) == (self.value == 0)
+
+
+def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends) -> None:
+    """Refuse commands that stay at a value while their joints move: motors that are off, columns that freeze."""
+    channels, (first, last) = samples.channels, extremes(samples.position)
+    equal: dict[int, list[Spell]] = {}
+    for spell in _spells(samples):
+        equal.setdefault(spell.channel, []).append(spell)
+
+    def in_motion(spell: Spell) -> bool:
+        channel = channels[spell.channel]
+        enough = spell.samples > max(FROZEN, 2 * holds[channel.kind.group].longest)
+        lasts = instants[spell.end - 1] - instants[spell.begin]
+        return enough and lasts > STAYS and spell.moved > MOVED * (last - first)[channel.row]
+
+    spells = {j: [spell for spell in own if in_motion(spell)] for j, own in equal.items()}
+    acting = [j for j, channel in enumerate(channels) if channel.kind.of_joint and not channel.kind.link_side]
+    moving = [j for j in acting if last[channels[j].row] > first[channels[j].row]]
+    coarse, quanta = coarse_steps(holds, ends), quanta_of(holds)
+
+    def at_fault(spell: Spell) -> bool:
+        j = spell.channel
+        if spell.value != 0 and spell.value in (ends[0][j], ends[1][j]):
+            return False  # a limit
+        if all(ALONE * other.samples < spell.samples for other in equal[j] if other is not spell):
+            return spell.samples > ALONE * FROZEN
+        if coarse[j] or spell.jump < JUMP * quanta[j]:
+            return False
+        zeros = [other for other in spells[j] if other.value == 0 and other is not spell]
+        together = len(moving) > 1 and all(any(map(spell.beside, spells.get(k, ()))) for k in moving)
+        return spell.value != 0 or together or all(ALONE * other.samples < spell.samples for other in zeros)
+
+    held = [spell for own in spells.values() for spell in own if at_fault(spell)]
+    if not held:
+        return
+    spell = max(held, key=lambda spell: spell.samples)
+    names = dict.fromkeys(channels[other.channel].joint for other in held if spell.beside(other))
+    until = "the end" if spell.end == len(samples.time) else f"{samples.time[spell.end]:.9g} s"
+    raise GtauError(
+        f"{samples.name}, {samples.place(spell.begin)}: the {channels[spell.channel].kind.name} of "
+        f"joint{'s' * (len(names) > 1)} {' and '.join(map(repr, names))} stays at {spell.value + 0.0:.6g} from "
+        f"{samples.time[spell.begin]:.9g} s to {until} in full motion: "
+        f"{'it was not read' if spell.value else 'the motors were off'}; leave that part out "
+        f"({samples.without(spell.begin, spell.end)})."
+    )
+
+
+def _spells(samples: Samples) -> Iterator[Spell]:
+    """Yield the spells of more than FROZEN equal commands."""
+    columns = [(j, channel.row) for j, channel in enumerate(samples.channels) if channel.kind.of_joint]
+    running: dict[int, list[float]] = {}  # begin, value, lowest and highest position, value before
+    for start, stop in spans(len(samples.time)):
+        command, position = block(samples.command, start, stop), block(samples.position, start, stop)
+        for j, row in columns:
+            x = command[:, j]
+            begins = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
+            low, high = (extreme.reduceat(position[:, row], begins) for extreme in (np.minimum, np.maximum))
+            begin, value, least, most, before = running.get(j, [start, x[0], np.inf, -np.inf, x[0]])
+            if value == x[0]:
+                begins, low[0], high[0] = np.r_[int(begin) - start, begins[1:]], min(low[0], least), max(high[0], most)
+            else:
+                if start - begin > FROZEN:
+                    yield _spell(j, begin, start, value, most - least, before, x[0])
+                before = value
+            values = np.r_[before, x[np.r_[0, begins[1:]]]]
+            for k in np.flatnonzero(np.diff(begins) > FROZEN):
+                first, after = start + begins[k : k + 2], values[k + 2]
+                yield _spell(j, *first, values[k + 1], high[k] - low[k], values[k], after)
+            running[j] = [start + begins[-1], x[-1], low[-1], high[-1], values[-2]]
+    for j, (begin, value, least, most, before) in running.items():
+        if len(samples.time) - begin > FROZEN:
+            yield _spell(j, begin, len(samples.time), value, most - least, before, value)
+
+
+def _spell(j: int, begin: float, end: float, value: float, moved: float, before: float, after: float) -> Spell:
+    return Spell(
+        j, int(begin), int(end), float(value), float(moved), float(max(abs(before - value), abs(after - value)))
+    )
+
+
+def quanta_of(holds: Holds) -> np.ndarray:
+    """Return the smallest changes (c,) of the commands."""
+    return np.concatenate([held.quanta for group, held in holds.items() if group != POSITIONS])
+
+
+def coarse_steps(holds: Holds, ends: Ends) -> np.ndarray:
+    """Compute the steps (c,) of the commands that take few values, 0 for others."""
+    quanta = quanta_of(holds)
+    return np.where((ends[0] < ends[1]) & (ends[1] - ends[0] < COARSE * quanta), quanta, 0.0)
+
+
+REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
+NEAR_ZERO = 0.02  # smallest over largest magnitude; no joint of nine robots is unsigned in 23 shared logs
+TOUCHING = 0.5  # of the joints: others hold against gravity
+UNSIGNED = (
+    "never negative although joints reverse, so the columns hold magnitudes; log signed values (some drives store the "
+    "sign in a separate bit or column)"
+)
+
+
+def refuse_magnitudes(samples: Samples, ends: Ends) -> None:
+    """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
+
+    A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
+    """
+    low, high = (column[: len(samples.joints)] for column in ends)
+    steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
+    first, last = extremes(samples.position)
+    acting = (high > low) & (last > first)
+    reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
+    unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
+    if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
+        raise GtauError(f"its commands are {UNSIGNED}.", source=samples.name)
+
+
+def whole_numbers(command: np.ndarray, joints: int) -> float:
+    """Compute the share of the commands (N, c) of the first ``joints`` that are whole numbers."""
+    parts = (part[:, :joints] for part in blocks(command))
+    return sum(int(np.sum(part == np.round(part))) for part in parts) / (len(command) * joints)
+
+
+CLIPPED_RUN = 3  # samples in a row at the extreme value
+PILE_UP = 5.0  # times as many samples at the extreme value as at the one next to it
+MAX_CLIPPED = 0.1
+
+
+def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) -> list[tuple[int, float]]:
+    """Find joints whose commands saturate while they move, as at a drive limit, with the levels; note coarse ones.
+
+    Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
+    """
+    count, clips, steps = len(samples.time), [], coarse_steps(holds, ends).tolist()
+    for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
+        if low == high or not channel.kind.of_joint:
+            continue
+        if steps[j] and low != 0:  # whether zeros are magnitudes is judged below
+            if np.subtract(*extremes(samples.position))[channel.row] < -MOVING * holds[POSITIONS].quanta[channel.row]:
+                values = {"signal": channel.kind.name, "step": steps[j], "steps": round((high - low) / steps[j])}
+                notes.append(Finding(F.COARSE, (channel.joint,), values=values))
+            continue
+        what = f"the {channel.kind.name} of joint '{channel.joint}'"
+        for level in (float(high), float(low)):
+            at, beside = _counts_at(samples.command, j, level)
+            if at < max(CLIPPED_RUN, PILE_UP * beside) or _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
+                continue
+            if at > MAX_CLIPPED * count and level == low == 0.0:
+                raise GtauError(f"{what} is {UNSIGNED}.", source=samples.name)
+            if at > MAX_CLIPPED * count:
+                raise GtauError(
+                    f"{what} is clipped at {level:.4g} in {at} of {count} samples; record it again "
+                    f"with slower motions or a higher limit of the drive.",
+                    source=samples.name,
+                )
+            values = {"signal": channel.kind.name, "level": level, "samples": at}
+            notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
+            clips.append((j, level))
+    return clips
+
+
+def _counts_at(command: np.ndarray, j: int, level: float) -> tuple[int, int]:
+    """Count samples at an extreme value, and at the one next to it."""
+    at, beside, nearest = 0, 0, np.inf
+    for part in blocks(command):
+        away = np.abs(part[:, j] - level)
+        at += int(np.count_nonzero(away == 0))
+        least = away.min(where=away > 0, initial=np.inf)
+        if least < nearest:
+            nearest, beside = least, 0
+        beside += int(np.count_nonzero(away == nearest))
+    return at, beside
+
+
+def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
+    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
+    position, command, count = samples.position, samples.command, len(samples.time)
+    steps = [np.sum(np.diff(part[:, mover]) ** 2) for part in blocks(position, before=1)]
+    least = 0.05 * np.sqrt(sum(steps) / count)
+    longest = now = 0
+    for start, stop in spans(count, before=1):
+        speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
+        at = (block(command, start, stop)[1:, j] == level) & (speed > least)
+        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
+        runs = edges[1::2] - edges[::2]
+        if runs.size and edges[0] == 0:
+            runs[0] += now
+        longest = max(longest, int(runs.max(initial=0)))
+        now = int(runs[-1]) if runs.size and at[-1] else 0
+    return longest
