@@ -19,7 +19,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Limits, Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import PreparedRun
-from gtau.signals.run import Run
+from gtau.signals.run import Run, read_run
 from gtau.uses.runs import experiment_of
 
 
@@ -97,3 +97,17 @@ def test_other_limits_are_no_other_robot(tmp_path: Path) -> None:
     assert low.drive_gains["left"].verdict.outcome == Outcome.GOOD
     file.write_text(file.read_text().replace("effort: 0.1", "effort: 0.2"))
     assert experiment_of(low, file).robot.limits["left"].effort == 0.2
+
+
+def test_motors_may_turn_many_times_where_their_unit_is_stated(tmp_path: Path) -> None:
+    """3,000 rad at 300 rad/s, as before a gear."""
+    robot = load_robot("test-bench")
+    robot = replace(robot, joints=tuple(replace(joint, limits=Limits()) for joint in robot.joints))
+    (name,) = robot.actuated
+    time = np.arange(8000) / 200
+    table = np.column_stack([time, 1500 * np.sin(0.3 * time), np.cos(0.3 * time) + np.sign(np.cos(0.3 * time))])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="t,q,i", comments="")
+    signals = {"time": "t", "position": {name: "q"}, "current": {name: "i"}}
+    with pytest.raises(GtauError, match=r"write deg under units.position, or rad if it does turn so often"):
+        prepared(robot, read_run(tmp_path / "log.csv", signals))
+    assert prepared(robot, read_run(tmp_path / "log.csv", signals, units={"position": "rad"})).run.joints == (name,)

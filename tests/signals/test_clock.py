@@ -56,6 +56,22 @@ def test_the_positions_decide_between_true_and_late_stamps(jitter: float, rng: n
     assert clock_of(stamps, logged(stamps), "regular").regular is True
 
 
+@pytest.mark.parametrize("rounding", [6, 3])
+def test_steps_that_scatter_as_much_as_they_are_long_are_no_faster_clock(
+    rounding: int, rng: np.random.Generator
+) -> None:
+    """Some stamps are equal, and each step that is taken for a gap makes the others longer than usual."""
+    steps = np.maximum(1 + 0.6 * rng.standard_normal(3000), 0.0) / 99
+    time = np.round(np.cumsum(steps), rounding)
+    clock = clock_of(time, logged(time))
+    assert not clock.regular
+    assert clock.rate == pytest.approx(1 / steps.mean(), rel=1e-2)
+    late = np.maximum.accumulate(np.arange(3000) / 99 + 0.6 / 99 * rng.standard_normal(3000))
+    clock = clock_of(late, logged(np.arange(3000) / 99))
+    assert (clock.regular, clock.missing) == (True, 0)
+    assert clock.rate == pytest.approx(99, rel=1e-3)
+
+
 @pytest.mark.parametrize("jitter", [0.0, 0.3, 0.6])
 def test_missing_samples_are_counted_behind_late_stamps(jitter: float, rng: np.random.Generator) -> None:
     kept = rng.random(SAMPLES) > 0.02

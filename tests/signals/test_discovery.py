@@ -16,7 +16,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
-from gtau.robots.robot import Joint, Mdh, Robot
+from gtau.robots.robot import Joint, Limits, Mdh, Robot
 from gtau.signals.channel import SENSOR
 from gtau.signals.reading import logs
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
@@ -561,3 +561,46 @@ def test_columns_are_looked_up_and_not_searched(tmp_path: Path, monkeypatch: pyt
     table = find_columns(save(tmp_path / "a.csv", "t,q1,i1", TIME, Q[:, 0], V[:, 0]))
     monkeypatch.setattr(logs, "find_columns", lambda path: replace(table, columns=Names(table.columns)))
     assert logs.read_log(table.path, ["t", "i1"]).columns == ("t", "i1")
+
+
+DEGREE = np.pi / 180
+
+
+@pytest.mark.parametrize(
+    ("reach", "velocity", "slower", "unit", "reason"),
+    [
+        (1.0, 1.0, 1, None, "positions reach"),
+        (30.0, 1.0, 10, "rad", "but the velocities are the derivative and reach only 6"),  # a motor of many turns
+        (30.0, None, 1, "deg", "too far for SI units"),
+        (3000.0, None, 1, "rad", "too far even for deg"),
+        (3000.0, 1.0, 1, "rad", "too far even for deg"),
+        (10.0, DEGREE, 1, "deg", "their derivative is 57.3 times the velocities"),  # in rad/s, of a small motion
+        (60.0, DEGREE, 1, "deg", "their derivative is 57.3 times the velocities"),
+        (1.0, 1 / DEGREE, 1, "rad", "their derivative is 0.01745 times the velocities"),
+        (60.0, 1.0, 1, "deg", "too far for SI units"),  # 120 deg/s
+    ],
+)
+def test_velocities_decide_between_radians_and_degrees(
+    reach: float, velocity: float | None, slower: float, unit: str | None, reason: str, tmp_path: Path
+) -> None:
+    names, columns = "t,q1,q2,tau1,tau2", [slower * TIME, reach * Q, V]
+    if velocity is not None:
+        names, columns = f"{names},dq1,dq2", [*columns, velocity * reach * QD / slower]
+    draft = discover([save(tmp_path / "a.csv", names, *columns)])
+    assert draft.units.get("position") == unit
+    assert reason in draft.reasons["unit"]
+    assert ("unit" in draft.open) == (unit is not None)
+
+
+def test_positions_far_outside_the_limits_of_the_robot_are_in_degrees(tmp_path: Path) -> None:
+    """Slow ones, whose velocities in deg/s are their derivatives."""
+    robot = load_robot("five-bar")
+    log = save(tmp_path / "a.csv", "t,q1,q2,dq1,dq2,tau1,tau2", 10 * TIME, 30 * Q, 3 * QD, V)
+    for limits, unit in ((Limits(position=(-2.0, 2.0)), "deg"), (Limits(), "rad")):
+        joints = tuple(replace(joint, limits=limits) for joint in robot.joints)
+        assert discover([log], replace(robot, joints=joints)).units == {"position": unit}
+
+
+def test_a_log_at_ten_hertz_is_plausible(tmp_path: Path) -> None:
+    draft = discover([save(tmp_path / "a.csv", "t,q1,q2,tau1,tau2", 26 * TIME, Q, V)])
+    assert draft.reasons["time"] == "median step 0.104 s, 9.615 Hz"

@@ -59,7 +59,8 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
         if not joints:
             continue
         widest = max(joints, key=lambda j: span[j])
-        declared = {units.of_position(run.joints[j]) or basic for j in joints} if units else {basic}
+        stated = {units.of_position(run.joints[j]) for j in joints} if units else {None}
+        declared = {unit or basic for unit in stated}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"
         if 0 < span[widest] < LEAST[kind] * size and declared == {other}:
@@ -68,14 +69,16 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
                 f"'{robot.name}', so its positions look like {basic} declared as {other}; write {basic} under "
                 "units.position."
             )
-        if span[widest] > FARTHEST[kind] * size and declared == {basic}:
+        far = span[widest] > FARTHEST[kind] * size and declared == {basic}
+        if far and None in stated:
+            turns = f", or {basic} if it does turn so often, as motors before their gears" if kind == "revolute" else ""
             raise GtauError(
                 f"run '{run.name}': joint '{run.joints[widest]}' moves by {moved}, too far for robot "
                 f"'{robot.name}', so its positions look like {other} taken for {basic}; write {other} "
-                "under units.position."
+                f"under units.position{turns}."
             )
         fastest = max(joints, key=lambda j: speeds[j])
-        if speeds[fastest] > max(FASTEST[kind], robot.joint(run.joints[fastest]).limits.velocity or 0.0):
+        if not far and speeds[fastest] > max(FASTEST[kind], robot.joint(run.joints[fastest]).limits.velocity or 0.0):
             raise GtauError(
                 f"run '{run.name}': joint '{run.joints[fastest]}' has an rms speed of {speeds[fastest]:.3g} {basic}/s "
                 f"over a motion of {span[fastest]:.3g} {basic}, which no robot has; {clock_advice(stated_rate(run))}."

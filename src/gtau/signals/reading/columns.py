@@ -12,7 +12,8 @@ from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.signals.channel import LINK_SIDE, Channel, ChannelKind, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
 
-LEAST_RATE, LARGEST_RATE = 10.0, 5e4  # Hz; of drives that are logged
+# Hz; of drives that are logged. Logs polled at 10 Hz reach 9; those of 5 kHz in ms look like 5 Hz in s.
+LEAST_RATE, LARGEST_RATE = 6.0, 5e4
 
 _JOINT_STATES = {"time": "/joint_states/header/stamp", "position": "/joint_states/{joint}/position"}
 _EFFORT = "/joint_states/{joint}/effort"

@@ -20,7 +20,11 @@ from gtau.signals.reading.units import si_factor
 from gtau.signals.reading.written_units import SI, read_unit
 
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
-TURNS = 20.0  # rad or m; positions with a larger range are in deg or mm
+# Rad or m; positions with a larger range are in deg or mm, unless velocities or range say that joints turn many times:
+# no arm turns by more than two turns either way (deg) or faster than this (rad/s), as motors before their gears do.
+TURNS = 20.0
+MOST_DEGREES, FASTEST = 720.0, 30.0
+ALIKE = 0.1  # by which the derivative of positions may differ from the velocities, or from them in another unit
 # Rest of torques beside a straight line of the currents, over their standard deviation, median of the joints; below,
 # they are computed from these. Torque sensors of a Rokae: 0.50 (0.40 to 0.80). Currents of a UR10e and that Rokae,
 # behind a low-pass of 10 Hz: 0.07 and 0.21; rounded to tenths of their standard deviation: 0.03.
@@ -38,7 +42,8 @@ UNSURE = {
     "joints": "confirm which columns are of which joint",
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
-    "unit": "confirm the unit of the positions (units: {position: ...})",
+    "unit": "confirm the unit of the positions (units: {position: ...}), or, of motors before their gears, the "
+    "joint's angle for one unit (0.01 rad)",
     "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
     "'gear_ratio:'",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
@@ -180,7 +185,11 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     return Draft(
         logs=tuple(runs),
         signals={"time": time, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {}),
-        units={key: unit for key, unit in units.items() if unit not in ("s", "rad", "m", "A", "N m", "N")},
+        units={
+            key: unit
+            for key, unit in units.items()
+            if unit not in ("s", "rad", "m", "A", "N m", "N") or (key == "position" and "unit" in unsure)
+        },
         robot={key: entry for key, entry in entries.items() if entry is not None},
         masses={log: masses[0] for log, masses in readings.items()},
         readings=several,
@@ -393,14 +402,32 @@ def _unread(key: Any, units: Any) -> bool:
 def _position_unit(
     log: LogContents, positions: Group, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str]
 ) -> str | None:
-    """Determine the unit of the positions, as written or from their range; None for rad and m."""
+    """Determine the unit of the positions, as written or from velocities and range; None for rad and m as usual."""
     if positions.unit in ("deg", "rad", "mm", "m"):
         reasons["unit"] = "unit in the columns' names"
         return positions.unit
     reach, joint = max((float(np.nanmax(np.abs(log.values[column]))), joint) for joint, column in columns.items())
     kinds = {robot.joint(name).kind for name in columns} if robot else {"revolute"}
+    ratio, fastest = log.slope(positions) if kinds == {"revolute"} else (None, 0.0)
+    for unit, per_velocity in (("deg", 180 / np.pi), ("rad", np.pi / 180)):
+        if ratio is not None and abs(ratio / per_velocity - 1) < ALIKE:
+            reasons["unit"] = f"their derivative is {ratio:.4g} times the velocities"
+            return unit
     if not reach > TURNS or len(kinds) > 1:
         reasons["unit"] = f"positions reach {reach:.4g}"
         return None
     reasons["unit"] = f"joint '{joint}' reaches {reach:.4g}, too far for SI units"
-    return "deg" if kinds == {"revolute"} else "mm"
+    if kinds != {"revolute"}:
+        return "mm"
+    limits = {name: robot.joint(name).limits.position for name in columns} if robot else {}
+    beyond = any(  # where deg are taken for rad, joints with limits are far outside
+        limit and float(np.nanmax(np.abs(log.values[columns[name]]))) > 2 * max(map(abs, limit))
+        for name, limit in limits.items()
+    )
+    alike = ratio is not None and abs(ratio - 1) < ALIKE and fastest < FASTEST and not beyond
+    if beyond or not (alike or reach > MOST_DEGREES):
+        return "deg"
+    reasons["unit"] = f"joint '{joint}' reaches {reach:.4g}, " + (
+        f"but the velocities are the derivative and reach only {fastest:.4g}" if alike else "too far even for deg"
+    )
+    return "rad"

@@ -190,19 +190,31 @@ class LogContents:
 
     def rate_from_velocities(self, positions: Group) -> tuple[float | None, str]:
         """Find the sampling rate, Hz, at which logged velocities are the positions' derivatives, and the reason."""
-        velocities = self.group("velocity")
-        if velocities is None:
-            return None, "not in the log"
-        pairs = _pairs(positions, velocities, self.values)
-        rates = [rate for pair in pairs if (rate := _rate(*pair)) is not None]
+        velocities, rates = self.group("velocity"), self._rates(positions)
         rate = float(np.median(rates or [0.0]))
-        if not LEAST_RATE <= rate <= LARGEST_RATE:
+        if velocities is None or not LEAST_RATE <= rate <= LARGEST_RATE:
             return None, "not in the log"
         reason = f"no time column; {velocities.listed} are the velocities at {rate:.4g} Hz"
         if max(rates) > ALIKE * min(rates):
             reason += f", by joint {min(rates):.4g} to {max(rates):.4g} Hz"
         nearest = min(USUAL_RATES, key=lambda usual: abs(usual - rate))
         return float(nearest) if abs(nearest - rate) < 0.03 * nearest else float(f"{rate:.4g}"), reason
+
+    def _rates(self, positions: Group) -> list[float]:
+        """Find the rates at which the velocities of the joints are the derivatives of their positions."""
+        velocities = self.group("velocity")
+        pairs = [] if velocities is None else _pairs(positions, velocities, self.values)
+        return [rate for pair in pairs if (rate := _rate(*pair)) is not None]
+
+    def slope(self, positions: Group) -> tuple[float | None, float]:
+        """Compute the ratio of the positions' derivatives to the velocities, None if unknown, and the largest speed."""
+        velocities, rates = self.group("velocity"), self._rates(positions)
+        if velocities is None or not rates or not self.time:
+            return None, 0.0
+        time = self.seconds()
+        step = (np.nanmax(time) - np.nanmin(time)) * TIME_UNITS[self.time_unit()[0]] / max(len(time) - 1, 1)
+        fastest = max(float(np.nanmax(np.abs(self.values[column]))) for column in velocities.columns.values())
+        return 1 / (float(step) * float(np.median(rates))), fastest
 
 
 def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
