@@ -534,6 +534,13 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.CLIPPED, ("a",), values={"signal": "current", "level": 7.5, "samples": 12}),
      "the current of joint 'a' is clipped at 7.5: masked 12 samples",
      "log again with smaller accelerations, or a higher limit of the drive"),
+    (Finding(F.REORDERED, values={"count": 2, "places": "lines 8, 9"}),
+     "put 2 rows in the order of their times (lines 8, 9)", ""),
+    (Finding(F.CUT, time=1.5, values={"count": 2, "parts": 2, "lost": 40, "place": "line 76", "gap": 3.25}),
+     "cut the log at 2 gaps or dropouts, the first after 1.5 s (line 76), the longest of 3.25 s, into 2 parts, each a "
+     "run; 40 rows that repeat the last one, or are in parts without motion or shorter than a second or 100 rows, are "
+     "left out",
+     "log every cycle of the controller"),
     (Finding(F.COARSE, ("a",), values={"signal": "command", "step": 0.5, "steps": 9}),
      "the command of joint 'a' is rounded to steps of 0.5, and its range holds only 9 of them",
      "log it with more digits"),

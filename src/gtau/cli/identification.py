@@ -127,7 +127,7 @@ def identify(
     result = result.replaced(notes=(*guessed, *result.notes))
     written = _write(result, out)
     with progress_bar() as progress:
-        report = write_identification(result, experiment, out, seconds(), progress)
+        report, result = write_identification(result, experiment, out, seconds(), progress)
     written = [*([experiment] if guessed else []), report, *written]
     answer(json_, lambda: to_document(result), lambda: (full_page if verbose else summary_page)(result), written)
     if not result.accepted:

@@ -58,7 +58,7 @@ def validate(
     """Compare measured torques with those of a model on the validation runs; with DIR also as charts."""
     refuse_as_folder(out)
     with progress_bar() as progress:
-        from gtau.estimation.experiment_runs import read_runs
+        from gtau.estimation.experiment_runs import read_validation
         from gtau.estimation.results.conclusions import without_temperature
         from gtau.estimation.results.result import Result
         from gtau.report.evidence import predicted, settings_of
@@ -71,11 +71,14 @@ def validate(
         if not described.validation:
             raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
         runs = []
-        for k, run in enumerate(read := read_runs(described, described.validation, progress)):
+        read, unread = read_validation(described, progress)
+        if not read:
+            raise GtauError(f"{unread[0]}.")
+        for k, run in enumerate(read):
             progress("predicting torques", k, len(read))
             runs.append(predicted(result, run, longest=None, progress=progress))
     written: list[Path] = []
-    notes = without_temperature(result, described.signals)
+    notes = [*unread, *without_temperature(result, described.signals)]
     if out is not None:
         page = validation_report(result, runs, described.expected_gains, notes)
         inputs = (("model", model), *inputs_of(experiment, described, runs=False))

@@ -18,7 +18,7 @@ from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_command
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads, units_and_signs
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs
+from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, System, model_of, robot_notes
@@ -164,7 +164,7 @@ def check_logs(
     count, listed = len(listed), (*listed, *(experiment.validation if experiment else ()))
     kinds = [F.REFUSED] * count + [F.VALIDATION] * (len(listed) - count)
     read = list(_read(experiment, listed, kinds, model, notes, progress))
-    used = [run for run in read[:count] if run is not None]
+    used = [run for runs in read[:count] for run in runs]
     if not used:
         return ExperimentCheck(robot, None, (), tuple(notes))
     subject = replace(subject, runs=used)
@@ -174,10 +174,9 @@ def check_logs(
     notes += doubtful_currents(used, robot.base)
     notes += doubtful_payloads(robot, (run.payload for run in used))
     preparation, checked = choose_preparation(used), []
-    for k, run in enumerate(read):
+    every = [(k, run) for k, runs in enumerate(read) for run in runs]
+    for k, run in every:
         progress("checking logs", k, len(read))
-        if run is None:
-            continue
         with _noted(notes, kinds[k], run.name):
             (prepared,) = prepare_runs(model, [run], preparation)
             checked.append(_check(model, prepared, prepared.preparation.decimator, validation=k >= count))
@@ -187,7 +186,7 @@ def check_logs(
     geometry = None
     if experiment is not None:
         with _noted(notes):
-            readable = [entry for entry, run in zip(experiment.runs, read, strict=False) if run is not None]
+            readable = [entry for entry, runs in zip(experiment.runs, read, strict=False) if runs]
             if geometry := geometry_of(experiment, readable, model, progress):
                 notes.append(geometry.note)
     for_use = [log for log in checked if not log.validation]
@@ -206,20 +205,21 @@ def _read(
     model: InverseDynamics,
     notes: list[Finding],
     progress: Progress,
-) -> Iterator[Run | None]:
-    """Read the runs that are not there yet; those that cannot be used are None, with a note why."""
+) -> Iterator[tuple[Run, ...]]:
+    """Read the runs of each entry that are not there yet; where they cannot be used there are none, with a note why."""
     for k, (entry, kind) in enumerate(zip(listed, kinds, strict=True)):
 
         def advance(what: str, done: int, total: int, k: int = k) -> None:
             progress(what, k * total + done, len(listed) * total)
 
-        usable = None
+        usable = list[Run]()
         with _noted(notes, kind):
-            run = entry if isinstance(entry, Run) else read_runs(experiment, [entry], advance)[0]  # type: ignore[arg-type]
-            run = run.ordered(model.actuated)
-            moving_spectra(run)
-            usable = run
-        yield usable
+            runs = (entry,) if isinstance(entry, Run) else read_runs(experiment, [entry], advance)  # type: ignore[arg-type]
+            for run in runs:
+                ordered = run.ordered(model.actuated)
+                moving_spectra(ordered)
+                usable.append(ordered)
+        yield tuple(usable)
 
 
 @contextmanager
@@ -228,10 +228,7 @@ def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "") -> Gener
     try:
         yield
     except GtauError as error:
-        what, _, action = error.sentence.rstrip(".").rpartition("; ")
-        values = {"what": what or action, "action": action if what else ""}
-        named = error.source or ("" if source in values["what"] else source)
-        notes.append(Finding(kind, values=values, source=named))
+        notes.append(refusal_note(error, kind, source))
 
 
 def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:

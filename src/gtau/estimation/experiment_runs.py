@@ -13,6 +13,8 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.assembly import inertia_priors
 from gtau.estimation.thresholds.estimates import ACCURACY
+from gtau.findings import Finding
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
@@ -20,7 +22,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
 from gtau.signals.reading.logged_run import LoggedRun
 from gtau.signals.reading.statements import Prior, StatedGain, as_priors
-from gtau.signals.run import Run, read_run
+from gtau.signals.run import Run, read_parts
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.geometry import GeometryTest
@@ -164,18 +166,36 @@ def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> dict[str, Sta
 
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
-    """Read logged runs of an experiment file; raises GtauError."""
+    """Read logged runs of an experiment file, each part between long gaps as a run of its own; raises GtauError."""
     parts = 1000  # of a run
 
-    def read_one(k: int, run: LoggedRun) -> Run:
+    def read_one(k: int, run: LoggedRun) -> tuple[Run, ...]:
         def advance(done: float) -> None:
             progress("reading logs", round(parts * (k + done)), parts * len(runs))
 
-        return read_run(
+        return read_parts(
             run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run
         )
 
-    return tuple(read_one(k, run) for k, run in enumerate(runs))
+    return tuple(run for k, listed in enumerate(runs) for run in read_one(k, listed))
+
+
+def read_validation(experiment: Experiment, progress: Progress = silent) -> tuple[list[Run], list[Finding]]:
+    """Read the runs kept for validation, with a note on each log that cannot be used."""
+    runs, notes = list[Run](), list[Finding]()
+    for entry in experiment.validation:
+        try:
+            runs += read_runs(experiment, [entry], progress)
+        except GtauError as error:
+            notes.append(refusal_note(error, F.VALIDATION))
+    return runs, notes
+
+
+def refusal_note(error: GtauError, kind: F, source: str = "") -> Finding:
+    """Note a refusal instead of raising it, of a run or robot named ``source`` where its sentence names none."""
+    what, _, action = error.sentence.rstrip(".").rpartition("; ")
+    values = {"what": what or action, "action": action if what else ""}
+    return Finding(kind, values=values, source=error.source or ("" if source in values["what"] else source))
 
 
 def geometry_of(

@@ -21,7 +21,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.experiment_runs import Options, Subject, geometry_of, options_of, read, read_runs
+from gtau.estimation.experiment_runs import Options, Subject, geometry_of, options_of, read, read_validation
 from gtau.estimation.preconditions import given_gains, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
@@ -241,7 +241,10 @@ def _requirements(result: Result, experiment: Experiment, progress: Progress) ->
     require = experiment.require
     if require.torque_error is not None:
         yield _of_torques(require.torque_error, result.residuals)
-        for run in read_runs(experiment, experiment.validation, progress):
+        runs, unread = read_validation(experiment, progress)
+        for note in unread:
+            yield Requirement("torque_error", require.torque_error, None, run=note.source or "validation")
+        for run in runs:
             try:
                 errors = result.validate(run)
             except GtauError:

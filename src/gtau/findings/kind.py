@@ -85,6 +85,8 @@ class FindingKind(StrEnum):
     OTHER_ROWS = "rows of other signals", READING
     BAD_ROWS = "rows without numbers", REPAIR
     REPEATED_ROWS = "repeated rows", REPAIR
+    REORDERED = "rows out of order", REPAIR
+    CUT = "log cut at gaps", REPAIR
     ALIGNED = "aligned commands", READING
     REGISTER = "unsigned register", READING
     UNWRAPPED = "unwrapped angle", READING

@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from gtau.documents.files import write_atomically
-from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.experiment_runs import read_validation
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
@@ -39,15 +39,19 @@ def write_report(
     return folder / REPORT
 
 
-def write_identification(result: Result, path: Path, folder: Path, seconds: float, progress: Progress = silent) -> Path:
+def write_identification(
+    result: Result, path: Path, folder: Path, seconds: float, progress: Progress = silent
+) -> tuple[Path, Result]:
     """Write the report of an identification from the experiment file at ``path``, which took ``seconds``.
 
-    The runs kept for validation are read and predicted too; one that cannot be is listed with the reason.
+    The runs kept for validation are read and predicted too; one that cannot be is listed with the reason. Returns the
+    file, and the result with notes on logs for validation that cannot be used.
     """
     experiment = read_experiment(path)
-    validation = read_runs(experiment, experiment.validation, progress)
+    validation, unread = read_validation(experiment, progress)
+    result = result.replaced(notes=(*result.notes, *unread))
     page = report_page(result, gather(result, result.data, validation, progress), experiment.expected_gains)
-    return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result))
+    return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result)), result
 
 
 def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = True) -> Inputs:

@@ -22,6 +22,7 @@ from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings, as_payload
 from gtau.signals.reading.units import Units
 from gtau.signals.repair.checks import check
+from gtau.signals.repair.gaps import parts_between_gaps
 from gtau.signals.storage import blocks, store
 
 if TYPE_CHECKING:
@@ -249,24 +250,57 @@ def read_run(
         with as_log(log) as path:
             run = read_run(path, signals, payload, units, progress, settings, part)
         return replace(run, log=replace(run.log, paths=(), signals=None, units=None))
-    paths, notes = [Path(path) for path in paths], list[Finding]()
+    (run,) = _runs([Path(path) for path in paths], signals, payload, units, progress, settings, part, cut=False)
+    return run
+
+
+def read_parts(
+    log: Sequence[Path],
+    signals: Signals,
+    payload: Payload | None,
+    units: Units,
+    progress: Callable[[float], None],
+    settings: PreparationSettings,
+    part: Part,
+) -> tuple[Run, ...]:
+    """Do as :func:`read_run`, but cut a log at gaps that are too long to be bridged into runs of their own."""
+    return _runs(list(log), signals, payload, units, progress, settings, part, cut=True)
+
+
+def _runs(
+    paths: list[Path],
+    signals: Signals,
+    payload: Payload | Mapping[str, Any] | None,
+    units: Units,
+    progress: Callable[[float], None],
+    settings: PreparationSettings,
+    part: Part,
+    cut: bool,
+) -> tuple[Run, ...]:
+    notes = list[Finding]()
     samples = read_logs(paths, signals, units, notes, part, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)
-    samples, whole_share = check(replace(samples, channels=channels), notes, settings.clock)
-    temperature = None
+    samples = replace(samples, channels=channels)
+    temperature, runs = None, []
     if signals.temperature is not None:
         from gtau.signals.reading.side_signals import read_temperature
 
         temperature = read_temperature(paths, signals, units, part)
-    return Run(
-        (paths[0].name if paths[0].is_dir() else paths[0].stem) + part.label,
-        signals.joints,
-        samples.time,
-        samples.position,
-        samples.command,
-        signals.kind,
-        as_payload(payload),
-        valid=samples.valid,
-        channels=channels,
-        log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature),
-    )
+    for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
+        checked, whole_share = check(piece, notes, settings.clock)
+        runs.append(
+            Run(
+                (paths[0].name if paths[0].is_dir() else paths[0].stem) + checked.part.label,
+                signals.joints,
+                checked.time,
+                checked.position,
+                checked.command,
+                signals.kind,
+                as_payload(payload),
+                valid=checked.valid,
+                channels=channels,
+                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature),
+            )
+        )
+        notes = []
+    return tuple(runs)

@@ -91,7 +91,8 @@ class Samples:
 
     Messages call the log by its ``name``, the columns of positions, channels and time by those of ``columns``, and
     ``rows`` (N,), from which they come, as the ``table`` of the positions does. On a uniform grid ``valid`` (N, c) is
-    False where a command was interpolated or clipped. The times of a :class:`Part` count from ``origin`` (s).
+    False where a command was interpolated or clipped. They are those of a ``part``, whose times count from
+    ``origin`` (s).
     """
 
     name: str
@@ -104,6 +105,7 @@ class Samples:
     rows: np.ndarray = field(default_factory=lambda: _none(int))
     valid: np.ndarray = field(default_factory=lambda: _none(bool))
     origin: float = 0.0
+    part: Part = WHOLE
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -121,6 +123,18 @@ class Samples:
     def place(self, sample: int) -> str:
         """Describe the location of a sample in the file."""
         return self.places([self.rows[sample]], 1)
+
+    def piece(self, begin: int, end: int) -> Samples:
+        """Return the samples from ``begin`` to before ``end`` of a log, as a part of it."""
+        arrays = {name: getattr(self, name)[begin:end] for name in ("time", "position", "command", "rows")}
+        first, last = (float(self.time[k]) - self.origin for k in (begin, end - 1))
+        part = self.part.model_copy(
+            update={
+                "begin": self.part.begin if begin == 0 else np.floor(100 * first) / 100,
+                "end": self.part.end if end == len(self.time) else np.ceil(100 * last) / 100,
+            }
+        )
+        return replace(self, **arrays, part=part)
 
     def without(self, begin: int, end: int) -> str:
         """Write the keys of a run that leave out the samples from ``begin`` to before ``end``."""
@@ -193,7 +207,7 @@ def complete(
         dropped = {"count": incomplete.count, "places": samples.places(incomplete.first, incomplete.count)}
         notes.append(Finding(F.BAD_ROWS, values=dropped, share=incomplete.count / count))
     origin = float(time[0]) - part.begin if len(time) else 0.0
-    return replace(samples, time=time, position=position, command=command, rows=rows, origin=origin)
+    return replace(samples, time=time, position=position, command=command, rows=rows, origin=origin, part=part)
 
 
 class _Rows:

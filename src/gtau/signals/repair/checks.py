@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import compress
-from typing import Literal
 
 import numpy as np
 
@@ -17,12 +16,13 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.samples import Samples, extremes, refuse_short
+from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import Clock, clock_of
 from gtau.signals.repair.commands import Ends, clipped, refuse_held, refuse_magnitudes, whole_numbers
 from gtau.signals.repair.faults import find_glitches, glitch_note, refuse_frozen, refuse_slips, without_glitches
+from gtau.signals.repair.gaps import Given, in_order
 from gtau.signals.repair.resampling import POSITIONS, holds_of, uniform
-from gtau.signals.storage import block, blocks, rows_at, spans, stored_like
+from gtau.signals.storage import blocks, stored_like
 
 FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
@@ -30,9 +30,7 @@ LATEST = 0.25
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
-def check(
-    samples: Samples, notes: list[Finding], given: Literal["stamps", "regular"] | None = None
-) -> tuple[Samples, float]:
+def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[Samples, float]:
     """Check the complete samples of a log, repair what is safe, and put them on a uniform grid.
 
     Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
@@ -43,7 +41,7 @@ def check(
     """
     ends = extremes(samples.command)  # repairs leave them
     _refuse_stuck(samples, ends, notes)
-    samples = _without_repeated(samples, notes, given)
+    samples = in_order(samples, notes, given)
     clock = clock_of(samples.time, samples.position, given)
     _refuse_rates(samples, clock)
     if given is None and clock.late > max(LATEST, 3 * clock.period):
@@ -97,48 +95,6 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
             f"{samples.name}, column '{samples.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s "
             "in the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
         )
-
-
-def _without_repeated(samples: Samples, notes: list[Finding], clock: Literal["stamps", "regular"] | None) -> Samples:
-    """Drop samples with the time and values of the one before; raises GtauError where time goes back.
-
-    Samples with the same time but different values are all kept, as their stamps are late, unless stamps are given as
-    true.
-    """
-    time = samples.time
-    repeated: list[int] = []
-    for start, stop in spans(len(time), before=1):
-        part = block(time, start, stop)
-        step = np.diff(part)
-        if (step < 0).any():
-            i = int(np.argmax(step < 0))
-            raise GtauError(
-                f"{samples.name}, {samples.place(start + i + 1)}: time goes back from {part[i]:.9g} s to "
-                f"{part[i + 1]:.9g} s; cut the log there into two runs, or correct the time column."
-            )
-        again = np.flatnonzero(step == 0)
-        if not again.size:
-            continue
-        values = np.column_stack([block(array, start, stop) for array in (samples.position, samples.command)])
-        different = again[(values[again] != values[again + 1]).any(axis=1)]
-        if different.size and clock != "stamps":
-            return samples
-        if different.size:
-            i = int(different[0])
-            raise GtauError(
-                f"{samples.name}, {samples.place(start + i + 1)}: the time {part[i]:.9g} s occurs in two rows with "
-                "different values, so the time stamps are not the sampling instants; remove 'clock: stamps'."
-            )
-        repeated += (start + again + 1).tolist()
-    if not repeated:
-        return samples
-    dropped = {"count": len(repeated), "places": samples.places(samples.rows[repeated[:5]].tolist(), len(repeated))}
-    notes.append(Finding(F.REPEATED_ROWS, values=dropped, share=len(repeated) / len(time)))
-    refuse_short(samples.name, len(time) - len(repeated))
-    kept = np.setdiff1d(np.arange(len(time)), repeated)
-    arrays = (samples.time, samples.position, samples.command, samples.rows)
-    time, position, command, rows = (rows_at(array, kept) for array in arrays)
-    return replace(samples, time=time, position=position, command=command, rows=rows)
 
 
 def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:

@@ -21,7 +21,7 @@ SMOOTHER = 1.25
 PASSES = 5  # in which period and gaps converge
 DECIMALS = 10.0 ** np.arange(6)
 # Share of samples that a clock may lack. In the shared logs it is 0.10 at most (a Panda); clocks of 150 to 210 Hz,
-# found instead of 99 Hz where steps scatter by 60 %, lacked 0.5 to 1.2.
+# found instead of 99 Hz where steps scatter by 60 %, lacked 0.5 to 1.2, and their stamps were 0.2 s and more late.
 RUNAWAY = 0.3
 LATE = 1.5  # usual steps, beyond which samples may be missing
 PACKET = 0.2  # share of samples whose stamps follow within a tenth of a step: they came in packets
@@ -76,6 +76,13 @@ class Clock:
             return time
         numbers = _numbering(self.gaps)
         return store(self.start + self.period * numbers(first + a, first + b) for a, b in spans(len(time)))
+
+    def beyond(self, time: np.ndarray, longest: float) -> list[int]:
+        """List the samples before which more than ``longest`` (s) passed, by this clock of their stamps."""
+        if self.regular:
+            return [sample for sample, missing in self.gaps if self.period * (1 + missing) > longest]
+        steps = ((start, np.diff(block(time, start, stop))) for start, stop in spans(len(time), before=1))
+        return [start + int(k) + 1 for start, step in steps for k in np.flatnonzero(step > longest)]
 
     def extreme_steps(self, time: np.ndarray) -> tuple[float, float, int]:
         """Find the shortest and the longest step between samples at their stamps, s, and the sample before the latter.
@@ -150,7 +157,7 @@ def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple
         if converged:
             break
     lost = sum(missing for _, missing in gaps)
-    if lost > RUNAWAY * len(time):
+    if lost > RUNAWAY * len(time) and late > period:
         # Steps that scatter as much as they are long look like gaps, each of which makes the others longer still.
         rest = np.flatnonzero(np.diff(time) > pause)
         gaps = tuple((int(k) + 1, round(float(time[k + 1] - time[k]) / mean) - 1) for k in rest)

@@ -118,8 +118,8 @@ def _spells(samples: Samples) -> Iterator[Spell]:
                 before = value
             values = np.r_[before, x[np.r_[0, begins[1:]]]]
             for k in np.flatnonzero(np.diff(begins) > FROZEN):
-                first, after = start + begins[k : k + 2], values[k + 2]
-                yield _spell(j, *first, values[k + 1], high[k] - low[k], values[k], after)
+                first, last = start + begins[k], start + begins[k + 1]
+                yield _spell(j, first, last, values[k + 1], high[k] - low[k], values[k], values[k + 2])
             running[j] = [start + begins[-1], x[-1], low[-1], high[-1], values[-2]]
     for j, (begin, value, least, most, before) in running.items():
         if len(samples.time) - begin > FROZEN:

@@ -223,13 +223,22 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         )
     low, high = extremes(samples.position)
     far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * held.quanta)
-    for j in np.flatnonzero((largest > SLIP * usually) & (largest > SLIP_SPEED * speeds) & far).tolist():
+    slips = np.flatnonzero((largest > SLIP * usually) & (largest > SLIP_SPEED * speeds) & far)
+    for j in slips.tolist():
         k = int(places[j])
-        raise GtauError(
-            f"{samples.name}, {samples.place(k)}: the position of joint '{samples.joints[j]}' jumps by "
-            f"{jumps[j]:.3g} (rad or m) at {samples.time[k]:.9g} s, which is not a motion; check "
-            "the coupling and the counter of its encoder, or cut the log there into two runs."
-        )
+        together = [samples.joints[i] for i in slips if abs(places[i] - k) <= 1]
+        at = f"at {samples.time[k]:.9g} s"
+        if len(together) > 1:
+            what = (
+                f"the positions of joints {' and '.join(map(repr, together))} jump together {at}, so rows are missing, "
+                "or all encoders were reset; cut the log there into two runs (from: and to:)"
+            )
+        else:
+            what = (
+                f"the position of joint '{samples.joints[j]}' jumps by {jumps[j]:.3g} (rad or m) {at}, which is not a "
+                "motion; check the coupling and the counter of its encoder, or cut the log there into two runs"
+            )
+        raise GtauError(f"{samples.name}, {samples.place(k)}: {what}.")
 
 
 def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
