@@ -538,8 +538,8 @@ SENTENCES = [  # finding, reason, advice
      "put 2 rows in the order of their times (lines 8, 9)", ""),
     (Finding(F.CUT, time=1.5, values={"count": 2, "parts": 2, "lost": 40, "place": "line 76", "gap": 3.25}),
      "cut the log at 2 gaps or dropouts, the first after 1.5 s (line 76), the longest of 3.25 s, into 2 parts, each a "
-     "run; 40 rows that repeat the last one, or are in parts without motion or shorter than a second or 100 rows, are "
-     "left out",
+     "run; 40 rows that repeat the last one, or are in parts without motion or too short (a second, 100 rows, a tenth "
+     "of the longest), are left out",
      "log every cycle of the controller"),
     (Finding(F.COARSE, ("a",), values={"signal": "command", "step": 0.5, "steps": 9}),
      "the command of joint 'a' is rounded to steps of 0.5, and its range holds only 9 of them",

@@ -338,9 +338,13 @@ def test_files_that_are_no_logs(tmp_path: Path, log: Path) -> None:
 
 
 def test_two_files_of_different_length(tmp_path: Path) -> None:
-    first, second = write(tmp_path / "p.csv", rows()), write(tmp_path / "c.csv", rows()[:-1])
-    with pytest.raises(GtauError, match=r"1000 rows but .* has 999"):
+    first, second = write(tmp_path / "p.csv", rows()), write(tmp_path / "c.csv", rows()[:-2])
+    with pytest.raises(GtauError, match=r"1000 rows but .* has 998"):
         read_run([first, second], SIGNALS)
+    for logs in ([first, write(second, rows()[:-1])], [second, first]):
+        run = read_run(logs, SIGNALS)
+        assert [str(note) for note in run.notes] == ["dropped 1 row with missing or non-numeric values (line 1001)"]
+        assert len(run.time) == 999
     with pytest.raises(GtauError, match="a run has 3 logs"):
         read_run([first, second, first], SIGNALS)
 
@@ -408,3 +412,14 @@ def test_orthoglide_log(shared: Path) -> None:
     run = read_run(shared / "orthoglide_sim" / "exciting_1_unloaded.csv", signals)
     assert (run.position.shape, run.notes) == ((20001, 3), ())
     assert run.rate == pytest.approx(1000)
+
+
+@pytest.mark.parametrize("longer", ["t", "q", "i"])
+def test_one_array_has_one_row_more(longer: str, tmp_path: Path) -> None:
+    table = np.array([[float(value) for value in line.split(",")] for line in rows()])
+    arrays = {"t": table[:, 0], "q": table[:, 1:3], "i": table[:, 3:5]}
+    np.savez(tmp_path / "a.npz", **{name: array if name == longer else array[:-1] for name, array in arrays.items()})
+    signals = {"time": "t", "position": {"a": "q[1]", "b": "q[2]"}, "current": {"a": "i[1]", "b": "i[2]"}}
+    run = read_run(tmp_path / "a.npz", signals)
+    assert [str(note) for note in run.notes] == ["dropped 1 row with missing or non-numeric values (row 1000)"]
+    assert len(run.time) == 999

@@ -193,10 +193,10 @@ def _prepared_as(dataset: Dataset, preparation: Preparation) -> Dataset:
 
 
 def _windows(fit: Fit, dataset: Dataset, cut: Sequence[list[range]]) -> Windows:
-    """Cut the windows of the fit from runs that are prepared otherwise; raises GtauError where few rows are left."""
+    """Cut the windows of the fit from runs that are prepared otherwise; raises GtauError where there are others."""
     windows = central_windows(dataset.prepared, WINDOWS, cut)
     rows = usable_rows(windows, dataset.prepared)
-    if len(windows) < len(fit.dataset.windows(WINDOWS)) or rows < FEWEST_FOR_TESTS * len(fit.solution.values):
+    if len(windows) != len(fit.dataset.windows(WINDOWS)) or rows < FEWEST_FOR_TESTS * len(fit.solution.values):
         raise GtauError(f"its filters leave {rows} rows in the middle of these runs.")
     return windows
 

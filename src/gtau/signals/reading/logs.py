@@ -199,7 +199,12 @@ def _side_by_side(files: Sequence[LogTable], wanted: range) -> Iterator[tuple[np
         yield np.hstack([values[:count] for values in waiting]), done
         waiting = [values[count:] for values in waiting]
     counts = [count + sum(len(values) for values, _ in stream) for count, stream in zip(counts, streams, strict=True)]
-    if counts[0] != counts[1]:
+    if abs(counts[0] - counts[1]) == 1:
+        yield (
+            np.hstack([values[:1] if len(values) else np.full((1, values.shape[1]), np.nan) for values in waiting]),
+            1.0,
+        )
+    elif counts[0] != counts[1]:
         raise GtauError(
             f"{files[0].path} has {counts[0]} rows but {files[1].path} has {counts[1]}; give two logs that were "
             "sampled together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."

@@ -18,7 +18,8 @@ from gtau.signals.storage import block, blocks, rows_at, spans, stride_of
 
 Given = Literal["stamps", "regular"] | None
 AHEAD = 2.5  # steps by which the time of a row may be behind that of an earlier one, as where two packets change places
-SHORTEST = 1.0  # s; parts of a log between gaps that are shorter are left out
+# s, and of the longest part; parts of a log between gaps that are shorter are left out, as filters take their ends
+SHORTEST, SHARE = 1.0, 0.1
 
 
 # A dropout without a gap in time is a step of OFTEN times what 99.9 % of the samples show, after rows that repeat the
@@ -32,7 +33,8 @@ AROUND = 4  # samples before and after a step from which speeds are taken
 def parts_between_gaps(samples: Samples, notes: list[Finding], given: Given = None) -> list[Samples]:
     """Cut the complete samples of a log, repeated ones dropped, at gaps that are too long to be bridged.
 
-    Parts in which nothing moves, or that are shorter than a second or 100 samples, are left out, but the longest one.
+    Parts in which nothing moves, or that are shorter than a second, 100 samples or SHARE of the longest one, which is
+    kept, are left out.
     """
     if not samples.time[-1] > samples.time[0]:
         return [samples]
@@ -47,7 +49,9 @@ def parts_between_gaps(samples: Samples, notes: list[Finding], given: Given = No
     gaps = dict(sorted(gaps.items()))
     ends = zip([0, *gaps.values()], [*gaps, count], strict=True)
     pieces = [samples.piece(begin, end) for begin, end in ends if end > begin]
-    kept = [piece for piece in pieces if _is_usable(piece)] or [max(pieces, key=lambda piece: len(piece.time))]
+    enough = max(MIN_SAMPLES, int(SHARE * max(len(piece.time) for piece in pieces)))
+    kept = [piece for piece in pieces if len(piece.time) >= enough and _is_usable(piece)]
+    kept = kept or [max(pieces, key=lambda piece: len(piece.time))]
     lost, last = count - sum(len(piece.time) for piece in kept), min(gaps) - 1
     longest = max(float(samples.time[after] - samples.time[first - 1]) for first, after in gaps.items())
     values = {"count": len(gaps), "parts": len(kept), "lost": lost, "place": samples.place(last), "gap": longest}
@@ -89,8 +93,7 @@ def _equal(array: np.ndarray, row: int) -> bool:
 
 def _is_usable(samples: Samples) -> bool:
     low, high = extremes(samples.position)
-    enough = len(samples.time) >= MIN_SAMPLES and samples.time[-1] - samples.time[0] >= SHORTEST
-    return bool(enough and (low < high).any())
+    return bool(samples.time[-1] - samples.time[0] >= SHORTEST and (low < high).any())
 
 
 def in_order(samples: Samples, notes: list[Finding], given: Given) -> Samples:

@@ -100,9 +100,9 @@ def readable(path: Path, kind: str) -> Iterator[None]:
         raise GtauError(f"{path} cannot be read as {kind} ({reason}); export the log again.") from None
 
 
-def common_length(path: Path, lengths: Mapping[str, int]) -> int:
-    """Count the rows of columns that must have as many; raises GtauError."""
-    if len(set(lengths.values())) > 1:
+def common_length(path: Path, lengths: Mapping[str, int], more: int = 0) -> int:
+    """Count the rows of columns that must have as many, up to some rows ``more``; raises GtauError."""
+    if max(lengths.values()) - min(lengths.values()) > more:
         (one, rows), *others = lengths.items()
         other = next(name for name, count in others if count != rows)
         raise GtauError(
@@ -110,4 +110,4 @@ def common_length(path: Path, lengths: Mapping[str, int]) -> int:
             "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN}).",
             source=path,
         )
-    return next(iter(lengths.values()))
+    return max(lengths.values())

@@ -156,14 +156,15 @@ def _table(
     def frames(names: Sequence[str], wanted: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
 
-        count = common_length(path, {name: rows[name] for name in names})
+        count = common_length(path, {name: rows[name] for name in names}, more=1)  # a last row that others lack
         with readable(path, "a log"), load({places[name][0] for name in names}) as arrays:
             end = min(wanted.stop, count)
             for start in range(wanted.start, end, block_size()):
                 stop, frame = min(start + block_size(), end), {}
                 for name in names:
                     array, before, after = places[name]
-                    frame[name] = np.asarray(arrays[array][(*before, slice(start, stop), *after)], dtype=float)
+                    column = np.asarray(arrays[array][(*before, slice(start, stop), *after)], dtype=float)
+                    frame[name] = np.append(column, [np.nan] * (stop - start - len(column)))
                 yield pl.DataFrame(frame), stop / count
 
     of_arrays = units or {}
