@@ -15,17 +15,22 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.identify import identify
+from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
 from gtau.signals.channel import SENSOR
 from gtau.signals.reading import logs
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
+from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.discovery import Draft, discover
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.log_contents import LogContents
 from gtau.signals.reading.logs import find_columns
-from gtau.signals.run import read_run
+from gtau.signals.reading.samples import WHOLE
+from gtau.signals.reading.statements import CHOSEN
+from gtau.signals.reading.units import Units
+from gtau.signals.run import read_parts, read_run
 
 TIME = np.arange(3000) / 250
 Q = np.column_stack([np.sin(2 * TIME), 0.4 * np.cos(3 * TIME)])
@@ -604,3 +609,24 @@ def test_positions_far_outside_the_limits_of_the_robot_are_in_degrees(tmp_path: 
 def test_a_log_at_ten_hertz_is_plausible(tmp_path: Path) -> None:
     draft = discover([save(tmp_path / "a.csv", "t,q1,q2,tau1,tau2", 26 * TIME, Q, V)])
     assert draft.reasons["time"] == "median step 0.104 s, 9.615 Hz"
+
+
+@pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
+def test_wrapped_positions_without_header_are_recognised_by_continuity(turn: float, tmp_path: Path) -> None:
+    """With steps of 10 to 24 ms, and a second missing."""
+    time = np.cumsum(np.random.default_rng(0).choice([0.01, 0.011, 0.024], 1500))
+    time[700:] += 0.9
+    angle = turn * np.column_stack([0.7 * np.sin(2 * time), 0.55 * np.sin(1.3 * time) + 0.2])
+    speed = turn * np.column_stack([1.4 * np.cos(2 * time), 0.715 * np.cos(1.3 * time)])
+    wrapped = (angle + turn / 2) % turn - turn / 2
+    log = tmp_path / "log.txt"
+    np.savetxt(log, np.column_stack([time, wrapped, speed, np.sign(speed) + angle / turn]))
+    draft = discover([log])
+    assert draft.signals["position"] == {"j1": "2", "j2": "3"}
+    assert list(draft.command.values()) == ["6", "7"]
+    unit = {"position": "deg"} if turn == 360 else {}
+    runs = read_parts([log], Signals(**draft.signals), None, Units(**unit), lambda done: None, CHOSEN, WHOLE)
+    assert len(runs) == 2
+    for run in runs:
+        assert F.UNWRAPPED in {note.kind for note in run.notes}
+        assert np.abs(np.diff(run.position, axis=0)).max() < 0.3

@@ -141,3 +141,14 @@ def test_a_log_for_validation_that_cannot_be_used_stops_nothing(change: Change, 
     _, said = write_identification(result, path, tmp_path, 1.0)
     assert note in said.notes
     assert "is clipped at" in " ".join(said.summary().split())
+
+
+def test_a_part_too_short_for_the_tests_of_other_preparations_stops_nothing(folder: Path, tmp_path: Path) -> None:
+    """Ten times as slow, so that the usual filters leave no row in the middle of its 6 s, and others some."""
+    for file in folder.glob("*.csv"):
+        table = np.loadtxt(file, delimiter=",", skiprows=1) * [10, 1, 1, 1, 1]
+        np.savetxt(tmp_path / file.name, table, delimiter=",", header="t,q1,q2,v1,v2", comments="", fmt="%.9g")
+    text = (folder / "experiment.yaml").read_text()
+    text = text.replace("{log: free.csv}", "{log: free.csv, to: 93.58}\n  - {log: free.csv, from: 94}")
+    (tmp_path / "experiment.yaml").write_text(text)
+    assert set(identify(tmp_path / "experiment.yaml").runs) >= {"free from 94 s"}

@@ -27,6 +27,7 @@ DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column 
 # and torques of eight measured logs 1.2 to 1270.
 FOLLOWED = 0.3
 ADDED = 50  # samples over which velocities are integrated
+WRAPS = 5.0  # steps that 95 % stay below; a larger one by a turn is a wrap (300 to 1000 of a Gen3), not a motion in deg
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
 COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, those preferred first
 USUAL_RATES = 50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000  # Hz
@@ -223,7 +224,7 @@ def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
     Over some samples, as from one to the next a position moves little more than its noise, which makes the rate small:
     of 240 logs simulated at 97 Hz with noise of up to a step, central differences found 56 to 97 Hz, this 96.8 to 97.3.
     """
-    span = min(ADDED, len(position) // 4)
+    span, position = min(ADDED, len(position) // 4), continuous(position)
     total = np.concatenate([[0.0], np.cumsum(np.nan_to_num((velocity[1:] + velocity[:-1]) / 2))])
     moved, added = position[span:] - position[:-span], total[span:] - total[:-span]
     finite = np.isfinite(moved)
@@ -345,9 +346,23 @@ def _distances(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[float]:
     ]
 
 
-def correlation(position: np.ndarray, other: np.ndarray) -> float:
+def continuous(position: np.ndarray) -> np.ndarray:
+    """Unwrap positions (N,) in rad or deg where they jump by a turn, WRAPS times as far as usual."""
+    step = np.diff(position, prepend=position[:1])
+    usual = np.nanquantile(np.abs(step), 0.95)
+    for turn in (2 * np.pi, 360.0):
+        wraps = (np.abs(np.abs(step) - turn) < 0.08 * turn) & (np.abs(step) > WRAPS * usual)
+        position = position - turn * np.cumsum(np.where(wraps, np.sign(step), 0.0))
+    return position
+
+
+def correlation(position: np.ndarray, other: np.ndarray, time: np.ndarray | None = None) -> float:
     """Correlate a column (N,) with the numerical derivative of another; 0 where one of them never changes."""
+    position = continuous(position)
     slope, value = (position[2:] - position[:-2]), other[1:-1]
+    if time is not None:
+        step = time[2:] - time[:-2]
+        slope = np.where(step > 0, slope / np.where(step > 0, step, 1.0), np.nan)
     finite = np.isfinite(slope) & np.isfinite(value)
     if finite.sum() < 10 or not np.ptp(slope[finite]) or not np.ptp(value[finite]):
         return 0.0
@@ -359,11 +374,12 @@ def _numbered(path: Path, table: LogTable, joints: int) -> LogContents:
     values = _values(path, table.columns, table)
     names = list(table.columns)
     time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()
+    stamps = values[time[0]] if time else None
     rest = names[len(time) :]
     best, width = 0.0, 0
     for n in [joints] if joints else range(1, min(len(rest) // 2, 12) + 1):
         if 2 * n <= len(rest):
-            scores = [correlation(values[rest[k]], values[rest[n + k]]) for k in range(n)]
+            scores = [correlation(values[rest[k]], values[rest[n + k]], stamps) for k in range(n)]
             if (score := float(np.median(scores))) > max(best, DERIVATIVE):
                 best, width = score, n
     if not width and len(names) == 1:
@@ -384,7 +400,7 @@ def _numbered(path: Path, table: LogTable, joints: int) -> LogContents:
     blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
     for block in blocks[2:]:
         still = any(not np.ptp(values[name]) for name in block)
-        slopes = [correlation(values[qd], values[other]) for qd, other in zip(blocks[1], block, strict=True)]
+        slopes = [correlation(values[qd], values[other], stamps) for qd, other in zip(blocks[1], block, strict=True)]
         kinds.append("other" if still else "acceleration" if np.median(slopes) > DERIVATIVE else "command")
     groups = [
         Group(kind, f"block {k + 1}", {str(i + 1): name for i, name in enumerate(block)})
