@@ -149,7 +149,6 @@ LOGS = [
         "give the unit of that column (units: {time: ms}, for all logs",
         column(0, lambda x: 1000 * x),
     ),
-    Case("a hole", "s are missing after", lines(lambda x: x[:2000] + x[2400:])),
     Case("a picture", "free.csv is a picture, not a log", {"free.csv": b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 9}),
     Case(
         "Latin-1",
