@@ -250,33 +250,21 @@ def read_run(
         with as_log(log) as path:
             run = read_run(path, signals, payload, units, progress, settings, part)
         return replace(run, log=replace(run.log, paths=(), signals=None, units=None))
-    (run,) = _runs([Path(path) for path in paths], signals, payload, units, progress, settings, part, cut=False)
+    (run,) = read_parts([Path(path) for path in paths], signals, payload, units, progress, settings, part, cut=False)
     return run
 
 
 def read_parts(
-    log: Sequence[Path],
-    signals: Signals,
-    payload: Payload | None,
-    units: Units,
-    progress: Callable[[float], None],
-    settings: PreparationSettings,
-    part: Part,
-) -> tuple[Run, ...]:
-    """Do as :func:`read_run`, but cut a log at gaps that are too long to be bridged into runs of their own."""
-    return _runs(list(log), signals, payload, units, progress, settings, part, cut=True)
-
-
-def _runs(
-    paths: list[Path],
+    paths: Sequence[Path],
     signals: Signals,
     payload: Payload | Mapping[str, Any] | None,
     units: Units,
     progress: Callable[[float], None],
     settings: PreparationSettings,
     part: Part,
-    cut: bool,
+    cut: bool = True,
 ) -> tuple[Run, ...]:
+    """Do as :func:`read_run`, but ``cut`` a log at gaps that are too long to be bridged into runs of their own."""
     notes = list[Finding]()
     samples = read_logs(paths, signals, units, notes, part, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)
