@@ -15,6 +15,13 @@ class GtauError(ValueError):
     __str__ = BaseException.__str__  # a KeyError shows its message in quotes
 
 
+def quoted(value: object, longest: int = 60) -> str:
+    """Quote a value of a file on one line: its printable characters, others as in Python, and at most ``longest``."""
+    text = str(value)
+    plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[: longest + 1])
+    return f"'{plain}'" if len(plain) <= longest else f"'{plain[: longest - 3]}...'"
+
+
 class UnknownName(GtauError, KeyError):
     """Error raised for a name (of a joint, a parameter) that is not among those there are."""
 

@@ -133,3 +133,22 @@ def test_elements_know_their_lines(tmp_path: Path) -> None:
     path.write_text("<a>\n\n  <b/><c\n x='1'/>\n  <p:d/></a>")
     root = read_xml(path)
     assert [line_of(element) for element in root.iter()] == [1, 3, 3, 5]
+
+
+def test_more_parts_than_a_robot_has_are_refused_at_once(tmp_path: Path) -> None:
+    """Joints that move are fewer than fixed frames: their equations cost."""
+    joint = '<joint name="{0}" type="{1}"><parent link="base"/><child link="{0}"/><axis xyz="0 0 1"/></joint>'
+    path = tmp_path / "robot.urdf"
+    for count, kind, said in (
+        (3000, "fixed", "it holds 3000 joints, and"),
+        (300, "continuous", "300 joints that move"),
+    ):
+        links = "".join(f'<link name="l{k}"/>' for k in range(count))
+        joints = "".join(joint.format(f"l{k}", kind) for k in range(count))
+        path.write_text(f'<robot name="r"><link name="base"/>{links}{joints}</robot>')
+        with pytest.raises(GtauError, match=said):
+            read_robot(path)
+    table = "j,a,mu,sigma,gamma,b,alpha,d,theta,r\n" + "".join(f"{k},0,1,0,0,0,0,0,q,0\n" for k in range(1, 3000))
+    (tmp_path / "robot.csv").write_text(table)
+    with pytest.raises(GtauError, match=r"it holds \d+ rows, and at most 2000 are read"):
+        read_robot(tmp_path / "robot.csv")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, poses
 from gtau.model.loop_closure import loop_errors
-from gtau.robots.readers.mjcf import as_written
+from gtau.robots.readers.mjcf import as_written, read_mjcf
 from gtau.robots.readers.mjcf_file import compile_mjcf
+from gtau.robots.readers.mujoco_process import refuse_deadly
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.readers.source import RobotSource
@@ -802,3 +804,81 @@ def test_six_joints_without_motors_are_a_floating_base(turns: str, tmp_path: Pat
         loaded(text)
     gantry = text.replace("<actuator>", '<actuator><motor joint="x"/>')
     assert "x" in loaded(gantry).actuated
+
+
+ATTACHED = (
+    '<mujoco><asset><model name="m" file="{}.xml"/></asset><worldbody><body><attach model="m" body="a" prefix="x"/>'
+    "</body></worldbody></mujoco>"
+)
+BOMBS: list[tuple[str, dict[str, str], str]] = [
+    ("attaches itself", {"robot": ATTACHED.format("robot")}, "it attaches itself by a <model>"),
+    ("attaches itself by another", {"robot": ATTACHED.format("b"), "b": ATTACHED.format("robot")}, "attaches itself"),
+    (
+        "includes, each twice",
+        {"robot": BODY % ('<include file="1.xml"/>' * 2, "")}
+        | {f"{k}": f'<mujoco>{f"""<include file="{k + 1}.xml"/>""" * 2}</mujoco>' for k in range(1, 40)},
+        "MuJoCo refuses the file",
+    ),
+    (
+        "copies of an include that copies",
+        {
+            "robot": BODY % ('<replicate count="1900"><include file="b.xml"/></replicate>', ""),
+            "b": '<mujocoinclude><replicate count="1900"><body><geom size="1"/></body></replicate></mujocoinclude>',
+        },
+        "it holds 3610001 bodies, with the copies",
+    ),
+    (
+        "copies of many sites",
+        {"robot": BODY % ('<replicate count="1500">' + "<site/>" * 500 + "</replicate>", "")},
+        "it holds 7500",
+    ),
+    (
+        "a height field",
+        {"robot": BODY % ("", '<asset><hfield name="h" nrow="52000" ncol="52000" size="1 1 1 1"/></asset>')},
+        "line 1: nrow of <hfield> is 52000, and at most 8192",
+    ),
+    ("keys", {"robot": BODY % ("", '<size nkey="1000000000"/>')}, "nkey of <size> is 1000000000, and at most 8192"),
+    ("a pipe", {"robot": BODY % ("", '<include file="pipe"/>')}, "<include> cannot be read from 'pipe'"),
+    (
+        "a pipe as a mesh",
+        {"robot": BODY % ("", '<compiler meshdir=".."/><asset><mesh name="m" file="PLACE/pipe"/></asset>')},
+        "<mesh> cannot be read from '",
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("files", "sentence"), [bomb[1:] for bomb in BOMBS], ids=[bomb[0] for bomb in BOMBS])
+def test_a_file_beyond_all_bounds_is_refused_before_it_is_compiled(
+    files: dict[str, str], sentence: str, tmp_path: Path
+) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for name, text in files.items():
+        (tmp_path / f"{name}.xml").write_text(text.replace("PLACE", tmp_path.name))
+    with pytest.raises(GtauError) as refused:
+        read_mjcf(tmp_path / "robot.xml")
+    assert sentence in str(refused.value)
+
+
+def test_includes_are_found_where_mujoco_finds_them(tmp_path: Path) -> None:
+    """In the folder of the outermost file, whatever folder the file between is in."""
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "robot.xml").write_text(BODY % ("", '<include file="sub/one.xml"/>'))
+    (tmp_path / "sub" / "one.xml").write_text('<mujoco><include file="two.xml"/></mujoco>')
+    (tmp_path / "two.xml").write_text('<mujoco><worldbody><body pos="nan 0 0"/></worldbody></mujoco>')
+    with pytest.raises(GtauError, match="pos of <body> is 'nan 0 0'"):
+        read_mjcf(tmp_path / "robot.xml")
+
+
+def test_mujoco_dies_and_hangs_in_a_process_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "dies.xml").write_text(ATTACHED.format("dies"))
+    with pytest.raises(GtauError, match=r"MuJoCo crashes on the file \(SIG.*; reduce it to the robot alone"):
+        refuse_deadly(tmp_path / "dies.xml")
+    os.mkfifo(tmp_path / "hangs.xml")
+    with pytest.raises(GtauError, match="MuJoCo works on the file for more than 1 s"):
+        refuse_deadly(tmp_path / "hangs.xml", patience=1.0)
+    size = '<mujoco><asset><hfield name="h" nrow="40000" ncol="40000" size="1 1 1 1"/></asset></mujoco>'
+    (tmp_path / "large.xml").write_text(size)
+    with pytest.raises(GtauError, match="MuJoCo needs more than 4 GiB of memory"):
+        refuse_deadly(tmp_path / "large.xml")
+    (tmp_path / "good.xml").write_text(BODY % ("", ""))
+    refuse_deadly(tmp_path / "good.xml")

@@ -9,6 +9,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.readers.mujoco_process import refuse_deadly
 
 EVERY = 0.01  # s between the poses looked at: 1 cm where the tool moves at 1 m/s
 
@@ -26,6 +27,7 @@ def check_contacts(file: Path, model: InverseDynamics, time: np.ndarray, joints:
     if file.suffix.lower() not in (".xml", ".urdf"):
         return "the robot's file holds no shapes"
     try:
+        refuse_deadly(file)
         compiled = mujoco.MjModel.from_xml_path(str(file))
         places = [compiled.joint(joint.name).qposadr[0] for joint in model.robot.joints]
     except (ValueError, KeyError) as error:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, FiniteFloat
 
-from gtau.documents.files import folder_of, system_refusals, write_atomically
+from gtau.documents.files import folder_of, json_in, system_refusals, write_atomically
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
@@ -155,7 +155,7 @@ def _json(path: Path, keys: str) -> Mapping[str, Any] | None:
         return None
     try:
         with system_refusals(path):
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = json_in(path.read_text(encoding="utf-8"))
     except ValueError:
         content = None
     if not isinstance(content, dict) or not {*keys.split()} <= content.keys():

@@ -59,6 +59,9 @@ def _run() -> int:
             raise KeyboardInterrupt from None
         if "GTAU_DEBUG" in os.environ:
             raise
+        if isinstance(error, MemoryError):
+            typer.echo("gtau: the memory does not suffice; give shorter logs, or more memory.", err=True)
+            return 2
         if isinstance(error, OSError) and (error.filename or error.errno in FULL):
             where = error.filename or "the output"  # without a name it is what was printed
             deed = "written ({}); free some space" if error.errno in FULL else "opened ({}); check the path"

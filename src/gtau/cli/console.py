@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 _begun: list[float] = []  # when the command began, s
 METHODS = "|".join(NAMES)
-EVERY = 60.0  # s between lines where stderr is no terminal
+EVERY = 15.0  # s between lines where stderr is no terminal
 STARTING = "starting"
 COMPILING = "starting; compiling once, about 6 s"  # 5.6 s of one core at 3 GHz, measured without the file that is kept
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import tempfile
@@ -11,7 +12,7 @@ from contextlib import contextmanager, suppress
 from glob import glob
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gtau.errors import GtauError, unreadable
 
@@ -140,6 +141,14 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
     if len(content) > size:
         raise GtauError(larger)
     return content
+
+
+def json_in(text: str, **options: Any) -> Any:
+    """Read JSON; raises ValueError where it is none, or is nested too deep."""
+    try:
+        return json.loads(text, **options)
+    except RecursionError:
+        raise ValueError("nested too deep") from None
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:

@@ -31,6 +31,8 @@ PLAIN_FRICTION = DRIVE[1:]
 STIFFNESS = "k"  # of a spring across a joint, or between two points
 PRELOAD, DAMPING = "f0", "c"  # force of a spring between two points at length zero, and its damping
 SPRING = (PRELOAD, STIFFNESS, DAMPING)
+MOST_PARTS = 2000  # links, or rows of a table: those of humanoids with all their frames are some 300
+MOST_JOINTS = 200  # that move: 150 in one chain take 50 s and 1 GB, and both grow as the cube
 
 
 @dataclass(frozen=True)
@@ -196,6 +198,7 @@ class Robot:
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):
             raise GtauError(f"robot: {problem}.")
+        refuse_many(len(self.joints), "joints that move", MOST_JOINTS)
         if problem := next(_problems(self), None):
             raise GtauError(f"robot '{self.name}': {problem}.")
 
@@ -281,6 +284,12 @@ class Robot:
                 return joint
         names = ", ".join(joint.name for joint in self.joints)
         raise UnknownName(f"robot '{self.name}' has no joint '{name}'; choose from {names}.")
+
+
+def refuse_many(count: int, what: str, most: int = MOST_PARTS) -> None:
+    """Refuse more parts than a robot has, before they cost hours; raises GtauError."""
+    if count > most:
+        raise GtauError(f"it holds {count} {what}, and at most {most} are read; give the file of the robot alone.")
 
 
 def _problems(robot: Robot) -> Iterator[str]:

@@ -93,6 +93,8 @@ def follow(
     """
     if not source.exists():
         raise GtauError(f"there is nothing to follow at {source}; give a folder or a growing text log.")
+    with system_refusals(source, "give a folder or a growing text log"):
+        pass  # of a pipe, reading never ends
     for status in _folder(watch, source, read) if source.is_dir() else _growing(watch, source, read, seconds):
         if status is not None:
             yield status

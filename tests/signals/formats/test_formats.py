@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import os
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,8 @@ import polars as pl
 import pytest
 
 from gtau.errors import GtauError
+from gtau.signals.reading.formats import readable
+from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import working_with
@@ -346,3 +349,73 @@ def test_topics_of_different_length_name_the_way_out(topics: Callable) -> None:
     time = 1000.0 + np.arange(N) / RATE
     with pytest.raises(GtauError, match=r"or the stamps of each \(time: \{position: COLUMN, command: COLUMN\}\)"):
         read_run(topics(time, time[:-3]), PAIR)
+
+
+def nested(path: Path) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.create_dataset("/".join("g" * 100), data=np.zeros(3))
+
+
+def crowded(path: Path) -> None:
+    np.savez(path, **{f"a{k}": np.zeros(1) for k in range(6000)})
+
+
+def empty(path: Path) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.create_dataset("t\x1b\n", shape=(10**12,), chunks=(1024,), dtype="f8")
+
+
+def elsewhere(path: Path) -> None:
+    import h5py
+
+    os.mkfifo(path.with_name("pipe"))
+    with h5py.File(path, "w") as file:
+        file.create_dataset("t", shape=(100,), dtype="f8", external=[(str(path.with_name("pipe")), 0, 800)])
+
+
+def of_pipes(path: Path) -> None:
+    (path / "data" / "chunk-000").mkdir(parents=True)
+    pl.DataFrame({"t": [0.0]}).write_parquet(path / "data" / "chunk-000" / "file-000.parquet")
+    os.mkfifo(path / "data" / "chunk-000" / "file-001.parquet")
+
+
+def described(path: Path) -> None:
+    of_pipes(path.with_name("pipes"))
+    frames = path.with_name("pipes") / "data" / "chunk-000" / "file-000.parquet"
+    (path / "meta").mkdir(parents=True)
+    frames.rename(path / "file-000.parquet")
+    (path / "meta" / "info.json").write_text("[" * 100_000)
+
+
+def wide(path: Path) -> None:
+    path.write_text("\n".join(",".join("1" * 30_000) for _ in range(5)))
+
+
+@pytest.mark.parametrize(
+    ("name", "save", "sentence"),
+    [
+        ("log.h5", nested, "log.h5: its groups are nested more than 32 deep"),
+        ("log.npz", crowded, "log.npz: it holds more than 5000 arrays"),
+        ("log.h5", empty, r"log.h5: 't\x1b\n' is said to hold 1000000000000 numbers, more than the file can"),
+        ("log.h5", elsewhere, "log.h5: the values of 't' are in other files"),
+        ("set", of_pipes, "file-001.parquet cannot be read: it is a device or a pipe"),
+        ("set", described, "info.json is not a readable description"),
+        ("log.csv", wide, "log.csv: it has 30000 columns, and at most 20000 are read"),
+    ],
+)
+def test_files_beyond_all_bounds_are_refused(
+    name: str, save: Callable[[Path], None], sentence: str, tmp_path: Path
+) -> None:
+    save(tmp_path / name)
+    with pytest.raises(GtauError) as refused:
+        data_set(tmp_path / name, find_columns(tmp_path / name).columns)
+    assert sentence in str(refused.value)
+
+
+def test_a_length_beyond_the_memory_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match="asks for more memory than there is"), readable(tmp_path, "a ROS bag"):
+        raise MemoryError

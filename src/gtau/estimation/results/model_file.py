@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gtau.documents.files import MODEL, refuse_other_kind, system_refusals, write_atomically
+from gtau.documents.files import MODEL, json_in, refuse_other_kind, system_refusals, write_atomically
 from gtau.documents.validation import LARGEST, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
@@ -46,10 +46,10 @@ def load(path: str | Path) -> Result:
     path = Path(path)
     with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
         try:
-            document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
+            document = json_in(path.read_text(encoding="utf-8"), parse_constant=_refuse, parse_float=_finite)
         except OverflowError as size:
             raise _damaged(path, f"{size} is out of range") from None
-        except (ValueError, RecursionError):
+        except ValueError:
             raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise GtauError(f"{path} is not a model; give the model.json that 'gtau identify' wrote.")

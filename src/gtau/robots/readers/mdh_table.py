@@ -13,7 +13,7 @@ from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
 from gtau.robots.placement import DEGREES_ADVICE, compose, exact_placement, in_degrees, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
-from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Placement, Robot, RobotFile
+from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Placement, Robot, RobotFile, refuse_many
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,7 @@ def read_mdh_csv(path: str | Path) -> Robot:
     path = Path(path)
     try:
         lines = _lines(path)
+        refuse_many(len(lines), "rows")
         constants, header = _constants(lines)
         rows = [_row(number, cells, header, constants) for number, cells in lines]
         if not rows:

@@ -27,7 +27,9 @@ from gtau.robots.placement import (
     short_angles_note,
     smallest_unit,
 )
-from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
+from gtau.robots.readers.mjcf_bounds import bounded
+from gtau.robots.readers.mujoco_process import refuse_deadly
+from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of
 from gtau.robots.robot import Pose
 
 if TYPE_CHECKING:
@@ -40,40 +42,6 @@ SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", 
 DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", *SHAPES[1:], "numerics", "texts", "tuples")
 """What does not matter to geometry nor, but for shapes that weigh, to inertias: it need not even compile."""
 WATER = 1000.0  # kg/m3: density of shapes in a file that states none
-MOST_COPIES = 2000  # of a body, by <replicate> and <composite>: more keep the compiler busy for minutes
-NESTED = ("worldbody", "body", "frame", "replicate", "composite", "flexcomp")
-
-
-def _with_included(root: Element, path: Path, outer: tuple[Path, ...]) -> list[Element]:
-    """Collect the outermost elements of a file and of those that it includes."""
-    roots = [root]
-    for include in root.iter("include"):
-        other = path.parent / include.get("file", "")
-        if other.is_file() and other not in outer:
-            roots += _with_included(read_xml(other), other, (*outer, path))
-    return roots
-
-
-def _check_copies(roots: Iterable[Element]) -> None:
-    """Refuse files that ask for more copies of a body than a robot can have."""
-
-    def copies(element: Element) -> float:
-        inside = sum(copies(child) for child in element if child.tag in NESTED)
-        if element.tag not in ("replicate", "composite", "flexcomp"):
-            return max(1.0, inside)
-        try:
-            repeated = np.prod([float(word) for word in element.get("count", "1").split()])
-        except ValueError:
-            return 0.0  # MuJoCo reports the error
-        return float(repeated) * max(1.0, inside)
-
-    for root in roots:
-        if (most := copies(root)) > MOST_COPIES:
-            raise GtauError(
-                f"it holds {most:.0f} bodies, with the copies that <replicate> and <composite> ask for, and at most "
-                f"{MOST_COPIES} are read; give the file of the robot alone."
-            )
-
 
 GEOMETRY = ("pos", "quat", "axis", "axisangle", "euler", "xyaxes", "zaxis", "anchor", "relpose", "ref", "springref")
 FORCES = ("stiffness", "damping", "frictionloss", "armature", "springlength", "biasprm", "gainprm", "viscosity")
@@ -209,14 +177,14 @@ def straight_tendons(spec: mujoco.MjSpec) -> dict[str, tuple[str, str]]:
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``."""
-    elements = _with_included(root, path, ())
-    _check_copies(elements)
+    elements = bounded(root, path)
     _check_numbers(elements)
     try:
         import mujoco
     except ImportError:
         raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
     refusals = (ValueError, RuntimeError, mujoco.FatalError)
+    refuse_deadly(path, DELETED)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if len(spec.flexes):

@@ -35,7 +35,18 @@ from gtau.robots.readers.xml_document import (
     position_limits,
     read_xml,
 )
-from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, JointKind, Limits, Placement, Pose, RobotFile
+from gtau.robots.robot import (
+    GROUND,
+    Attachment,
+    Coupling,
+    Joint,
+    JointKind,
+    Limits,
+    Placement,
+    Pose,
+    RobotFile,
+    refuse_many,
+)
 
 LOOSE = ("floating", "planar")
 WORLD = "world"  # a link that Drake needs no declaration of
@@ -86,6 +97,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
     """
     try:
         root = _parse(path)
+        refuse_many(len(root.findall("joint")), "joints")
         edges = [_edge(element, base) for element in root.findall("joint")]
         links = [attribute(element, "name", "a link") for element in root.findall("link")]
         links += [WORLD] * (WORLD not in links and any(edge.parent == WORLD for edge in edges))

@@ -23,7 +23,7 @@ from gtau.findings import FindingKind as F
 from gtau.findings.words import moment
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
-from gtau.signals.reading.formats import LogTable
+from gtau.signals.reading.formats import MOST_COLUMNS, LogTable
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
@@ -52,12 +52,21 @@ def read_log(path: str | Path, names: Iterable[str]) -> LogTable:
 
 def find_columns(path: Path) -> LogTable:
     """Find all columns of a log, whatever its format; raises GtauError where it cannot be read."""
+    for part in (part for pattern in ("*", "data/*/*") for part in path.glob(pattern)):
+        with system_refusals(part):  # a pipe would be read for ever
+            pass
     with system_refusals(path):
         if not path.is_dir():
             path.open("rb").close()  # the system's reason, not a library's, where there is no such file
         of_folder = ".db3" if is_rosbag(path) else ".parquet"
         reader = reader_of(of_folder if path.is_dir() else path.suffix.lower()) or open_text
-        return reader(path)
+        table = reader(path)
+    if len(table.columns) > MOST_COLUMNS:
+        raise GtauError(
+            f"it has {len(table.columns)} columns, and at most {MOST_COLUMNS} are read; export the signals alone.",
+            source=path,
+        )
+    return table
 
 
 def is_log_folder(path: Path) -> bool:

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.documents.files import system_refusals
-from gtau.errors import GtauError
+from gtau.errors import GtauError, quoted
 from gtau.findings import Finding
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:
     import polars as pl
 
+MOST_COLUMNS = 20_000  # of a log, looked through in 8 s
 WIDEST = 256  # columns of one array; a wider one is an image or a map, not signals
 ALL = range(1 << 62)  # rows
 
@@ -91,12 +92,16 @@ def readable(path: Path, kind: str) -> Iterator[None]:
     """Turn whatever a library raises on a damaged file into one sentence; ``kind`` such as ``a MAT file``."""
     try:
         yield
-    except (GtauError, MemoryError):
+    except GtauError:
         raise
+    except MemoryError:
+        raise GtauError(
+            f"{path}, read as {kind}, asks for more memory than there is; export it again, in parts."
+        ) from None
     except Exception as error:  # libraries raise what they like, down to AssertionError
         if isinstance(error, OSError) and error.errno is not None:  # of the system; HDF5's have no number
             raise
-        reason = (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+        reason = quoted(str(error) or type(error).__name__, 200)[1:-1].rstrip(".")
         raise GtauError(f"{path} cannot be read as {kind} ({reason}); export the log again.") from None
 
 

@@ -5,6 +5,7 @@ MAT files are read up to version 7 by SciPy; those of version 7.3 are HDF5 files
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, missing_extra, quoted
 from gtau.signals.reading.formats import WIDEST, LogTable, common_length, readable
 from gtau.signals.storage import block_size
 
@@ -21,12 +22,18 @@ if TYPE_CHECKING:
 
 HDF5 = b"\x89HDF\r\n\x1a\n"  # after 512 bytes of MATLAB's own
 NUMERIC = ["double", "single", "logical", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"]
+MOST_ARRAYS = 5000  # and groups, found in 2 s; data sets of 200 demonstrations have 3000
+DEEPEST = 32  # groups in each other; the time to find what is in them grows as their square
+DENSEST = 2000  # numbers in a byte of a file: Deflate packs 1032 bytes into one
 
 
 def open_npz(path: Path) -> LogTable:
     """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code."""
     with readable(path, "a NumPy archive"), np.load(path, allow_pickle=False) as archive:
-        headers = {name: header for name in archive.files if (header := _header(archive, name)) is not None}
+        _refuse_many(path, len(archive.files))
+        members = {*archive.zip.namelist()}
+        files = {name: name if name in members else f"{name}.npy" for name in archive.files}
+        headers = {name: header for name, file in files.items() if (header := _header(archive.zip, file)) is not None}
     pickled = [name for name, (_, dtype) in headers.items() if dtype.hasobject]
     arrays = {name: shape for name, (shape, dtype) in headers.items() if dtype.kind in "biuf"}
     if not arrays and pickled:
@@ -44,10 +51,14 @@ def open_npz(path: Path) -> LogTable:
     return _table(path, arrays, load)
 
 
-def _header(archive: Any, name: str) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
+def _refuse_many(path: Path, count: int) -> None:
+    if count > MOST_ARRAYS:
+        raise GtauError(f"it holds more than {MOST_ARRAYS} arrays; export the signals of one motion.", source=path)
+
+
+def _header(archive: Any, file: str) -> tuple[tuple[int, ...], np.dtype[Any]] | None:
     """Read shape and type of an array, without its values; None for another member of the archive."""
-    members = archive.zip.namelist()
-    with archive.zip.open(name if name in members else f"{name}.npy") as member:
+    with archive.open(file) as member:
         try:
             version = np.lib.format.read_magic(member)
         except ValueError:
@@ -112,7 +123,18 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Log
     shapes: dict[str, tuple[int, ...]] = {}
     units: dict[str, str] = {}
 
+    count = 0
+
     def visit(name: str, item: Any) -> None:
+        nonlocal count
+        count += 1
+        _refuse_many(path, count)
+        if name.count("/") > DEEPEST:
+            raise GtauError(f"its groups are nested more than {DEEPEST} deep; export the log flatter.", source=path)
+        if isinstance(item, h5py.Dataset) and (item.is_virtual or item.external):
+            raise GtauError(
+                f"the values of {quoted(name)} are in other files; give a file that holds them.", source=path
+            )
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and not name.startswith("#"):
             column = name.replace("/", between)
             datasets[column], shapes[column] = name, item.shape
@@ -143,8 +165,14 @@ def _table(
     """
     places: dict[str, tuple[str, tuple[int, ...], tuple[int, ...]]] = {}  # array, and what is before and after samples
     rows: dict[str, int] = {}
+    most = DENSEST * path.stat().st_size
     for name, shape in shapes.items():
-        size, long = int(np.prod(shape)), max(shape, default=0)
+        size, long = math.prod(shape), max(shape, default=0)
+        if size > most:
+            raise GtauError(
+                f"{quoted(name)} is said to hold {size} numbers, more than the file can; export the log again.",
+                source=path,
+            )
         if size < 2 or len(shape) > 2 or size > WIDEST * long:
             continue
         last = shape[-1] == long

@@ -8,7 +8,6 @@ are (https://huggingface.co/docs/lerobot): ``fps``, and by feature its ``names``
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.documents.files import in_order
+from gtau.documents.files import in_order, json_in
 from gtau.errors import GtauError
 from gtau.signals.reading.formats import WIDEST, LogTable
 from gtau.signals.storage import block_size
@@ -136,7 +135,7 @@ def data_set(log: Path, columns: Sequence[str]) -> tuple[float | None, dict[str,
     if file is None or not (log.is_dir() or log.suffix.lower() in LOG_FORMATS):
         return None, {}
     try:
-        info = json.loads(file.read_text(encoding="utf-8"))
+        info = json_in(file.read_text(encoding="utf-8"))
         rate = None if info.get("fps") is None else float(info["fps"])
         features = {name: _flat(feature.get("names")) for name, feature in info.get("features", {}).items()}
     except (OSError, ValueError, TypeError, AttributeError):
