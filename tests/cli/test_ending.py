@@ -5,14 +5,20 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import psutil
 import pytest
 from five_bar_logs import DESIGN
 from programs import LIMIT, has_ended, start, wait_until, work_of
+
+from gtau.documents.files import hold_folder, write_atomically
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -87,3 +93,78 @@ def test_a_search_ends_without_a_word_of_its_solver(tmp_path: Path, name: str) -
     assert process.returncode == 128 + signal.Signals[name]
     assert (stdout, stderr) == ("", "gtau: interrupted; unfinished files were not written.\n")
     assert [path.name for path in (tmp_path / "plan").iterdir()] == ["trajectory.csv"]
+
+
+SEARCHING = """
+import pathlib, gtau.excitation.design as d
+stalled = d._stalled
+d._stalled = lambda *them: pathlib.Path("searching").touch() or stalled(*them)
+"""
+
+
+def test_a_stopped_search_leaves_an_older_design_whole(tmp_path: Path) -> None:
+    (tmp_path / "design.yaml").write_text(DESIGN)
+    (tmp_path / "plan").mkdir()
+    names = ("design.json", "report.html", "trajectory.csv")
+    for name in names:
+        (tmp_path / "plan" / name).write_text("older")
+    process = start(tmp_path, "excite", "design.yaml", "--out", "plan", "--starts", "1000", first=SEARCHING)
+    wait_until((tmp_path / "searching").exists, process)
+    process.send_signal(signal.SIGTERM)
+    _, stderr = process.communicate(timeout=LIMIT)
+    assert stderr == "gtau: interrupted; unfinished files were not written.\n"
+    assert {path.name: path.read_text() for path in (tmp_path / "plan").iterdir()} == dict.fromkeys(names, "older")
+
+
+def test_ctrl_c_ends_the_search_of_a_campaign_without_a_word_of_its_solver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    process = start(tmp_path, "campaign", "c", "--robot", "five-bar", "--payload", "1", first=SEARCHING)
+    wait_until((tmp_path / "searching").exists, process)
+    time.sleep(1.0)  # into a search
+    process.send_signal(signal.SIGINT)
+    stdout, stderr = process.communicate(timeout=LIMIT)
+    assert process.returncode == 130
+    assert (stdout, stderr) == ("", "gtau: interrupted; unfinished files were not written.\n")
+    assert not list((tmp_path / "temporary").iterdir())
+
+
+def test_two_commands_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    release = hold_folder(tmp_path / "a" / "b")
+    process = start(tmp_path, "identify", "experiment.yaml", "--out", "a/b")
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert stderr == "gtau: another command is writing to a/b; wait for its end, or choose another one.\n"
+    release()
+    assert not list(tmp_path.iterdir())
+    hold_folder(tmp_path / "a")()
+
+
+def test_an_interruption_at_any_line_leaves_no_unfinished_file(tmp_path: Path) -> None:
+    """The exception of a signal is raised between two lines, whichever."""
+    for number in range(1, 100):
+        lines = 0
+
+        def interrupt(frame: FrameType, event: str, argument: object) -> Any:
+            nonlocal lines
+            if frame.f_code is not write_atomically.__code__:
+                return None
+            lines += event == "line"
+            if lines == number:  # noqa: B023
+                sys.settrace(None)
+                raise KeyboardInterrupt
+            return interrupt
+
+        before = sys.gettrace()
+        sys.settrace(interrupt)
+        try:
+            write_atomically(tmp_path / "file", "content")
+        except KeyboardInterrupt:
+            assert {path.name for path in tmp_path.iterdir()} <= {"file"}
+        else:
+            break
+        finally:
+            sys.settrace(before)
+    assert number > 5

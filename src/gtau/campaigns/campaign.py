@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -44,7 +45,7 @@ from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
-from gtau.excitation.design import design
+from gtau.excitation.design import design, never
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.excitation.prior import DesignPrior
 from gtau.excitation.task import DesignProblem
@@ -54,7 +55,12 @@ from gtau.robots.robot import INERTIAL
 
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
+Searching = Callable[[], AbstractContextManager[Callable[[], bool]]]
 REDUCED = 0.25  # m/s, which a dry run does not exceed
+
+
+def _unstoppable() -> AbstractContextManager[Callable[[], bool]]:
+    return nullcontext(never)
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,12 @@ class CampaignState:
 
 
 @takes(
-    folder=PATH, robot=("the name or path of a robot", (str, Path)), payload=NUMBER, accuracy=NUMBER, progress=FUNCTION
+    folder=PATH,
+    robot=("the name or path of a robot", (str, Path)),
+    payload=NUMBER,
+    accuracy=NUMBER,
+    progress=FUNCTION,
+    searching=FUNCTION,
 )
 def campaign(
     folder: str | Path,
@@ -102,6 +113,7 @@ def campaign(
     payload: float | None = None,
     accuracy: float | None = None,
     progress: Progress = silent,
+    searching: Searching = _unstoppable,
 ) -> CampaignState:
     """Identify what was played, and decide: done, the next motion, or why another motion cannot help.
 
@@ -119,6 +131,8 @@ def campaign(
         Half the 95 % interval of every gain that is wanted, per cent; 3 if it was never given.
     progress : callable, optional
         Called as the work goes on.
+    searching : callable, optional
+        Makes the context of each search for a motion, which yields what is asked in every iteration: whether to stop.
 
     Returns
     -------
@@ -143,12 +157,13 @@ def campaign(
         return CampaignState(folder, settings.accuracy, BLOCKED, problem, tuple(rounds), None)
     place = folder / f"{1 + max((round_.number for round_ in rounds if round_.played is not None), default=0):02d}"
     if used:
-        return _judge(place, settings.accuracy, file, used, progress)
+        return _judge(place, settings.accuracy, file, used, progress, searching)
     try:
         task, _ = make_task(file)
     except GtauError as refusal:
         raise GtauError(f"{folder / DESIGN}: {refusal}") from None
-    designed = design(task, starts=STARTS, seed=int(place.name), progress=progress)
+    with searching() as stop:
+        designed = design(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
     rehearsal = rehearse(designed, file, None, progress)
     write_motion(folder_of(place), file, designed, rehearsal, {"purpose": "first", "after": "", "warm_up": False})
     return _to_play(folder, settings.accuracy, read_rounds(folder))
@@ -200,12 +215,14 @@ def _current(folder: Path, file: DesignFile, waiting: Round, used: list[Round]) 
     )
 
 
-def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress) -> CampaignState:
+def _judge(
+    place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress, searching: Searching
+) -> CampaignState:
     """Decide from the rounds used, and write the next motion at ``place`` before the decision that asks for it."""
     folder, last = place.parent, used[-1]
     known, inputs = last.decision, _inputs(folder, file, used)
     if known is None or known["inputs"] != inputs or known["next"] is not None:
-        decision = _decided(place, accuracy, file, used, progress)
+        decision = _decided(place, accuracy, file, used, progress, searching)
         next_one = place.name if decision.goes_on else None
         write_json(
             last.folder / DECISION, {"schema": "gtau-decision/1", **vars(decision), "next": next_one, "inputs": inputs}
@@ -217,7 +234,9 @@ def _judge(place: Path, accuracy: float, file: DesignFile, used: list[Round], pr
     return CampaignState(folder, accuracy, known["kind"], say, tuple(read_rounds(folder)), known)
 
 
-def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress) -> Decision:
+def _decided(
+    place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress, searching: Searching
+) -> Decision:
     """Identify, decide, and where it goes on write the next motion at ``place``."""
     last = used[-1]
     result = identified(write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
@@ -237,7 +256,8 @@ def _decided(place: Path, accuracy: float, file: DesignFile, used: list[Round], 
         return decision
     model = last.folder / MODEL_FILE
     task = next_task(file, result, model)
-    designed = design(task, starts=STARTS, seed=int(place.name), progress=progress)
+    with searching() as stop:
+        designed = design(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
     if decision.kind != CONFIRM:
         offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
 

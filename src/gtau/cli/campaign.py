@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, answer, argument, option, progress_bar, refusing, seconds
-from gtau.documents.files import refuse_as_folder
+from gtau.cli.console import Json, answer, argument, hold, option, progress_bar, refusing, seconds
+from gtau.cli.interruption import stop_request
 
 EXIT = {"play": 0, "done": 0, "stopped": 3, "blocked": 3}
 
@@ -27,13 +28,13 @@ def campaign(
 
     The same command again goes on from what the folder holds. The exit code is 3 where the campaign cannot go on.
     """
-    refuse_as_folder(folder)
+    hold(folder)
     with progress_bar() as progress:
         from gtau.campaigns.campaign import campaign as run
         from gtau.campaigns.page import campaign_page
         from gtau.report.write import write_report
 
-        state = run(folder, robot, payload, accuracy, progress)
+        state = run(folder, robot, payload, accuracy, progress, partial(stop_request, ""))
         report = write_report(campaign_page(state), folder, seconds())
     answer(json_, lambda: state.document, lambda: campaign_page(state), [report])
     if code := EXIT[state.next]:

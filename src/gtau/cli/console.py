@@ -17,6 +17,7 @@ import typer
 
 from gtau.cli.interruption import begin, exit_code, interrupted
 from gtau.cli.interruption import report as report_interruption
+from gtau.documents.files import hold_folder
 from gtau.errors import GtauError
 from gtau.estimation.estimators.registry import NAMES
 from gtau.model.interpreter.compiled import is_compiled
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 _begun: list[float] = []  # when the command began, s
+_held: list[Callable[[], None]] = []  # what releases the folders that the command holds
 METHODS = "|".join(NAMES)
 EVERY = 15.0  # s between lines where stderr is no terminal
 STARTING = "starting"
@@ -132,8 +134,17 @@ def refusing(command: Callable[P, None]) -> Callable[P, None]:
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             raise typer.Exit(0) from None
+        finally:
+            while _held:
+                _held.pop()()
 
     return run
+
+
+def hold(folder: Path | None) -> None:
+    """Keep other commands from writing to a folder while this one runs; raises GtauError where one does."""
+    if folder is not None:
+        _held.append(hold_folder(folder))
 
 
 def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:

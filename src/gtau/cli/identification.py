@@ -16,13 +16,14 @@ from gtau.cli.console import (
     ReportFolder,
     answer,
     argument,
+    hold,
     option,
     progress_bar,
     refusing,
     seconds,
 )
 from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of, said_if_refused
-from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
+from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ def identify(
     The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, --consistent finds no
     parameters, or the result misses a requirement of EXPERIMENT.yaml.
     """
-    refuse_as_folder(out)
+    hold(out)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.identify import identify as run
@@ -152,7 +153,7 @@ def _write(result: Result, out: Path) -> list[Path]:
 @refusing
 def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = False) -> None:
     """Identify with every estimator; compare gains, standard deviations, residuals and verdicts."""
-    refuse_as_folder(out)
+    hold(out)
     with progress_bar() as progress:
         from gtau.estimation.compare import compare as run
         from gtau.estimation.compare import to_document
@@ -193,7 +194,7 @@ def fleet(
 
     Finished robots stay in DIR/models: the same command again identifies those that are missing or have changed.
     """
-    refuse_as_folder(out)
+    hold(out)
     from gtau.estimation.estimators.estimator import Gains
     from gtau.estimation.estimators.registry import estimator_of
     from gtau.fleet.fleet import identify_fleet, read_fleet

@@ -45,10 +45,10 @@ def listen() -> None:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     request, hint = _searches[-1] if _searches else (None, "")
-    if request is not None and number == signal.SIGINT and not request.is_set():
+    if request is not None and hint and number == signal.SIGINT and not request.is_set():
         request.set()
         print(f"gtau: {hint}", file=sys.stderr, flush=True)
-    elif number == signal.SIGINT and (request is not None or interrupted()):
+    elif number == signal.SIGINT and (hint or interrupted()):
         _end()
     elif not interrupted():  # a terminal that closes sends SIGHUP twice, once by its shell
         _received.append(number)
@@ -99,7 +99,7 @@ def stop_request(hint: str) -> Iterator[Callable[[], bool]]:
     """Print ``hint`` at the first Ctrl-C, a request that the yielded function reports; the second ends the program.
 
     For a search that has something to show for what it has done so far. SIGTERM and SIGHUP are such requests without a
-    hint, after which the program ends.
+    hint, after which the program ends; so is Ctrl-C where the ``hint`` is empty.
     """
     request = threading.Event()
     _searches.append((request, hint))

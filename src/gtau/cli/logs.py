@@ -19,6 +19,7 @@ from gtau.cli.console import (
     answer,
     argument,
     base_choice,
+    hold,
     option,
     print_json,
     progress_bar,
@@ -185,7 +186,7 @@ def check(
     Given logs instead of EXPERIMENT.yaml, it drafts that file without questions, in DIR or else 'result'.
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
-    refuse_as_folder(out)
+    hold(out)
     refuse_as_folder(figure)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out or Path("result"))
     with said_if_refused(guessed), progress_bar() as progress:

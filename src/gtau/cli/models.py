@@ -20,13 +20,14 @@ from gtau.cli.console import (
     ModelFile,
     answer,
     argument,
+    hold,
     option,
     progress_bar,
     refusing,
     seconds,
 )
 from gtau.cli.logs import Commands, Payloads, RobotOfLogs, Sources, experiment_of, is_log, said_if_refused
-from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
+from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError, missing_extra
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def validate(
     json_: Json = False,
 ) -> None:
     """Compare measured torques with those of a model on the validation runs; with DIR also as charts."""
-    refuse_as_folder(out)
+    hold(out)
     with progress_bar() as progress:
         from gtau.estimation.experiment_runs import read_validation
         from gtau.estimation.results.conclusions import without_temperature
@@ -121,7 +122,7 @@ def payload(
 
     The exit code is 3 if a mass is negative, or the model's gains contradict its own logs or those of the payload.
     """
-    refuse_as_folder(out)
+    hold(out)
     if to is not None and out is None:
         raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import Json, answer, argument, base_choice, option, progress_bar, refusing, seconds
+from gtau.cli.console import Json, answer, argument, base_choice, hold, option, progress_bar, refusing, seconds
 from gtau.cli.interruption import stop_request
-from gtau.documents.files import folder_of, refuse_as_folder
+from gtau.documents.files import folder_of
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
@@ -125,22 +125,23 @@ def excite(
 ) -> None:
     """Design the motion that is most informative about the drive gains, and predict their standard deviations.
 
-    The best motion so far is kept in DIR; Ctrl-C stops the search and takes it.
+    The best motion so far is kept in DIR unless a design is there; Ctrl-C stops the search and takes it.
     """
     masses = _masses(payload_mass or [], context.args)
-    refuse_as_folder(out)
+    hold(out)
     with progress_bar() as progress:
         from gtau.excitation.design import Design, Stopped
         from gtau.excitation.design import design as run
         from gtau.excitation.design_file import read_design
         from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages
-        from gtau.report.write import write_report
+        from gtau.report.write import REPORT, write_report
 
         task, assumed = read_design(design)
 
         def keep(best: Design) -> None:
-            pages.write_trajectories(best, folder_of(out))
+            if not (out / pages.DESIGN).exists():  # an older design stays whole until there is another one
+                pages.write_trajectories(best, folder_of(out))
 
         try:
             with stop_request(STOPPING) as stop:
@@ -149,9 +150,11 @@ def excite(
             raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
         progress("predicting standard deviations", 0, 1)
         outlook = Outlook(best, assumed, tuple(masses))
-        report = write_report(pages.design_report(outlook), folder_of(out), seconds(), (("design", design),))
-        written = (report, *pages.write_design(outlook, out))
-    answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), written)
+        for older in (REPORT, pages.DESIGN):  # of another motion
+            (out / older).unlink(missing_ok=True)
+        written = pages.write_design(outlook, folder_of(out))
+        report = write_report(pages.design_report(outlook), out, seconds(), (("design", design),))
+    answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), (report, *written))
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:
@@ -177,7 +180,7 @@ def demo(
     json_: Json = False,
 ) -> None:
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
-    refuse_as_folder(out)
+    hold(out)
     with progress_bar() as progress:
         from gtau.demo.run import demo as run
 
@@ -203,7 +206,7 @@ def simulate(
     json_: Json = False,
 ) -> None:
     """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""
-    refuse_as_folder(out)
+    hold(out)
     with progress_bar() as progress:
         from gtau.model.home import load_robot
         from gtau.robots.geometry import massless

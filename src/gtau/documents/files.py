@@ -6,8 +6,7 @@ import errno
 import json
 import os
 import re
-import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from glob import glob
 from io import BytesIO
@@ -19,6 +18,11 @@ from gtau.errors import GtauError, unreadable
 if TYPE_CHECKING:
     import polars as pl
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 LONGEST = 40  # characters of an identifier: with what follows, MATLAB's 63 are not exceeded
 FORMULA = r"^(\s*[=+\-@])"  # begins a cell that spreadsheets compute
 
@@ -27,15 +31,15 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     """Write ``content`` (text as UTF-8) to ``path``; an interruption leaves the old file, or none; raises GtauError."""
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
+    unfinished = path.with_name(f".{path.name}.{os.urandom(4).hex()}")  # known before it is made, to be removed
     try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
-            with os.fdopen(handle, "wb") as file:
+            with unfinished.open("xb") as file:
                 file.write(data)
-            os.chmod(name, 0o644)
-            os.replace(name, path)
+            unfinished.chmod(0o644)
+            unfinished.replace(path)
         except BaseException:
-            os.unlink(name)
+            unfinished.unlink(missing_ok=True)
             raise
     except OSError as error:
         raise GtauError(
@@ -78,6 +82,34 @@ def refuse_as_folder(path: str | Path | None) -> None:
         raise GtauError(
             f"{path} cannot be the output folder, because {existing} is write-protected; choose another one."
         )
+
+
+def hold_folder(path: str | Path) -> Callable[[], None]:
+    """Make a folder, and keep other commands from writing to it until the returned function is called; GtauError.
+
+    That function removes what was made and is still empty.
+    """
+    refuse_as_folder(path)
+    made = [place for place in (Path(path), *Path(path).parents) if not place.exists()]
+    handle = None
+    if fcntl is not None:
+        handle = os.open(folder_of(path), os.O_RDONLY)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise GtauError(f"another command is writing to {path}; wait for its end, or choose another one.") from None
+        except OSError:  # a file system without locks
+            pass
+
+    def release() -> None:
+        if handle is not None:
+            os.close(handle)
+        with suppress(OSError):
+            for place in made:
+                place.rmdir()
+
+    return release
 
 
 def folder_of(path: str | Path) -> Path:

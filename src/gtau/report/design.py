@@ -36,6 +36,7 @@ from gtau.signals.reading.statements import Payload
 if TYPE_CHECKING:
     import polars as pl
 
+DESIGN = "design.json"
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
 MOST = 1000  # %, of an assumed value, that are worth printing
@@ -302,7 +303,7 @@ def write_design(outlook: Outlook, folder: Path) -> tuple[Path, ...]:
     """Write the trajectories, ``design.json``, and a figure of each trajectory."""
     from gtau.report.render.charts import save
 
-    written = [*write_trajectories(outlook.design, folder), folder / "design.json"]
+    written = [*write_trajectories(outlook.design, folder), folder / DESIGN]
     write_atomically(written[-1], json.dumps(design_document(outlook), indent=1, allow_nan=False) + "\n")
     for stem, (title, chart) in zip(file_stems(outlook.task), motion_charts(outlook), strict=True):
         written.append(save(replace(chart, title=f"{chart.title}: {title}"), folder / f"{stem}.png"))
