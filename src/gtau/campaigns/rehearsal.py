@@ -25,6 +25,7 @@ from gtau.robots.parameter import torque_unit
 from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.simulation.experiment_files import simulate_experiment
+from gtau.simulation.trajectories import log_column
 
 NEAR = {True: 0.02, False: 0.002}  # rad and m, within which the robot stands at the start
 STRAY = {True: 0.03, False: 0.003}  # rad and m, by which it may stray from the motion at least
@@ -104,12 +105,12 @@ def _under_control(
         rate = max(task.rate, 500.0)
         simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **known}
         simulate_experiment(simulated, out / "logs", lambda _, done, total: progress("rehearsing", done, total))
-        columns = ("t", *(f"{kind}{joint}" for kind in "qv" for joint in task.model.actuated))
+        columns = ("t", *(log_column(kind, joint) for kind in "qv" for joint in task.model.actuated))
         log = read_log(out / "logs" / "loaded.csv", columns).arrays()
     errors, torques = {}, {}
     for k, joint in enumerate(task.model.actuated):
-        errors[joint] = float(np.abs(log[f"q{joint}"] - np.interp(log["t"], time, joints[0, k])).max())
-        torques[joint] = float(np.abs(log[f"v{joint}"]).max())
+        errors[joint] = float(np.abs(log[log_column("q", joint)] - np.interp(log["t"], time, joints[0, k])).max())
+        torques[joint] = float(np.abs(log[log_column("v", joint)]).max())
     return errors, torques
 
 

@@ -51,7 +51,9 @@ def in_csv(table: pl.DataFrame) -> str:
     """Write a table as CSV; an apostrophe before ``= + - @`` keeps a spreadsheet from computing texts."""
     import polars as pl
 
-    return table.with_columns(pl.col(pl.String).str.replace(FORMULA, "'$1")).write_csv()
+    texts = table.with_columns(pl.col(pl.String).str.replace(FORMULA, "'$1"))
+    odd = any(character in name for name in table.columns for character in ';\t"')  # taken for what separates columns
+    return texts.write_csv(quote_style="non_numeric" if odd else "necessary")
 
 
 def write_table(table: pl.DataFrame, path: str | Path) -> None:

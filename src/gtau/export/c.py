@@ -17,9 +17,13 @@ from gtau.export.generated import fields_of, filled, in_c
 from gtau.uses.identified import Functions, Identified, identified, notes_on
 
 BANDWIDTH = 100.0  # of the controller of the example, rad/s
-TAKEN = re.compile(  # example.c, kernel_torques() and the headers of the C library
+# example.c, kernel_torques(), the headers of the C library and those that they include, and targets of CMake and make
+TAKEN = re.compile(
     "example|kernel|assert|complex|ctype|errno|fenv|float|inttypes|iso646|limits|locale|math|setjmp|signal|"
-    "stdarg|stdbool|stddef|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype"
+    "stdarg|stdbool|stddef|stdint|stdio|stdlib|string|tgmath|time|wchar|wctype|"
+    "alloca|availability|corecrt\\w*|crtdefs|endian|features|malloc|memory|pthread|runetype|sal|sched|strings|unistd|"
+    "vadefs|vcruntime|xlocale|all|all_build|clean|depend|edit_cache|help|install\\w*|list_install_components|package\\w*|"
+    "preinstall|rebuild_cache|run_tests|test|zero_check"
 )
 HELPER = re.compile(r"^casadi_real casadi_\w+\([^)]*\) *\{.*?\}$", re.MULTILINE | re.DOTALL)
 BODY = re.compile(r"^static int casadi_f\d+\([^)]*\) *\{\n(.*?)^ *return 0;\n\}", re.MULTILINE | re.DOTALL)

@@ -6,6 +6,9 @@ It is built by PythonFMU3 around the CasADi functions of the model, so the Pytho
 from __future__ import annotations
 
 import json
+import sys
+from dataclasses import replace
+from keyword import iskeyword
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -17,6 +20,7 @@ from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import CLOSING, fields_of, filled
 from gtau.uses.identified import identified, notes_on
 
+IMPORTED = ("casadi", "numpy", "pythonfmu3")
 NEEDS = "the simulator's Python needs the packages casadi and numpy ('pythonfmu3 deploy' installs them)"
 
 
@@ -30,13 +34,16 @@ def export(result: Result, out: Path) -> Exported:
     except ImportError:
         raise missing_extra("an export to FMU", "pythonfmu3", "fmu") from None
     model = identified(result)
+    if iskeyword(model.name) or model.name in sys.stdlib_module_names or model.name in IMPORTED:
+        model = replace(model, name=f"robot_{model.name}")
     fields = fields_of(model)
     with TemporaryDirectory() as name:
         folder = Path(name)
         script = folder / f"{model.name}.py"
         texts = {"robot": result.robot.name, "friction": result.friction_law.range_sentence}
-        quoted = {key: json.dumps(text)[1:-1] for key, text in texts.items()}
-        script.write_text(filled("slave.py", fields | quoted))
+        # not as pairs of surrogates, which are no characters in Python
+        quoted = {key: json.dumps(text, ensure_ascii=False)[1:-1] for key, text in texts.items()}
+        script.write_text(filled("slave.py", fields | quoted), encoding="utf-8")
         resources = [folder / "model.json", folder / "requirements.txt"]
         resources[0].write_text(json.dumps(_document(fields)))
         resources[1].write_text("casadi\nnumpy\n")

@@ -94,4 +94,4 @@ def in_c(text: str) -> str:
 
 def in_matlab(text: str) -> str:
     """Write a text as a string of MATLAB."""
-    return "'" + text.replace("'", "''") + "'"
+    return "'" + "".join(c if c.isprintable() else " " for c in text).replace("'", "''") + "'"

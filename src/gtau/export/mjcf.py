@@ -17,7 +17,15 @@ from gtau.export.consistent import ConsistentModel, consistent_model, difference
 from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Robot
-from gtau.simulation.mujoco_plant import LIGHTEST, STEP, STIFF, mujoco_positions, robot_spec, spring_attributes
+from gtau.simulation.mujoco_plant import (
+    LIGHTEST,
+    STEP,
+    STIFF,
+    link_name,
+    mujoco_positions,
+    robot_spec,
+    spring_attributes,
+)
 
 JOINT = ("range", "armature", "damping", "frictionloss", "stiffness", "springref")
 THICKNESS = 0.012  # m: of the links as drawn
@@ -106,9 +114,13 @@ def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
     for name, placement in ends:
         if name != GROUND and np.linalg.norm(placement.position) > THICKNESS:
             segment = (0.0, 0.0, 0.0, *placement.position)
-            spec.body(name).add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=segment, size=(THICKNESS, 0, 0), **look)
+            spec.body(link_name(robot, name)).add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=segment, size=(THICKNESS, 0, 0), **look
+            )
         elif name != GROUND:
-            spec.body(name).add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1.5 * THICKNESS, 0, 0), **look)
+            spec.body(link_name(robot, name)).add_geom(
+                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1.5 * THICKNESS, 0, 0), **look
+            )
 
 
 def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:

@@ -47,6 +47,8 @@ def parameter_of(name: str, regrouped: bool = False) -> Parameter:
     if isinstance(name, Parameter):
         return name
     label, _, run = name.partition("@")
+    if run and not (run.isdecimal() and len(run) < 9):  # of no parameter that there is
+        label, run = name, ""
     kind, _, body = (label.removesuffix("R") if regrouped else label).partition("_")
     return Parameter(kind, body, int(run) - 1 if run else None, regrouped)
 

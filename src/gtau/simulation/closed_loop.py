@@ -22,7 +22,7 @@ from gtau.documents.files import write_table
 from gtau.documents.validation import Keys, Positive
 from gtau.signals.run import Run
 from gtau.simulation.plant import PlantState
-from gtau.simulation.trajectories import NotNegative, Trajectory
+from gtau.simulation.trajectories import NotNegative, Trajectory, log_column
 
 BANDWIDTH = 100.0  # rad/s
 FILTER = 10.0  # the derivative is filtered at this multiple of the bandwidth
@@ -193,8 +193,8 @@ def write_log(run: Run, path: str | Path) -> None:
     import polars as pl
 
     columns = {"t": np.round(run.time, DIGITS)}
-    columns |= {f"q{joint}": run.position[:, j] for j, joint in enumerate(run.joints)}
-    columns |= {f"v{joint}": run.command[:, j] for j, joint in enumerate(run.joints)}
+    columns |= {log_column("q", joint): run.position[:, j] for j, joint in enumerate(run.joints)}
+    columns |= {log_column("v", joint): run.command[:, j] for j, joint in enumerate(run.joints)}
     write_table(pl.DataFrame(columns), path)
 
 

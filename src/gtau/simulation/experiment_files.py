@@ -29,7 +29,7 @@ from gtau.simulation.joint_friction import TERMS, JointFriction, of_model
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
 from gtau.simulation.simulation_file import SimulatedRun, Simulation, as_simulation, check_joints
-from gtau.simulation.trajectories import check_positions, make_trajectory
+from gtau.simulation.trajectories import check_positions, log_column, make_trajectory
 
 HELD = 10  # samples over which the controller keeps an inertia matrix
 
@@ -152,7 +152,7 @@ def simulate_experiment(
 def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
     """Write the experiment file of a simulation: contents of its logs, and prior knowledge."""
     file, joints = Path(simulation.robot), robot.actuated
-    position, current = ({joint: f"{letter}{joint}" for joint in joints} for letter in "qv")
+    position, current = ({joint: log_column(letter, joint) for joint in joints} for letter in "qv")
     document: dict[str, Any] = {
         "robot": relpath(file, out) if file.is_file() else simulation.robot,
         "signals": {"time": "t", "position": position, "current": current},

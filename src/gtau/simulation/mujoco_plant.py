@@ -150,7 +150,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
     spec.compiler.boundmass = spec.compiler.boundinertia = LIGHTEST
     body = {GROUND: spec.worldbody}
     for joint in robot.joints:
-        body[joint.name] = _add_body(body[joint.antecedent], joint.placement, joint.name, chi)
+        body[joint.name] = _add_body(robot, body[joint.antecedent], joint.placement, joint.name, chi)
         made = body[joint.name].add_joint(
             name=joint.name,
             type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
@@ -163,13 +163,21 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
             made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
             made.springref = joint.spring
     for platform in robot.platforms:
-        body[platform.name] = _add_body(spec.worldbody, platform.home, platform.name, chi)
+        body[platform.name] = _add_body(robot, spec.worldbody, platform.home, platform.name, chi)
         _add_freedoms(mujoco, body[platform.name], platform)
     for number, closure in enumerate(robot.closures):
         _add_closure(mujoco, spec, number, closure, body)
     for spring in robot.springs:
         _add_spring(mujoco, spec, spring, chi, body)
     return spec
+
+
+def link_name(robot: Robot, name: str) -> str:
+    """Name a link as its joint or platform, but for the one that has the name of MuJoCo's ground."""
+    made = name
+    while made == "world" or (made != name and made in robot.bodies):
+        made += "_"
+    return made
 
 
 def _add_freedoms(mujoco: ModuleType, place: Any, platform: Platform) -> None:
@@ -235,11 +243,11 @@ def _add_spring(
     actuator.biasprm[:3] = bias[0], 0.0 - bias[1], 0.0 - bias[2]  # no -0 in files
 
 
-def _add_body(parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
+def _add_body(robot: Robot, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
     body = rigid_body(chi, name)
     moments, axes = body.principal
     return parent.add_body(
-        name=name,
+        name=link_name(robot, name),
         pos=placement.position,
         quat=Rotation.from_matrix(placement.rotation).as_quat(scalar_first=True),
         explicitinertial=True,

@@ -242,11 +242,16 @@ def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[
     return [values[joint] for joint in robot.actuated]
 
 
+def log_column(letter: str, joint: str) -> str:
+    """Name the column of a joint; readers of text do not see blanks at its end."""
+    return f"{letter}{joint}".rstrip()
+
+
 def _from_csv(path: Path, robot: Robot) -> tuple[Trajectory, float]:
     """Draw a fifth-order spline through the samples of a file."""
     from scipy.interpolate import make_interp_spline
 
-    names = [f"q_{joint}" for joint in robot.actuated]  # as 'gtau excite' writes them
+    names = [log_column("q_", joint) for joint in robot.actuated]  # as 'gtau excite' writes them
     columns = read_log(path, ("t", *names)).arrays()
     time, q = columns["t"], np.column_stack([columns[name] for name in names])
     if not (np.isfinite(time).all() and np.isfinite(q).all() and len(time) > 5 and (np.diff(time) > 0).all()):

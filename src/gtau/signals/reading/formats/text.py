@@ -118,8 +118,11 @@ def _separator(text: str) -> str:
 
 def _fields(text: str) -> tuple[str, ...]:
     """Split a line into fields, without the blanks and quotes around them."""
-    fields = (field.strip() for field in _split(text, _separator(text)))
-    return tuple(field.strip("'" if field.startswith("'") else '"').strip() for field in fields)
+    fields, unquoted = _split(text, _separator(text))
+    stripped = (field.strip() for field in fields)
+    if unquoted:  # quotes that are left belong to a name
+        return tuple(stripped)
+    return tuple(field.strip("'" if field.startswith("'") else '"').strip() for field in stripped)
 
 
 def _is_row(fields: Sequence[str]) -> bool:
@@ -185,14 +188,14 @@ def _decoded(raw: bytes) -> str:
         return text if text.replace("\t", "").rstrip("\r\n").isprintable() else raw.decode(errors="replace")
 
 
-def _split(text: str, separator: str) -> list[str]:
-    """Split a line into fields; any number of spaces separates as one does, and none within quotes."""
+def _split(text: str, separator: str) -> tuple[list[str], bool]:
+    """Split a line into fields, and say whether quotes were removed; any number of spaces separates as one does."""
     if '"' in text:
         try:
-            return next(csv.reader([text.strip(" ")], delimiter=separator, skipinitialspace=True))
+            return next(csv.reader([text.strip(" ")], delimiter=separator, skipinitialspace=True)), True
         except csv.Error:  # a field of rubble, longer than any name
             pass
-    return text.split() if separator == " " and text.strip() else text.split(separator)
+    return text.split() if separator == " " and text.strip() else text.split(separator), False
 
 
 def is_number(text: str) -> bool:
@@ -260,7 +263,7 @@ def _unreadable_line(table: LogTable, separator: str, reason: str) -> str:
     where = f"line {first}" if table.numbered else "the header"
     with path.open("rb") as file:
         for number, line in islice(enumerate(map(_decoded, file), start=1), first - 1, None):
-            fields = len(_split(line, separator))
+            fields = len(_split(line, separator)[0])
             if fields > count:
                 return (
                     f"{path}, line {number} has {fields} columns where {where} has {count}; correct or delete the line "
