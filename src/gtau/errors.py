@@ -1,5 +1,37 @@
 """The error that users see, which is a built-in one too where scripts expect that."""
 
+from __future__ import annotations
+
+import re
+from unicodedata import category
+
+LONGEST = 60  # characters of a value of a file in a sentence
+SENTENCE = 3000  # characters of a sentence: 40 columns of that length
+WORD = re.compile(r"[^\s/]{121,}")  # longer than a name may be
+VALUE = re.compile(rf"(?<!\w)'(?!gtau )(\S[^']{{{LONGEST},}})(?<=\S)'(?!\w)")
+
+
+def printable(text: str) -> str:
+    """Write what does not print, such as line breaks and what a terminal obeys, as Python does."""
+    return "".join(c if c.isprintable() or category(c) == "Zs" else repr(c)[1:-1] for c in text)
+
+
+def short(value: object, longest: int = LONGEST) -> str:
+    """Write a value of a file so that it fits a sentence."""
+    text = printable(str(value)[: longest + 1])
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."
+
+
+def quoted(value: object) -> str:
+    """Quote a value of a file so that it fits a sentence."""
+    return f"'{short(value)}'"
+
+
+def tidy(sentence: str) -> str:
+    """Make a sentence printable, and shorten the values that it quotes, and endless words."""
+    sentence = VALUE.sub(lambda value: quoted(value[1]), sentence)
+    return short(WORD.sub(lambda word: short(word[0]), sentence), SENTENCE)
+
 
 class GtauError(ValueError):
     """Error raised for input that gtau cannot use.
@@ -9,17 +41,10 @@ class GtauError(ValueError):
     """
 
     def __init__(self, sentence: str, source: object = "") -> None:
-        self.sentence, self.source = sentence, str(source)
-        super().__init__(f"{source}: {sentence}" if self.source else sentence)
+        self.sentence, self.source = tidy(sentence), printable(str(source))
+        super().__init__(f"{self.source}: {self.sentence}" if self.source else self.sentence)
 
     __str__ = BaseException.__str__  # a KeyError shows its message in quotes
-
-
-def quoted(value: object, longest: int = 60) -> str:
-    """Quote a value of a file on one line: its printable characters, others as in Python, and at most ``longest``."""
-    text = str(value)
-    plain = "".join(c if c.isprintable() else repr(c)[1:-1] for c in text[: longest + 1])
-    return f"'{plain}'" if len(plain) <= longest else f"'{plain[: longest - 3]}...'"
 
 
 class UnknownName(GtauError, KeyError):

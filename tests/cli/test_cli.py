@@ -724,7 +724,7 @@ def test_numbers_of_a_search_are_not_negative(option: str, value: str, tmp_path:
 def test_an_output_folder_with_a_name_that_is_too_long(here: Path) -> None:
     result = run("identify", "experiment.yaml", "--out", 300 * "x")
     assert result.exit_code == 2
-    assert "x cannot be the output folder (File name too long); choose another one." in result.stderr
+    assert "x... cannot be the output folder (File name too long); choose another one." in result.stderr
 
 
 def test_an_output_path_through_a_missing_folder_makes_no_folder(here: Path) -> None:

@@ -55,7 +55,6 @@ from gtau.robots.robot import INERTIAL
 
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
-Searching = Callable[[], AbstractContextManager[Callable[[], bool]]]
 REDUCED = 0.25  # m/s, which a dry run does not exceed
 
 
@@ -113,7 +112,7 @@ def campaign(
     payload: float | None = None,
     accuracy: float | None = None,
     progress: Progress = silent,
-    searching: Searching = _unstoppable,
+    searching: Callable[[], Any] = _unstoppable,
 ) -> CampaignState:
     """Identify what was played, and decide: done, the next motion, or why another motion cannot help.
 
@@ -216,7 +215,7 @@ def _current(folder: Path, file: DesignFile, waiting: Round, used: list[Round]) 
 
 
 def _judge(
-    place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress, searching: Searching
+    place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress, searching: Callable[[], Any]
 ) -> CampaignState:
     """Decide from the rounds used, and write the next motion at ``place`` before the decision that asks for it."""
     folder, last = place.parent, used[-1]
@@ -235,7 +234,12 @@ def _judge(
 
 
 def _decided(
-    place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress, searching: Searching
+    place: Path,
+    accuracy: float,
+    file: DesignFile,
+    used: list[Round],
+    progress: Progress,
+    searching: Callable[[], Any] = _unstoppable,
 ) -> Decision:
     """Identify, decide, and where it goes on write the next motion at ``place``."""
     last = used[-1]

@@ -18,7 +18,7 @@ import typer
 from gtau.cli.interruption import begin, exit_code, interrupted
 from gtau.cli.interruption import report as report_interruption
 from gtau.documents.files import hold_folder
-from gtau.errors import GtauError
+from gtau.errors import GtauError, tidy
 from gtau.estimation.estimators.registry import NAMES
 from gtau.model.interpreter.compiled import is_compiled
 
@@ -149,6 +149,7 @@ def hold(folder: Path | None) -> None:
 
 def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
     """Report the refusal; the exit to raise."""
+    sentence = tidy(sentence)  # click's too
     typer.echo(f"gtau: {sentence}", err=True)
     if as_json:
         print_json({"error": sentence})

@@ -27,7 +27,7 @@ from gtau.cli.console import (
     seconds,
 )
 from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_folder
-from gtau.errors import GtauError
+from gtau.errors import GtauError, tidy
 
 if TYPE_CHECKING:
     from gtau.findings import Finding
@@ -262,7 +262,7 @@ def said_if_refused(guesses: tuple[Finding, ...]) -> Iterator[None]:
         yield
     except GtauError:
         for guess in guesses:
-            typer.echo(f"gtau: {guess}.", err=True)
+            typer.echo(tidy(f"gtau: {guess}."), err=True)
         raise
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import yaml
 
 from gtau.documents.files import system_refusals
-from gtau.errors import GtauError
+from gtau.errors import GtauError, short
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 64
@@ -48,7 +48,7 @@ class Document:
         if (line := self.line(keys)) is not None:
             place.append(f"line {line}")
         if keys:
-            place.append(".".join(str(key + 1) if isinstance(key, int) else key for key in keys))
+            place.append(".".join(str(key + 1) if isinstance(key, int) else short(key) for key in keys))
         return GtauError(f"{', '.join(place)}: {problem}{'' if problem.endswith('?') else '.'}")
 
     def _parsed(self, text: str) -> dict[str, Any]:

@@ -9,6 +9,8 @@ from importlib.resources import files
 from math import asin, atan2, ceil, floor, hypot, log10, pi
 from typing import TYPE_CHECKING, Any
 
+from gtau.errors import quoted
+
 if TYPE_CHECKING:
     from jinja2 import Environment
 
@@ -70,7 +72,7 @@ def _environment() -> Environment:
         "percent": lambda share, spec: f"{100 * share:{spec}} %",
         "percent_text": percent_text,
         "plural": lambda number: "s" * (number != 1),
-        "quoted": lambda names, between=", ": between.join(f"'{name}'" for name in names),
+        "quoted": lambda names, between=", ": between.join(map(quoted, names)),
         "numbers": lambda numbers, spec, unit=1: ", ".join(f"{unit * number:{spec}}" for number in numbers),
         "to_width": to_width,
         "direction": _direction,

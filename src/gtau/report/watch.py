@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gtau.documents.files import in_order
-from gtau.errors import GtauError
+from gtau.errors import GtauError, tidy
 from gtau.findings.words import filled, phrase, to_width
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
@@ -65,7 +65,7 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
 def status_words(status: Status) -> str:
     """Describe what is said of a log in a line."""
     healthy = "no change" if status.phase == "watching" else status.phase
-    return f"{status.log}: {status.skipped or (alarm_words(status.alarm)[0] if status.alarm else healthy)}"
+    return tidy(f"{status.log}: {status.skipped or (alarm_words(status.alarm)[0] if status.alarm else healthy)}")
 
 
 def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> str:

@@ -14,6 +14,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table as RichTable
 from rich.text import Text as RichText
 
+from gtau.errors import tidy
 from gtau.report.page import BADGES, NUMERIC, Column, Facts, Kind, Page, Section, Table, Text
 
 WIDTH = 80
@@ -70,7 +71,7 @@ def _badge(outcome: str) -> str:
 
 
 def _ascii(words: str) -> str:
-    return words.translate(ASCII)
+    return tidy(" ".join(words.split("\n")).translate(ASCII))
 
 
 def _kept(words: str) -> str:

@@ -29,7 +29,8 @@ Files = dict[Path, "Element"]
 
 def bounded(root: Element, path: Path) -> list[Element]:
     """List the outermost elements of a file and of those that it includes; refuse what is beyond the bounds."""
-    files, attached = {path.resolve(): root}, {}
+    files: Files = {path.resolve(): root}
+    attached: Files = {}
     _collect(root, path, files, "include")
     for file, outermost in files.items():
         _collect(outermost, path if file == path.resolve() else file, attached, "model")

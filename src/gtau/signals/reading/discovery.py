@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, short
 from gtau.findings.words import counted
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, resembling, wrench_like
@@ -121,7 +121,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     positions, commands = position_log.group("position"), command_log.command_group()
     if positions is None or commands is None:
         names = position_log.table.columns
-        listed = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
+        listed = ", ".join(map(short, names[:20])) + (", ..." if len(names) > 20 else "")
         what = "positions" if positions is None else "currents or torques"
         still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
         listed += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)

@@ -13,7 +13,7 @@ from zlib import crc32
 
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
-from gtau.errors import GtauError
+from gtau.errors import GtauError, printable, short
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -217,7 +217,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
             "or none:",
             "#   payload: {name: steel, mass: 1.2, mass_std: 0.001}",
         ]
-    return "\n".join(lines) + "\n"
+    return "\n".join(map(printable, lines)) + "\n"  # a name with a line break begins no line
 
 
 def _signals(draft: Draft) -> Iterator[str]:
@@ -322,7 +322,7 @@ STATE = "correct this by --payload LOG=KG (0 for none)"
 
 def _first(columns: Iterable[str]) -> str:
     columns = tuple(columns)
-    return ", ".join(columns[:8]) + (", ..." if len(columns) > 8 else "")
+    return ", ".join(map(short, columns[:8])) + (", ..." if len(columns) > 8 else "")
 
 
 def _robot_entry(draft: Draft, folder: Path) -> Any:

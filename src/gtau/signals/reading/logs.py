@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 
 from gtau.documents.files import system_refusals
-from gtau.errors import GtauError
+from gtau.errors import GtauError, short
 from gtau.extensions import find
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -100,7 +100,7 @@ def _refuse_missing(names: Iterable[str], table: LogTable) -> None:
             )
         close = get_close_matches(name, columns, n=1)
         hint = f"did you mean '{close[0]}'? The" if close else "the"
-        listed = ", ".join(columns[:40]) + (", ..." if len(columns) > 40 else "")
+        listed = ", ".join(map(short, columns[:40])) + (", ..." if len(columns) > 40 else "")
         raise GtauError(f"there is no column '{name}'; {hint} columns are {listed}.", source=path)
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.documents.files import system_refusals
-from gtau.errors import GtauError, quoted
+from gtau.errors import GtauError, short
 from gtau.findings import Finding
 from gtau.signals.storage import store
 
@@ -101,7 +101,7 @@ def readable(path: Path, kind: str) -> Iterator[None]:
     except Exception as error:  # libraries raise what they like, down to AssertionError
         if isinstance(error, OSError) and error.errno is not None:  # of the system; HDF5's have no number
             raise
-        reason = quoted(str(error) or type(error).__name__, 200)[1:-1].rstrip(".")
+        reason = short(str(error) or type(error).__name__, 200).rstrip(".")
         raise GtauError(f"{path} cannot be read as {kind} ({reason}); export the log again.") from None
 
 
