@@ -39,6 +39,7 @@ def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> 
         workspace={"x": (-2.0, 2.0), "z": (-2.0, 2.0)},
         condition=200.0,
         away=0.2,
+        tool_speed=1.0,
     )
     half = 0.05 if robot.closures else 2.0
     center = np.zeros(3) if platform else limits.position.mean(axis=1)
@@ -88,7 +89,7 @@ def test_slopes_of_loads_agree_with_differences(task: DesignProblem, rng: np.ran
         found = load.rows() @ way
         assert np.abs(found - expected).max() <= 3e-5 * (np.abs(expected).max() + 1e-3), load.what
         kinds.add(load.what.split()[0])
-    assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "time"} <= kinds
+    assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "speed", "time"} <= kinds
 
 
 def sprung() -> Robot:

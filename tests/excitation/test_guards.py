@@ -20,6 +20,7 @@ from gtau.excitation.design import Design, check, design
 from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate
 from gtau.excitation.forecast import Outlook, sampled_motions
+from gtau.excitation.guards import speed_of_tool
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import COULOMB, ERROR, ROTOR, VISCOUS, KnownGain, identified_gains
 from gtau.excitation.task import DesignProblem
@@ -116,6 +117,7 @@ def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
     assert any(FLOOR in pair for pair in task.limits.clearance.pairs)
     found = design(task, starts=1)
     assert least_distance(found, list(task.model.actuated)) >= task.limits.clearance.least - 1e-4
+    assert Outlook(found, {}).tool[0] <= 1.5
     lines = plain(design_page(Outlook(found, {}))).splitlines()[:14]
     first = " ".join(lines)
     for words in ("The tool moves at up to", "m/s",
@@ -127,9 +129,9 @@ def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
 
 def test_without_guards_the_same_arm_crashes(tmp_path: Path) -> None:
     guarded, _ = read_design(written(tmp_path))
-    bare, _ = read_design(written(tmp_path, "limits: {shapes: none, share: 1}"))
+    bare, _ = read_design(written(tmp_path, "limits: {shapes: none, floor: none, share: 1}"))
     assert bare.limits.clearance is None
-    assert bare.guards[0] == "collisions: not checked, as 'limits.shapes: none' says"
+    assert bare.guards[1] == "self-collision: not checked, as 'limits.shapes: none' says"
     x = random_start(bare, np.random.default_rng(0), 0.99)
     assert x is not None
     over = [usage.what for usage in check(replace(bare, limits=guarded.limits), x) if usage.excess > 1]
@@ -145,6 +147,70 @@ def test_closed_loops_are_neither_guessed_nor_forbidden(robot: str, tmp_path: Pa
     assert task.guards[0].startswith("floor: none guessed")
     assert task.guards[1].startswith("self-collision: not checked")
     assert all("state " in said for said in task.guards[:2])
+
+
+def test_a_stated_floor_is_kept_whatever_is_said_of_shapes(tmp_path: Path) -> None:
+    """Distances from it are those of the guard of all bodies, and the lowest body of the arm keeps above it."""
+    full, _ = read_design(written(tmp_path, "limits: {floor: 0.0}"))
+    task, _ = read_design(written(tmp_path, "limits: {floor: 0.0, shapes: none}"))
+    kept = task.limits.clearance
+    assert {body for pair in kept.pairs for body in pair} == {FLOOR, "arm", "forearm", "wrist"}
+    assert task.guards[0] == "floor: 0 m along z of the base, as stated"
+    c = np.array([[0.0, 0.0], [-0.9, 0.9], [0.0, 0.0], [0.0, 0.0]])  # 0.9 m long and 0.35 m high, it dives and rises
+    distances = {body: kept.nearest(c, (FLOOR, body)).distance for body in ("arm", "forearm", "wrist")}
+    for body, distance in distances.items():
+        assert distance == pytest.approx(full.limits.clearance.nearest(c, (FLOOR, body)).distance)
+    assert distances["wrist"][0] < 0.35 - 0.9 * np.sin(0.9) < 0.9 < distances["wrist"][1]
+
+
+def test_links_of_closed_loops_keep_off_a_stated_floor(tmp_path: Path) -> None:
+    """Of their shapes nothing is guessed but the lines between their joints."""
+    path = tmp_path / "design.yaml"
+    path.write_text((DESIGN % "limits: {floor: -1.2}").replace("arm.yaml", "delta"))
+    task, _ = read_design(path)
+    assert task.limits.clearance is not None
+    assert all(FLOOR in pair for pair in task.limits.clearance.pairs)
+    assert task.model.robot.tool in {body for pair in task.limits.clearance.pairs for body in pair}
+    assert "lines from joint to joint, as without thickness" in task.guards[0]
+    path.write_text(path.read_text().replace("-1.2", "-0.5"))
+    with pytest.raises(
+        GtauError, match=r"m above the floor at rest \(limits.floor: -0.5\), less than limits.clearance"
+    ):
+        read_design(path)
+
+
+def test_a_body_that_rests_close_to_a_stated_floor_is_not_left_out(tmp_path: Path) -> None:
+    """The guess of its thickness gives way, not the floor."""
+    robot = (ARM % "").replace("r: 0.35", "r: 0.04")
+    written(tmp_path, "limits: {floor: 0.0}")
+    (tmp_path / "arm.yaml").write_text(robot)
+    task, _ = read_design(tmp_path / "design.yaml")
+    clearance = task.limits.clearance
+    assert (FLOOR, "arm") in clearance.pairs
+    assert "'arm', 'forearm' taken thinner than guessed" in task.guards[0]
+    rest = np.array([[0.0], [0.0], [0.5], [0.0]])
+    assert clearance.nearest(rest, (FLOOR, "arm")).distance >= clearance.least
+
+
+def test_the_tool_is_no_faster_than_its_limit(tmp_path: Path) -> None:
+    """Stated, or allowed by the maker, or 1.5 m/s; kept by approaches, which begin as fast as joints may."""
+    limits = {"": 1.5, "limits: {tool_speed: 0.3}": 0.3}
+    for more, limit in limits.items():
+        task, _ = read_design(written(tmp_path, more))
+        assert task.limits.tool_speed == limit
+        assert any(said.startswith(f"tool: at most {limit:g} m/s") for said in task.guards)
+    x = np.zeros((4, 5))
+    x[1, 0] = 0.7  # lifts the arm, and does not move there
+    ((time, joints),) = sampled_motions(task, x.ravel())
+    place = task.tool[0](joints[0])
+    speed = np.linalg.norm(np.gradient(place, time, axis=1), axis=0).max()
+    assert 0.2 < speed <= 0.3
+    used = {usage.what: usage for usage in check(task, x.ravel())}["speed of the tool's frame"]
+    assert used.excess * 0.3 == pytest.approx(speed, rel=0.01)
+    assert speed_of_tool(replace(task.model.robot, name="Panda_hand"), None) == (
+        1.7,
+        "tool: at most 1.7 m/s, which the maker of 'Panda_hand' allows; state limits.tool_speed",
+    )
 
 
 def test_floors_that_make_no_sense_are_not_guessed(tmp_path: Path) -> None:

@@ -11,12 +11,14 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.excitation.clearance import FLOOR, Clearance, Nearest
 from gtau.excitation.evaluation import Grid, Point, along
+from gtau.excitation.gradients import Slopes
 from gtau.excitation.task import DesignProblem, close
 from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 APPROACH = 12  # poses between rest and the motion's beginning in which distances are kept while searching
+MARGIN = 0.97  # part of every limit that a first design may use: between instants speeds exceed it by up to 2 %
 SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # approaches; at four times the duration a sixteenth of the acceleration is left
 
 
@@ -95,6 +97,7 @@ def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[
     yield from _drives(point)
     if task.limits.workspace:
         yield from _workspace(point)
+    yield from tool_speed(point)
     if task.limits.clearance is not None:
         yield from _clearances(point, task.limits.clearance)
     if task.pullback is not None and np.isfinite(task.limits.condition):
@@ -172,6 +175,21 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
 
         values = (position[k] - middle) / half
         yield ConstraintUsage(f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
+
+
+def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
+    """Compute the usage of the limit of the tool's speed."""
+    task, motion, limit = point.task, point.motion, point.task.limits.tool_speed
+    if not np.isfinite(limit):
+        return
+
+    def rows() -> np.ndarray:
+        slopes = Slopes.by_configuration(np.zeros_like(motion.c), motion, task.model.layout)
+        by_c, by_yd = np.split(task.tool_speed[1](motion.c, motion.yd) / limit, [len(motion.c)])
+        return point.to_rows(point.to_joints(replace(slopes, c=by_c, yd=by_yd)))
+
+    values = task.tool_speed[0](motion.c, motion.yd)[0] / limit
+    yield ConstraintUsage("speed of the tool's frame", limit, "m/s", values, rows)
 
 
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
@@ -255,11 +273,16 @@ def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
 
 
 def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray, runs: tuple[int, ...]) -> float:
-    """Compute the duration, s, of an approach: slower where its torques ask for that and it helps."""
+    """Compute the duration, s, of an approach: slower for the tool's speed, and where its torques ask and it helps."""
     span = approach_duration(start - home, task.limits.velocity, task.limits.acceleration, task.limits.jerk)
+
+    def lasting(duration: float) -> Point:
+        joints = np.stack(quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH)))
+        return along(task, joints, duration, runs)
+
+    span *= max((usage.excess / MARGIN for usage in tool_speed(lasting(span)) if usage.excess > MARGIN), default=1.0)
     for slower in SLOWER:
         duration = slower * span
-        joints = np.stack(quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH)))
-        if all(usage.excess <= 1 for usage in _drives(along(task, joints, duration, runs))):
+        if all(usage.excess <= 1 for usage in _drives(lasting(duration))):
             return duration
     return span

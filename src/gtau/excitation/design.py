@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.excitation.constraints import ConstraintUsage, constraint_usages, whole_run
+from gtau.excitation.constraints import MARGIN, ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.evaluation import along, design_grid, evaluate
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem
@@ -20,7 +20,6 @@ from gtau.progress import Progress, silent
 START = 0.6  # part of the limits that a start uses, so that it is feasible
 FINER = 10
 STAGE = "searching"
-MARGIN = 0.97  # part of every limit that a first design may use: between instants speeds exceed it by up to 2 %
 TIGHTER = 3.0  # by which a limit is tightened at most between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion

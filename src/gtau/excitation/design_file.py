@@ -16,7 +16,7 @@ from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
-from gtau.excitation.guards import Guarded, guard
+from gtau.excitation.guards import Guarded, guard, speed_of_tool
 from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
@@ -83,6 +83,7 @@ class LimitsEntry(Keys):
     clearance: Positive = 0.02
     shapes: dict[str, tuple[ShapeEntry, ...]] | Literal["none"] = Field(default_factory=dict)
     floor: FiniteFloat | Literal["none"] | None = None
+    tool_speed: Positive | None = None
     share: Annotated[FiniteFloat, Field(gt=0, le=1)] = SHARE
 
     @field_validator("position", "workspace")
@@ -163,7 +164,9 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     begin = ", ".join(f"'{name}' {pose:.4g} {robot.joint(name).unit}" for name, pose in poses_of)
     where = (f"rest: runs begin and end at {begin}; state rest",) if file.approach else ()
     said = (*said, *_torques(model, file, prior, assumed), *where)
-    limits = replace(limits, guarded=Guarded(guarded.clearance, (*guarded.said, *said)))
+    fastest, of_tool = speed_of_tool(robot, file.limits.tool_speed)
+    guarded = Guarded(guarded.clearance, (*guarded.said, of_tool, *said))
+    limits = replace(limits, guarded=guarded, tool_speed=fastest)
     for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
         if file.approach and not low <= pose <= high:
             raise GtauError(

@@ -12,7 +12,7 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.factors import MODEL, SIGNALS, modelled, reduce_run, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.excitation.constraints import ConstraintUsage, whole_run
+from gtau.excitation.constraints import ConstraintUsage, tool_speed, whole_run
 from gtau.excitation.design import Design, check
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, along, design_grid, evaluate, information
 from gtau.excitation.information import root_covariance
@@ -195,7 +195,8 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
             alone = along(task, joints, period / samples, every)
         except GtauError:  # not reachable
             alone = None
-        if alone is not None and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
+        within = alone is not None and all(usage.excess <= 1 for usage in tool_speed(alone))
+        if alone is not None and within and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
             # as long as a run: the rows of one cycle count for all of its cycles
             return information([alone]) * np.sqrt(task.series.period / period)
         span /= 2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +25,7 @@ from gtau.excitation.clearance import (
 )
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
+from gtau.robots.geometry import places_on
 from gtau.robots.readers.links import urdf_shapes
 from gtau.robots.robot import GROUND, Joint, Robot
 
@@ -34,6 +35,8 @@ ROOM = 1.1  # of the clearance that the resting arm keeps from a floor below the
 STATES = 64  # random poses, which show whether a distance can change
 SAME = 1e-9  # m
 STATE = "limits.shapes"
+TOOL_SPEED = 1.5  # m/s, to which Universal Robots sets new arms; a first motion took a UR5's tool to 3.8 m/s
+MAKERS = {"panda": 1.7, "gen3": 0.5, "xarm": 1.0}  # m/s that Franka, Kinova and Ufactory allow, by a robot's name
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,35 +57,51 @@ def guard(
 ) -> Guarded:
     """Guard bodies against each other and a floor, by ``stated`` shapes, those of the robot's file, or guessed ones.
 
-    ``rest`` (n_c, 1) is where runs begin, ``least`` the clearance in m, ``file`` the robot's. No body is checked where
-    ``stated`` is None, and no floor where ``floor`` is "none"; its height, m, is guessed where it is None.
+    ``rest`` (n_c, 1) is where runs begin, ``least`` the clearance in m, ``file`` the robot's. Bodies are not kept apart
+    where ``stated`` is None, but off the floor they are, unless ``floor`` is "none"; its height, m, is guessed where it
+    is None.
     """
-    if stated is None:
-        return Guarded(None, (f"collisions: not checked, as '{STATE}: none' says",))
+    alone, stated = stated is None, stated or {}
     guesses, how = _guesses(model.robot, stated, file)
+    how = f"self-collision: not checked, as '{STATE}: none' says" if alone else how
     shapes: dict[str, Sequence[Shape]] = {**guesses, **stated}
     height, words = _floor(model, shapes, rest, least, floor)
+    if isinstance(floor, float):
+        shapes, thin = _above(model, shapes, stated, rest, least, floor)
+        words += thin
     kept_apart = clearance(model.layout, least, shapes if height is None else {**shapes, FLOOR: [Floor(height)]})
     certain = {*stated, *([FLOOR] if isinstance(floor, float) else [])}
-    pairs, overlapping = [], []
-    moving = random_motion(model, STATES, np.random.default_rng(0)).c if guesses else rest
+    pairs, overlapping = list[tuple[str, str]](), list[tuple[str, str]]()
+    moving = random_motion(model, STATES, np.random.default_rng(0)).c if guesses or certain else rest
     for pair in kept_apart.pairs:
+        if FLOOR not in pair and (alone or not {*pair} <= {GROUND, *guesses, *stated}):
+            continue
         distance = float(kept_apart.nearest(rest, pair).distance[0])
         if distance < least and certain.issuperset(pair):
             raise GtauError(
                 f"{_of(pair)} are {distance:.3g} m apart at rest, less than limits.clearance of {least:g} m; give them "
                 f"smaller shapes ({STATE}), or another 'rest'."
             )
-        if distance < least:
-            overlapping.append(_of(pair))
-        elif certain.issuperset(pair) or np.ptp(kept_apart.nearest(moving, pair).distance) > SAME:
-            pairs.append(pair)
+        if certain.issuperset(pair) or np.ptp(kept_apart.nearest(moving, pair).distance) > SAME:
+            (overlapping if distance < least else pairs).append(pair)
     said = [words, how]
     if overlapping:
-        said.append(f"not checked, as guessed shapes overlap at rest: {'; '.join(overlapping)}; state {STATE}")
+        named = "; ".join(map(_of, overlapping))
+        said.append(f"not checked, as guessed shapes overlap at rest: {named}; state {STATE}")
     if model.robot.tool not in stated and pairs:
         said.append(f"tool, payload and cables have no shape; add them to '{model.robot.tool}' under {STATE}")
     return Guarded(replace(kept_apart, pairs=tuple(pairs)) if pairs else None, tuple(said))
+
+
+def speed_of_tool(robot: Robot, stated: float | None) -> tuple[float, str]:
+    """Choose the greatest speed of the tool's frame, m/s, and say what was chosen."""
+    if stated is not None:
+        return stated, f"tool: at most {stated:g} m/s, as stated"
+    name = robot.name.lower()
+    allowed = next((speed for start, speed in MAKERS.items() if name.startswith(start)), None)
+    why = "which suits arms beside people" if allowed is None else f"which the maker of '{robot.name}' allows"
+    fastest = allowed or TOOL_SPEED
+    return fastest, f"tool: at most {fastest:g} m/s, {why}; state limits.tool_speed"
 
 
 def _of(pair: tuple[str, str]) -> str:
@@ -172,3 +191,35 @@ def _floor(
     plane = "" if down else ", the plane of its mounting: where the real floor is is unknown"
     lower = " (the resting arm is closer to z = 0 than the clearance)" if height < 0 else ""
     return height, f"floor: guessed at z = {height:.3g} m of the base{plane}{lower}; {state}"
+
+
+def _above(
+    model: InverseDynamics,
+    shapes: Mapping[str, Sequence[Shape]],
+    stated: Collection[str],
+    rest: np.ndarray,
+    least: float,
+    height: float,
+) -> tuple[dict[str, Sequence[Shape]], str]:
+    """Give bodies without a shape lines to keep off a stated floor, and make guesses that rest in it thinner."""
+    bare = {body: places_on(model.robot, body) or [np.zeros(3)] for body in model.robot.bodies if body not in shapes}
+    shapes = {**shapes, **{body: [capsule(np.zeros(3), end, 0.0) for end in ends] for body, ends in bare.items()}}
+    probe = clearance(model.layout, least, {**shapes, FLOOR: [Floor(height)]})
+    moving, thin = random_motion(model, STATES, np.random.default_rng(0)).c, []
+    for pair in (pair for pair in probe.pairs if FLOOR in pair and not {*pair} & {*stated}):
+        distance = float(probe.nearest(rest, pair).distance[0])
+        if distance >= least or np.ptp(probe.nearest(moving, pair).distance) <= SAME:
+            continue
+        body, lack = pair[1], ROOM * least - distance
+        capsules = [shape for shape in shapes[body] if isinstance(shape, Capsule)]  # as all guesses are
+        shapes[body] = [replace(shape, radius=max(shape.radius - lack, 0.0)) for shape in capsules]
+        thinner = clearance(model.layout, least, {body: shapes[body], FLOOR: [Floor(height)]})
+        if (distance := float(thinner.nearest(rest, pair).distance[0])) < least:
+            raise GtauError(
+                f"the line from joint to joint of '{body}' is {distance:.3g} m above the floor at rest (limits.floor: "
+                f"{height:g}), less than limits.clearance of {least:g} m; correct floor or 'rest', or state {STATE}."
+            )
+        thin.append(f"'{body}'")
+    quoted = some_of([f"'{body}'" for body in bare], 3)
+    said = f"; kept from lines from joint to joint, as without thickness, of {quoted}" if bare else ""
+    return shapes, said + (f"; {some_of(thin, 3)} taken thinner than guessed, to rest above it" if thin else "")

@@ -19,13 +19,14 @@ from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import frames
+from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loops import Motion, advance, differentiate
 from gtau.signals.preparation.filters import Decimator, decimation_factor
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.statements import Payload
 
 SPEED_FRACTION = Preparation.speed_fraction
+STILL = 1e-6  # m/s, below which a speed has no direction
 SMOOTH = 0.02  # width of passive joints' Coulomb friction in a design, of their speed
 
 
@@ -34,9 +35,9 @@ class MotionLimits:
     """Limits of the actuated joints, (n,) each with inf where there is none, and of the motion as a whole.
 
     ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A, ``torque`` in N m
-    or N, one of them for a joint; ``workspace`` maps x, y, z of the tool's frame to an interval in m; ``condition`` is
-    the largest condition number of the closures; ``away`` the least share of each joint's samples away from its
-    reversals; ``guarded`` keeps bodies apart.
+    or N, one of them for a joint; ``workspace`` maps x, y, z of the tool's frame to an interval in m, ``tool_speed`` is
+    that frame's in m/s; ``condition`` is the largest condition number of the closures; ``away`` the least share of each
+    joint's samples away from its reversals; ``guarded`` keeps bodies apart.
     """
 
     position: np.ndarray
@@ -49,6 +50,7 @@ class MotionLimits:
     away: float
     guarded: Guarded = field(default_factory=lambda: Guarded(None, ()))
     torque: np.ndarray = field(default_factory=lambda: np.full(1, np.inf))
+    tool_speed: float = np.inf
 
     @property
     def clearance(self) -> Clearance | None:
@@ -175,6 +177,17 @@ class DesignProblem:
         position = frames(self.model.layout, c)[self.model.robot.tool].p_0
         back = ca.gradient(ca.dot(weights, position), c)
         return compile_program([c], [position]), compile_program([c, weights], [back])
+
+    @cached_property
+    def tool_speed(self) -> tuple[Program, Program]:
+        """Speed of the tool's frame in the base by c and yd, and its slopes by c and yd, one below the other."""
+        layout = self.model.layout
+        c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
+        position = frames(layout, c)[self.model.robot.tool].p_0
+        velocity = ca.jtimes(position, c, configuration_rates(layout, c, yd))
+        speed = ca.sqrt(ca.sumsqr(velocity) + STILL**2)
+        slopes = ca.densify(ca.gradient(speed, ca.vertcat(c, yd)))
+        return compile_program([c, yd], [ca.densify(speed)]), compile_program([c, yd], [slopes])
 
     def with_payload_mass(self, mass: float) -> DesignProblem:
         """Return the same task with a different ``mass``, kg, of all known payloads."""
