@@ -27,6 +27,7 @@ from gtau.model.home import load_robot
 from gtau.report.design import design_document, design_page
 from gtau.report.page import Table
 from gtau.report.render.terminal import plain
+from gtau.robots.readers.read import CATALOG
 from gtau.signals.reading.logs import read_log
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -203,6 +204,30 @@ def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
     with pytest.raises(GtauError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
         design(task, starts=1)
     assert "no motion within the limits was found" in str(refusal.value)
+
+
+@pytest.mark.parametrize(("below", "above", "seed"), [(1.5, 1.5, 2), (0.3, 2.2, 0)])
+def test_loops_that_cannot_be_closed_on_the_way_are_left_to_the_search(
+    tmp_path: Path, below: float, above: float, seed: int
+) -> None:
+    """Wide limits hold singular poses: on the way from rest to a motion, or in the middle of the limits."""
+    robot = (CATALOG / "3-rrr.yaml").read_text()
+    (tmp_path / "wide.yaml").write_text(
+        robot.replace("beta - 0.25", f"beta - {below}").replace("beta + 0.25", f"beta + {above}")
+    )
+    runs = "runs: [{payload: none}, {payload: {name: disc, mass: 1}}]"
+    task, _ = read_design(write(tmp_path, f"robot: wide.yaml\nrate: 100\nperiod: 3\nharmonics: 2\n{runs}\n"))
+    found = design(task, starts=1, seed=seed)
+    assert max(usage.excess for usage in check(task, found.x)) <= 1.0
+    ((_, joints),) = sampled_motions(task, found.x)  # at the controller's rate
+    assert np.isfinite(task.model.motion(*joints[:3]).c).all()
+
+
+def test_a_pose_at_rest_that_closes_no_loop_is_refused_in_the_words_of_a_design(tmp_path: Path) -> None:
+    limits = "limits: {position: {'11': [3, 9]}}\nrest: {'11': 8}\n"
+    runs = "runs: [{payload: none}, {payload: {name: disc, mass: 1}}]"
+    with pytest.raises(GtauError, match="loops cannot be closed where runs begin.*give positions that .*'rest'"):
+        read_design(write(tmp_path, f"robot: 3-rrr\nrate: 100\n{limits}{runs}\n"))
 
 
 @pytest.mark.slow

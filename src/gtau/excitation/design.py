@@ -20,6 +20,8 @@ from gtau.progress import Progress, silent
 START = 0.6  # part of the limits that a start uses, so that it is feasible
 FINER = 10
 STAGE = "searching"
+CLOSER = 0.8  # by which the limits that keep loops closed are tightened where loops cannot be closed
+REACH = ("position", "condition")
 TIGHTER = 3.0  # by which a limit is tightened at most between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion
@@ -147,8 +149,9 @@ def design(
             "start from another pose ('rest')."
         )
     raise GtauError(
-        f"robot '{robot}': the loops cannot be closed around the middle of the position limits or of the workspace; "
-        "narrow them to what the robot can reach."
+        f"robot '{robot}': the loops cannot be closed along any motion that was tried, from rest to the middle of the "
+        "position limits or of the workspace and about it; narrow them to what the robot can reach, lower "
+        "limits.condition, or start from another pose ('rest')."
     )
 
 
@@ -165,7 +168,9 @@ def _from_one(
     if x is None:
         return None
     tightness = {usage.what: MARGIN for usage in Programme(task, criterion, {}).constraint_usages(x)}
-    kept, worst = None, None
+    if not tightness:  # not reachable from home
+        return None
+    begin, kept, worst = x, None, None
     if (guess := _feasible(task, criterion, x, start)) is not None:
         keep(guess)  # the motion that an early interruption leaves
     for number in range(ROUNDS):
@@ -181,7 +186,10 @@ def _from_one(
             if (within := next(filter(None, smaller), None)) is not None:
                 keep(within)
             break
-        usages = check(task, x)
+        if (usages := _usages(task, x)) is None:
+            tightness = tightness | {what: CLOSER * part for what, part in tightness.items() if what.startswith(REACH)}
+            x = begin
+            continue
         if exceeded := {usage.what: usage.excess for usage in usages if usage.excess > 1.0}:
             worst = _most_exceeded(usages, -np.inf)
             tighter = {what: 0.98 * tightness[what] / min(excess, TIGHTER) for what, excess in exceeded.items()}
@@ -218,13 +226,18 @@ def _most_exceeded(usages: Iterable[ConstraintUsage], least: float) -> Constrain
 
 def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
     """Return the design of x if it is within all limits, also between the design grid's instants, else None."""
-    try:
-        usages = check(task, x)
-    except GtauError:  # not reachable
-        return None
-    if any(usage.excess > 1.0 for usage in usages):
+    usages = _usages(task, x)
+    if usages is None or any(usage.excess > 1.0 for usage in usages):
         return None
     return Design(task, criterion, x, float(np.exp(Programme(task, criterion, {}).value(x)[0])), usages, start)
+
+
+def _usages(task: DesignProblem, x: np.ndarray) -> tuple[ConstraintUsage, ...] | None:
+    """Check x; None where the loops cannot be closed on the way from rest, or between the design grid's instants."""
+    try:
+        return check(task, x)
+    except GtauError:
+        return None
 
 
 def require_rest(task: DesignProblem) -> None:

@@ -158,7 +158,13 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     limits, shapes = _limits(file.limits, robot), file.limits.shapes
     stated = None if shapes == "none" else {body: [entry.shape for entry in shapes[body]] for body in shapes}
     still = np.zeros((len(rest), 1))
-    poses = model.motion(rest[:, None], still, still).c
+    try:
+        poses = model.motion(rest[:, None], still, still).c
+    except GtauError:
+        raise GtauError(
+            f"robot '{robot.name}': the loops cannot be closed where runs begin, or only beyond a singular pose; give "
+            "positions that the robot can reach from home under 'rest'."
+        ) from None
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
     poses_of = zip(robot.actuated, rest, strict=True)
     begin = ", ".join(f"'{name}' {pose:.4g} {robot.joint(name).unit}" for name, pose in poses_of)

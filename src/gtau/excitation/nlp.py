@@ -201,13 +201,17 @@ def promising_start(
     task: DesignProblem, criterion: str, rng: np.random.Generator, part: float, stop: Callable[[], bool] = lambda: False
 ) -> np.ndarray | None:
     """Choose the best of random x that use a ``part`` of the limits; None if none is reachable."""
-    programme, drawn = Programme(task, criterion, {}), list[np.ndarray]()
+    values, drawn = list[float](), list[np.ndarray]()
     for _ in range(DRAWS):
         if drawn and stop():
             break
         if (x := random_start(task, rng, part)) is not None:
-            drawn.append(x)
-    return min(drawn, key=lambda x: programme.value(x)[0], default=None)
+            # from home, not from where another motion closes the loops
+            value = Programme(task, criterion, {}).value(x)[0]
+            if np.isfinite(value):
+                values.append(value)
+                drawn.append(x)
+    return drawn[int(np.argmin(values))] if drawn else None
 
 
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
@@ -225,10 +229,21 @@ def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> 
 
 
 def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:
-    """Draw the x at rest (series.size,) in the pose with the most room, zero where no bodies are kept apart."""
+    """Draw the x at rest (series.size,) in the pose with the most room, zero where no bodies are kept apart.
+
+    Where the loops cannot be closed on the way there from where runs begin, it is that pose.
+    """
     series, clearance = task.series, task.limits.clearance
     resting = np.zeros_like(x)
-    if clearance is None or task.series.of_platform:
+    if task.series.of_platform:
+        return resting
+    if task.rest is not None and task.pullback is not None:
+        q = task.rest[:, None] + np.outer(series.center - task.rest, WAY)
+        try:
+            close(task.model, np.stack([q, 0 * q, 0 * q]))
+        except GtauError:
+            resting.reshape(-1, series.free)[:, 0] = (task.rest - series.center) / series.half
+    if clearance is None:
         return resting
     centers = rng.uniform(-SPREAD, SPREAD, (len(series.center), CENTERS))
     poses = series.center[:, None] + series.half[:, None] * centers
