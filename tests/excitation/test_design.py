@@ -226,7 +226,7 @@ def test_loops_that_cannot_be_closed_on_the_way_are_left_to_the_search(
 def test_a_pose_at_rest_that_closes_no_loop_is_refused_in_the_words_of_a_design(tmp_path: Path) -> None:
     limits = "limits: {position: {'11': [3, 9]}}\nrest: {'11': 8}\n"
     runs = "runs: [{payload: none}, {payload: {name: disc, mass: 1}}]"
-    with pytest.raises(GtauError, match="loops cannot be closed where runs begin.*give positions that .*'rest'"):
+    with pytest.raises(GtauError, match=r"loops cannot be closed where runs begin.*give positions that .*'rest'"):
         read_design(write(tmp_path, f"robot: 3-rrr\nrate: 100\n{limits}{runs}\n"))
 
 

@@ -40,12 +40,12 @@ from gtau.campaigns.folder import (
     void,
     write_json,
 )
-from gtau.campaigns.rehearsal import rehearse, write_motion
+from gtau.campaigns.rehearsal import Rehearsal, rehearse, write_motion
 from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
-from gtau.excitation.design import design, never
+from gtau.excitation.design import Design, check, design, never, redesign
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.excitation.prior import DesignPrior
 from gtau.excitation.task import DesignProblem
@@ -163,8 +163,8 @@ def campaign(
         raise GtauError(f"{folder / DESIGN}: {refusal}") from None
     with searching() as stop:
         designed = design(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
-    rehearsal = rehearse(designed, file, None, progress)
-    write_motion(folder_of(place), file, designed, rehearsal, {"purpose": "first", "after": "", "warm_up": False})
+    rehearsal = rehearsed(designed, file, None, progress)
+    write_motion(folder_of(place), file, *rehearsal, {"purpose": "first", "after": "", "warm_up": False})
     return _to_play(folder, settings.accuracy, read_rounds(folder))
 
 
@@ -260,8 +260,12 @@ def _decided(
         return decision
     model = last.folder / MODEL_FILE
     task = next_task(file, result, model)
-    with searching() as stop:
-        designed = design(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
+    try:
+        with searching() as stop:
+            designed = design(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
+    except GtauError as refusal:
+        designed, note = played_again(task, used, refusal, progress)
+        decision = replace(decision, notes=(*decision.notes, note))
     if decision.kind != CONFIRM:
         offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
 
@@ -276,8 +280,50 @@ def _decided(
         warm_up = warming(result, last)
         decision = replace(decision, notes=(*decision.notes, *filter(None, (warm_up,))))
         purpose = {"purpose": decision.kind, "after": last.folder.name, "warm_up": bool(warm_up)}
-        write_motion(folder_of(place), file, designed, rehearse(designed, file, trusted, progress), purpose)
+        write_motion(folder_of(place), file, *rehearsed(designed, file, trusted, progress), purpose)
     return decision
+
+
+def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, progress: Progress) -> tuple[Design, str]:
+    """Improve a motion that was played, where the search from random motions found none; raises its ``refusal`` else.
+
+    What drives did they can do again: its torques are within the limits, whatever is identified, and of gains their
+    values count, not the worst ends of their intervals.
+    """
+    known = tuple(replace(gain, interval=(gain.value, gain.value)) for gain in task.prior.known)
+    for round_ in reversed(used):
+        x = np.array(round_.motion.get("series", {}).get("x", ()))
+        if round_.played is None or x.size != task.size:
+            continue
+        series = round_.motion["series"]
+        slowed = replace(task.series, base_frequency=round_.played.speed / series["period"])
+        again = replace(task, series=slowed, repetitions=series["repetitions"], prior=replace(task.prior, known=known))
+        try:
+            usages = check(again, x)
+        except GtauError:  # of other lengths by now
+            continue
+        used_up = [
+            max((usage.excess for usage in usages if usage.what.startswith(f"torque of joint '{joint}'")), default=0.0)
+            for joint in task.model.actuated
+        ]
+        torque = task.limits.torque * np.maximum(np.multiply(used_up, 1 + 1e-9), 1.0)
+        if improved := redesign(replace(again, limits=replace(task.limits, torque=torque)), x, progress):
+            return improved, f"the next motion is that of round {round_.folder.name} with other parts, as {refusal}"
+    raise refusal
+
+
+def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: Progress) -> tuple[Design, Rehearsal]:
+    """Rehearse a motion, or where that is refused a slower one."""
+    refusals: list[GtauError] = []
+    for candidate in candidates(designed):
+        try:
+            if candidate.at_hand:
+                rehearsal = rehearse(candidate.design, file, model, progress)
+                slowed = (f"rehearsal: {candidate.label}, as otherwise {refusals[0]}",) if refusals else ()
+                return candidate.design, replace(rehearsal, notes=(*rehearsal.notes, *slowed))
+        except GtauError as refusal:
+            refusals.append(refusal)
+    raise refusals[0]
 
 
 def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:

@@ -172,6 +172,7 @@ def write_motion(
             for name, load in zip(names, loads, strict=True)
         ],
         "guards": [*task.guards, *rehearsal.notes],
+        "series": {"period": task.series.period, "repetitions": task.repetitions, "x": design.x.tolist()},
         "rehearsal": asdict(rehearsal),
         **decided,
     }

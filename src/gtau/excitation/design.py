@@ -155,6 +155,17 @@ def design(
     )
 
 
+@single_threaded_blas()
+def redesign(task: DesignProblem, x: np.ndarray, progress: Progress = silent) -> Design | None:
+    """Improve a motion ``x``, or one like it but smaller; None where none of them is within the limits."""
+    kept: list[Design] = []
+    begin = next(filter(None, (_feasible(task, "gains", part * x, 0) for part in SMALLER)), None)
+    if begin is not None:
+        total = ROUNDS * ITERATIONS
+        _from_one(task, "gains", begin.x, 0, kept.append, never, lambda done: progress(STAGE, done, total))
+    return min(kept, key=lambda design: design.value, default=None)
+
+
 def _from_one(
     task: DesignProblem,
     criterion: str,
