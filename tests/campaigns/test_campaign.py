@@ -25,23 +25,28 @@ from gtau.campaigns.candidates import candidates
 from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on, warming, write_experiment
 from gtau.campaigns.folder import Played, Round, read_design_file, read_rounds, read_settings, void, write_json
+from gtau.campaigns.next_motion import played_again
 from gtau.campaigns.page import campaign_page
 from gtau.campaigns.rehearsal import Rehearsal, write_motion
 from gtau.cli.commands import app
+from gtau.documents.files import write_table
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
 from gtau.estimation.diagnostics.hypotheses.drives import FRICTION_DRIFT
 from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
-from gtau.excitation.design import Design
+from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import make_task, read_design
-from gtau.excitation.nlp import random_start
+from gtau.excitation.forecast import sampled_motions
+from gtau.excitation.nlp import Programme, random_start
+from gtau.excitation.prior import KnownGain
 from gtau.excitation.task import DesignProblem
 from gtau.findings import Finding, Outcome
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
+from gtau.report.design import trajectory_table
 from gtau.report.render.terminal import plain
 from gtau.robots.readers.native_text import write_native
 
@@ -51,6 +56,14 @@ rate: 100
 period: 3
 harmonics: 3
 runs: [{payload: none}, {payload: {name: payload, mass: 1.0}}, {payload: {name: payload, mass: 1.0}}, {payload: none}]
+"""
+
+LEVEL = """robot: level
+joints:
+  arm: {antecedent: ground, alpha: pi/2, r: 0.9, theta: q,
+        limits: {position: [-1, 1], velocity: 2, effort: 60}}
+  forearm: {antecedent: arm, d: 0.5, theta: q, limits: {position: [-1, 1], velocity: 3, effort: 30}}
+  hand: {antecedent: forearm, d: 0.3, theta: q, limits: {position: [-1, 1], velocity: 3, effort: 10}}
 """
 
 
@@ -481,6 +494,80 @@ def test_parameters_that_are_those_of_no_robot_are_not_rehearsed(copied: Path, m
     assert tried == [model, None]
     with pytest.raises(GtauError, match="cannot be continued"):
         rehearsal.rehearse(design, file, None, silent)
+
+
+def test_a_motion_that_the_rehearsal_refuses_is_played_slower(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from gtau.campaigns import campaign as module
+
+    task, _ = read_design(copied / "design.yaml")
+    x = random_start(task, np.random.default_rng(0), 0.5)
+    designed, asked = Design(task, "gains", x, 1.0, (), 0), []
+
+    def rehearse(design: Design, *_: object) -> Rehearsal:
+        asked.append(design.task.series.base_frequency * 3)
+        if asked[-1] > slowest:
+            raise GtauError("'left' strays")
+        return Rehearsal(0.9, "limit", 1.0, {}, {}, ("of contacts",))
+
+    monkeypatch.setattr(module, "rehearse", rehearse)
+    slowest = 0.6
+    slowed, done = module.rehearsed(designed, read_design_file(copied), None, silent)
+    assert slowed.task.series.base_frequency == pytest.approx(0.5 / 3)
+    assert done.notes == ("of contacts", "rehearsal: at 50 % of the speed, as otherwise 'left' strays")
+    slowest = 0.0
+    with pytest.raises(GtauError, match="'left' strays"):
+        module.rehearsed(designed, read_design_file(copied), None, silent)
+
+
+def test_a_motion_that_was_played_is_always_there(tmp_path: Path) -> None:
+    """A robot found too heavy for its limits of torque, with uncertain gains, goes on from what it has done."""
+    (tmp_path / "arm.yaml").write_text(LEVEL)
+    (tmp_path / "design.yaml").write_text(DESIGN.replace("five-bar", "arm.yaml") + "limits: {tool_speed: 9}\n")
+    task, _ = read_design(tmp_path / "design.yaml")
+    x = random_start(task, np.random.default_rng(0), 0.9)
+    assert x is not None
+    prior = task.prior
+    known = tuple(KnownGain(gain.value, (0.4, 1.6), "weak") for gain in prior.known)
+    heavy = replace(task, prior=replace(prior, known=known, chi=4 * prior.chi, cautious=4 * prior.cautious))
+    assert max(usage.excess for usage in check(heavy, x)) > 1.5  # and so do all others
+    refusal = GtauError("no motion within the limits was found")
+    ((time_of, joints),) = sampled_motions(task, x)
+    (tmp_path / "01").mkdir()
+    write_table(trajectory_table(task, time_of, joints), tmp_path / "01" / "motion.csv")
+    motion = {"series": {"period": 3.0, "repetitions": 1, "x": x.tolist()}}
+    played = Round(tmp_path / "01", motion, Played(schema="", hash="", speed=0.5, end="completed"), "")
+    done, note = played_again(heavy, [played], refusal, silent)
+    assert note.startswith("the next motion is that of round 01 with other parts, as no motion within")
+    assert done.task.series.period == 6.0  # it was played at half the speed
+    assert max(usage.excess for usage in check(done.task, done.x)) <= 1.0
+
+    # no torque is beyond the limit and beyond what was played, which is less at half the speed
+    slow = replace(task, series=done.task.series, prior=replace(prior, cautious=heavy.prior.cautious))
+    regressor, most = slow.model.columns(slow.base.standard), []
+    for q, qd, qdd in ((joints[0], joints[1] / 2, joints[2] / 4), sampled_motions(done.task, done.x)[0][1][:3]):
+        motion = slow.model.motion(q, qd, qdd)
+        loads = (regressor.torques_along(slow.model.layout, motion, load) for load in slow.information.cautious)
+        most.append(np.max([np.abs(load).max(axis=1) for load in loads], axis=0))
+    assert np.all(most[1] <= 1.002 * np.maximum(most[0], task.limits.torque))
+    assert np.any(most[0] > task.limits.torque)
+    assert done.value < np.exp(Programme(done.task, "gains", {}).value(x)[0])  # of other parts, which tell more
+    with pytest.raises(GtauError, match="no motion within"):
+        played_again(heavy, [replace(played, motion={})], refusal, silent)  # of an earlier version
+
+
+@pytest.mark.slow
+def test_a_second_round_without_a_motion_goes_on_from_the_first(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuses(*_: object, **__: object) -> Design:
+        raise GtauError("no motion within the limits was found")
+
+    assert play(copied / "01").returncode == 0
+    monkeypatch.setattr("gtau.campaigns.campaign.design", refuses)
+    state = campaign(copied)
+    assert state.next == "play"
+    assert any(
+        note.startswith("the next motion is that of round 01 with other parts") for note in state.decision["notes"]
+    )
+    assert play(copied / "02").returncode == 0
 
 
 def campaigned(folder: Path, accuracy: float) -> Iterator[CampaignState]:

@@ -40,18 +40,14 @@ from gtau.campaigns.folder import (
     void,
     write_json,
 )
+from gtau.campaigns.next_motion import next_task, played_again
 from gtau.campaigns.rehearsal import Rehearsal, rehearse, write_motion
 from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
-from gtau.excitation.design import Design, check, design, never, redesign
+from gtau.excitation.design import Design, design, never
 from gtau.excitation.design_file import DesignFile, make_task
-from gtau.excitation.prior import DesignPrior
-from gtau.excitation.task import DesignProblem
 from gtau.progress import Progress, silent
-from gtau.robots.parameter import Parameter
-from gtau.robots.robot import INERTIAL
 
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
@@ -284,34 +280,6 @@ def _decided(
     return decision
 
 
-def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, progress: Progress) -> tuple[Design, str]:
-    """Improve a motion that was played, where the search from random motions found none; raises its ``refusal`` else.
-
-    What drives did they can do again: its torques are within the limits, whatever is identified, and of gains their
-    values count, not the worst ends of their intervals.
-    """
-    known = tuple(replace(gain, interval=(gain.value, gain.value)) for gain in task.prior.known)
-    for round_ in reversed(used):
-        x = np.array(round_.motion.get("series", {}).get("x", ()))
-        if round_.played is None or x.size != task.size:
-            continue
-        series = round_.motion["series"]
-        slowed = replace(task.series, base_frequency=round_.played.speed / series["period"])
-        again = replace(task, series=slowed, repetitions=series["repetitions"], prior=replace(task.prior, known=known))
-        try:
-            usages = check(again, x)
-        except GtauError:  # of other lengths by now
-            continue
-        used_up = [
-            max((usage.excess for usage in usages if usage.what.startswith(f"torque of joint '{joint}'")), default=0.0)
-            for joint in task.model.actuated
-        ]
-        torque = task.limits.torque * np.maximum(np.multiply(used_up, 1 + 1e-9), 1.0)
-        if improved := redesign(replace(again, limits=replace(task.limits, torque=torque)), x, progress):
-            return improved, f"the next motion is that of round {round_.folder.name} with other parts, as {refusal}"
-    raise refusal
-
-
 def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: Progress) -> tuple[Design, Rehearsal]:
     """Rehearse a motion, or where that is refused a slower one."""
     refusals: list[GtauError] = []
@@ -324,29 +292,3 @@ def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: 
         except GtauError as refusal:
             refusals.append(refusal)
     raise refusals[0]
-
-
-def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
-    """Make the task of the next motion, on top of what is known, or that of the file where no gain can be trusted."""
-    try:
-        task, _ = make_task(file.model_copy(update={"prior": DesignPrior(model=model)}))
-    except GtauError:  # a gain that may be zero, or is not identifiable
-        return make_task(file)[0]
-    return replace(task, prior=replace(task.prior, covariance=_told(result)))
-
-
-def _told(result: Result) -> tuple[tuple[Parameter, ...], np.ndarray]:
-    """Covariance of what later rounds share with a result, with the random part of the gains alone."""
-    bodies = result.robot.bodies  # a payload may be mounted otherwise in each round, and friction drifts
-    kept = [
-        k
-        for k, name in enumerate(result.covariance_names)
-        if name.kind == "gain" or (name.kind in INERTIAL and name.body in bodies)
-    ]
-    names = tuple(result.covariance_names[k] for k in kept)
-    part = np.ones(len(kept))
-    for k, name in enumerate(names):
-        gain = result.drive_gains.get(name.body) if name.kind == "gain" else None
-        if gain is not None and gain.std and gain.random_std:
-            part[k] = gain.random_std / gain.std
-    return names, result.covariance[np.ix_(kept, kept)] * np.outer(part, part)
