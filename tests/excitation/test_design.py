@@ -127,6 +127,17 @@ def test_forecasts_hold_for_three_motors_and_six_axes(robot: str, rng: np.random
     assert gains.std(axis=0, ddof=1) / expected == pytest.approx(1.0, abs=0.2)
 
 
+def test_a_mass_known_to_ten_per_cent_gives_gains_known_to_ten_per_cent(tmp_path: Path) -> None:
+    """As all gains scale with the mass of one payload."""
+    expected = {}
+    for std in (0.0, 0.1):
+        task, _ = read_design(write(tmp_path, DESIGN.replace("mass: 1.0", f"mass: 1.0, mass_std: {std}")))
+        x = random_start(task, np.random.default_rng(0), 0.9)
+        assert x is not None
+        expected[std] = np.array([gain.relative for gain in forecast(task, x).gains])
+    assert expected[0.1] == pytest.approx(np.hypot(expected[0.0], 10.0), rel=1e-3)
+
+
 def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path) -> None:
     task, assumed = read_design(write(tmp_path, DESIGN.replace("gains: {left: 1.5, right: 1.5}", "noise: {left: 9}")))
     assert set(assumed) == {"parameters", "gains", "noise"}

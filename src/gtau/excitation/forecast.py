@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,6 +22,7 @@ from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import prepare
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
 
@@ -76,19 +77,24 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     """Predict the standard deviations that identification will reach with the motion ``x``.
 
     The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
-    maximum likelihood for white noise of the prior's ``sigma``. Model errors and coloured noise are not included.
+    maximum likelihood for white noise of the prior's ``sigma``, and of the masses of payloads. Model errors and
+    coloured noise are not included.
     """
     runs = expected_runs(task, x)
     preparation = choose_preparation(runs)
     prepared = [prepare(run, preparation) for run in runs]
     factors = [reduce_run(task.model, task.base.standard, run, preparation.decimator) for run in prepared]
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
-    problem = plain_problem(task.model, task.base, factors, task.payloads, slowest)
+    uncertain = dict.fromkeys(load.name for load in task.payloads if load is not None and load.mass_std)
+    problem, *heavier = (
+        plain_problem(task.model, task.base, factors, payloads, slowest)
+        for payloads in (task.payloads, *(_heavier(task.payloads, name) for name in uncertain))
+    )
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
     theta = task.prior.values(problem.parameters, task.model.robot, task.payloads, prior)
     # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
-    std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma)))
+    std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma, heavier)))
     joints, names = task.model.actuated, problem.parameters
     of_gains = std[problem.unknowns.gains]
     expected: dict[str, float] = dict(zip(names, map(float, std[: len(names)]), strict=True))
@@ -104,10 +110,26 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     )
 
 
-def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray) -> np.ndarray:
-    """Compute the covariance of (theta, log g, d) by maximum likelihood; ``sigma`` (n,) A of a row."""
-    unknowns, blocks = problem.unknowns, []
-    for j, R in enumerate(problem.triangles):
+def _heavier(payloads: Sequence[Payload | None], name: str) -> list[Payload | None]:
+    """Make the payload called ``name`` heavier by the standard deviation of its mass."""
+    return [
+        load.model_copy(update={"mass": (load.mass or 0.0) + load.mass_std}) if load and load.name == name else load
+        for load in payloads
+    ]
+
+
+def ml_covariance(
+    problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray, others: Sequence[Problem] = ()
+) -> np.ndarray:
+    """Compute the covariance of (theta, log g, d) by maximum likelihood; ``sigma`` (n,) A of a row.
+
+    Each of the ``others`` is the problem with a stated constant that is larger by its standard deviation.
+    """
+    unknowns, blocks, sides = problem.unknowns, [], []
+    for j in range(len(gains)):
+        R, *changed = (one.blocks[:, j].reshape(-1, one.blocks.shape[-1]) for one in (problem, *others))
+        change = [(modelled(rows, theta) - modelled(R, theta)) / gains[j] / sigma[j] for rows in changed]
+        sides.append(np.reshape(change, (-1, len(R))))
         block = np.zeros((len(R), len(unknowns)))
         block[:, unknowns.theta] = -R[:, MODEL] / gains[j]
         block[:, unknowns.gains.start + j] = modelled(R, theta) / gains[j]
@@ -116,7 +138,8 @@ def ml_covariance(problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma:
     stacked = np.concatenate(blocks)
     size = np.linalg.norm(stacked, axis=0)
     half = np.linalg.pinv(triangle(stacked / size), rcond=1e-12) / size[:, None]
-    return np.asarray(half @ half.T)
+    moved = half @ (half.T @ (stacked.T @ np.concatenate(sides, axis=1).T))
+    return np.asarray(half @ half.T + moved @ moved.T)
 
 
 WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
