@@ -17,7 +17,7 @@ from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import DesignFile
 from gtau.excitation.forecast import Outlook
-from gtau.excitation.prior import ERROR, PriorModel, cautious_parameters, rough_parameters
+from gtau.excitation.prior import PriorModel, file_parameters, rough_parameters, with_drives
 from gtau.model.home import load_robot
 from gtau.progress import Progress
 from gtau.report.design import trajectory_table
@@ -122,9 +122,7 @@ def _known(payload: Payload, prior: PriorModel) -> dict[str, Any]:
 def _stated(design: Design, mass: float) -> dict[str, float]:
     """Parameters of the robot before it is identified: of the file where it states them, without the margin."""
     model, base = design.task.model, design.task.base
-    chi = cautious_parameters(model, rough_parameters(model, base, mass)[0])
-    inertias = model.robot.inertias
-    return {name: value / ERROR if name in inertias else value for name, value in chi.items()}
+    return with_drives(model, file_parameters(model, rough_parameters(model, base, mass)[0]))
 
 
 def tolerances(design: Design) -> dict[str, float]:

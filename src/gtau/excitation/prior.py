@@ -191,14 +191,19 @@ def stated_bodies(model: InverseDynamics) -> list[str]:
     return [body for body in model.robot.bodies if model.robot.inertias.get(Parameter("m", body))]
 
 
-def cautious_parameters(model: InverseDynamics, rough: Mapping[str, float]) -> dict[str, float]:
-    """Take the inertias of the robot's file with a margin, ``rough`` ones where there are none, and usual drives.
+def file_parameters(model: InverseDynamics, rough: Mapping[str, float], margin: float = 1.0) -> dict[str, float]:
+    """Take the inertias of the robot's file times a ``margin``, and ``rough`` parameters where there are none."""
+    stated = {Parameter(kind, body) for body in stated_bodies(model) for kind in INERTIAL}
+    chi = {name: value for name, value in rough.items() if name not in stated}
+    return chi | {name: margin * value for name, value in model.robot.inertias.items() if name in model.parameter_names}
+
+
+def with_drives(model: InverseDynamics, chi: Mapping[str, float]) -> dict[str, float]:
+    """Complete parameters with usual drives.
 
     A file knows neither friction nor, as a rule, rotors: they are at least what the limits of effort and speed suggest.
     """
-    robot, stated = model.robot, {Parameter(kind, body) for body in stated_bodies(model) for kind in INERTIAL}
-    chi = {name: value for name, value in rough.items() if name not in stated}
-    chi |= {name: ERROR * value for name, value in robot.inertias.items() if name in model.parameter_names}
+    robot, chi = model.robot, dict(chi)
     for joint in model.actuated:
         limits = robot.joint(joint).limits
         effort = limits.effort or 0.0
@@ -271,11 +276,14 @@ def _parameters(
     if not entry.parameters:
         carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
         rough, mass = rough_parameters(model, base, carried)
+        links = f"every {'other ' if stated_bodies(model) else ''}link a rod of {mass:.3g} kg"
+        of_file = "the inertias of the robot's file, " if stated_bodies(model) else ""
         assumed["parameters"] = (
-            f"parameters: every link a rod of {mass:.3g} kg, and friction a tenth of the torque; "
+            f"parameters: {of_file}{links}, and friction a tenth of the torque of rods; "
             "give prior.parameters or prior.model for better predictions"
         )
-        return given_parameters(model, base, rough), given_parameters(model, base, cautious_parameters(model, rough))
+        cautious = with_drives(model, file_parameters(model, rough, ERROR))
+        return given_parameters(model, base, file_parameters(model, rough)), given_parameters(model, base, cautious)
     if light := massless(model.robot, entry.parameters):
         assumed["massless"] = f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"
     given = given_parameters(model, base, entry.parameters)
