@@ -306,7 +306,7 @@ HEAVY = """<inertial><origin xyz="0 0.05 %g" rpy="0.2 0 0.1"/><mass value="%g"/>
 
 
 def test_torques_are_limited_with_the_inertias_of_the_file(tmp_path: Path) -> None:
-    """They are Pinocchio's by the margin, with friction and rotors of the effort limits, without in what is predicted."""
+    """They are Pinocchio's by a margin, with friction and rotors of the effort limits; predictions have no margin."""
     text = URDF.replace('<link name="one">', f'<link name="one">{HEAVY % (0.2, 12)}')
     text = text.replace('<link name="two">', f'<link name="two">{HEAVY % (0.3, 8)}')
     text = text.replace('<link name="tip">', f'<link name="tip">{HEAVY % (0.05, 2)}')
