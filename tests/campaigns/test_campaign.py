@@ -20,8 +20,8 @@ from mujoco_robots import write_robot
 from typer.testing import CliRunner
 
 import gtau
-from gtau.campaigns.campaign import CampaignState, _to_play, campaign
-from gtau.campaigns.candidates import candidates
+from gtau.campaigns.campaign import CampaignState, _decided, _to_play, campaign
+from gtau.campaigns.candidates import _simulated, beside_the_axis, candidates
 from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on, warming, write_experiment
 from gtau.campaigns.folder import Played, Round, read_design_file, read_rounds, read_settings, void, write_json
@@ -315,6 +315,50 @@ def test_a_motion_that_brings_less_than_a_tenth_ends_the_campaign() -> None:
     assert ended.say.startswith(
         "no motion narrows the widest interval by a tenth, but with a payload of 2 kg it would be +-3.1 %: 'a' is wide"
     )
+
+
+def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is simulated there, with a centre that identification does not know."""
+    quick(monkeypatch)
+    (tmp_path / "arm.yaml").write_text(LEVEL)
+    stated = DESIGN.replace("mass: 1.0", "mass: 1.0, parameters: {mx: 0.01, zz: 0.02}")
+    (tmp_path / "design.yaml").write_text(stated.replace("five-bar", "arm.yaml"))
+    task, _ = read_design(tmp_path / "design.yaml")
+    designed = Design(task, "gains", random_start(task, np.random.default_rng(0), 0.5), 1.0, (), 0)
+    known = {"mx": 0.01, "my": 0.0, "mz": 0.3}
+
+    def of(hand: float) -> SimpleNamespace:
+        found = result_of(gain("arm", 1.0, 0.01, 0.0), gain("forearm", 1.0, 0.01, 0.0), gain("hand", 1.0, hand, 0.0))
+        found.robot, found.payload = task.model.robot, lambda name: known
+        return found
+
+    assert list(beside_the_axis(designed, of(0.009))) == []  # the gain of another joint is the least known
+    (beside,) = beside_the_axis(designed, of(0.05))
+    assert beside.label == "with the payload's centre 0.08 m from the axis of 'hand', not 0.01 m,"
+    assert beside.beside == pytest.approx((0.07, 0.0, 0.0))
+    assert not beside.at_hand
+    carried, result = [], of(0.05)
+    result.currents = lambda q, qd, qdd, payload: carried.append(payload) or 0 * q
+    runs = list(_simulated(beside, result, 0))
+    assert carried[1].parameters == pytest.approx({"mx": 0.08, "my": 0.0, "mz": 0.3, "zz": 0.02})
+    assert runs[1].payload.parameters == {"zz": 0.02}
+    assert carried[0] is runs[0].payload is None
+
+    home = "gtau.campaigns.campaign"
+    monkeypatch.setattr(f"{home}.identified", lambda *_: result)
+    monkeypatch.setattr(f"{home}.write_experiment", lambda *_: None)
+    monkeypatch.setattr(f"{home}.warming", lambda *_: "")
+    monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("random part", "'hand' is wide"))
+    result.save, result.alternatives, last = lambda path: None, (), round_of("first")
+    for width, advised in ((2.0, True), (5.9, False)):
+        monkeypatch.setattr(
+            f"{home}.expected_width", lambda one, *_, width=width: width if one and one.beside[0] else 6.0
+        )
+        decision = _decided(tmp_path / "02", 3.0, read_design_file(tmp_path), [last], silent)
+        advice = f"mount the payload off the axis of the last joint: {beside.label} it would be +-{width:g} %"
+        assert (advice in decision.notes) == advised
+    known["mx"] = 0.09
+    assert list(beside_the_axis(designed, of(0.05))) == []  # it is far enough from it
 
 
 def test_candidates_are_within_the_limits(tmp_path: Path) -> None:

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaigns.candidates import Candidate, best, candidates, expected_width
+from gtau.campaigns.candidates import Candidate, beside_the_axis, best, candidates, expected_width
 from gtau.campaigns.decision import (
     BLOCKED,
     CONFIRM,
     MODEL,
     OF_MASS,
+    WORTH,
     Decision,
     decide,
     identified,
@@ -264,12 +265,19 @@ def _decided(
         decision = replace(decision, notes=(*decision.notes, note))
     if decision.kind != CONFIRM:
         offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
+        offered += beside_the_axis(designed, result)
 
         def width_of(candidate: Candidate) -> float:
             progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
             return expected_width(candidate, result, last.number)
 
         chosen, widths = best(offered, width_of)
+        *usual, other = (float(entry["half_width"] or np.inf) for entry in widths)
+        if any(offered[-1].beside) and other <= WORTH * min(usual):
+            advice = (
+                f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{other:.3g} %"
+            )
+            decision = replace(decision, notes=(advice, *decision.notes))
         designed, decision = chosen.design, refuse_to_go_on(result, decision, widths, expected_width(None, result, 0))
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None

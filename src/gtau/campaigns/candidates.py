@@ -27,15 +27,20 @@ from gtau.signals.run import Run
 # none of one with 70 or 50 % of the amplitude or with the other load first, which are not tried any more
 SPEEDS = (0.7, 0.5)
 HEAVIER = 2.0  # times the mass, of a payload that is not at hand
+BESIDE = 0.08  # m from the axis of the last joint to the centre of a payload that is mounted beside it
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A motion that could be played next, or with ``at_hand`` False a payload that would have to be found first."""
+    """A motion that could be played next, or with ``at_hand`` False a payload that would have to be found first.
+
+    ``beside`` (3,) is by how much payloads are mounted further off, m in the frame of the body that carries them.
+    """
 
     label: str
     design: Design
     at_hand: bool = True
+    beside: tuple[float, ...] = (0.0, 0.0, 0.0)
 
 
 def candidates(design: Design) -> Iterator[Candidate]:
@@ -49,6 +54,30 @@ def candidates(design: Design) -> Iterator[Candidate]:
     masses = [payload.mass for payload in task.payloads if payload is not None and payload.mass]
     heavier = task.with_payload_mass(HEAVIER * max(masses))
     yield from _within(f"with a payload of {HEAVIER * max(masses):g} kg", design, heavier, x, at_hand=False)
+
+
+def beside_the_axis(design: Design, result: Result) -> Iterator[Candidate]:
+    """Mount the payload beside the axis of the last joint, where it is near and the gain there is the least known."""
+    robot, wide = result.robot, widths(result)
+    worst, last = max(wide, key=lambda joint: wide[joint]), robot.tool
+    driven = worst == last or any({worst, last} <= coupling.terms.keys() for coupling in robot.couplings)
+    heaviest = max((load for load in design.task.payloads if load is not None), key=lambda load: load.mass or 0.0)
+    if (
+        not driven
+        or last not in {joint.name for joint in robot.joints}
+        or not robot.joint(last).turns
+        or not heaviest.mass
+    ):
+        return
+    moments, axis = result.payload(heaviest.name), np.array(robot.joint(last).axis)
+    center = np.array([moments.get(kind, 0.0) for kind in FIRST_MOMENTS]) / heaviest.mass
+    off = float(np.linalg.norm(center - (center @ axis) * axis))
+    if off < BESIDE:
+        way = center if off > 1e-3 else np.eye(3)[np.argmin(np.abs(axis))]
+        way = way - (way @ axis) * axis
+        beside = (BESIDE - off) * way / np.linalg.norm(way)
+        label = f"with the payload's centre {BESIDE:g} m from the axis of '{last}', not {off:.2g} m,"
+        yield Candidate(label, design, False, tuple(beside.tolist()))
 
 
 def _within(
@@ -80,7 +109,7 @@ def expected_width(candidate: Candidate | None, result: Result, seed: int) -> fl
     """
     estimator = estimator_of("ml")
     try:
-        runs = () if candidate is None else _simulated(candidate.design, result, seed)
+        runs = () if candidate is None else _simulated(candidate, result, seed)
         with single_threaded_blas():
             dataset = reduce_runs(result.robot, [*result.data, *runs])
             fit = estimator.fit(select_friction(dataset, estimator.solver(None), silent), None, silent)
@@ -97,12 +126,22 @@ def expected_width(candidate: Candidate | None, result: Result, seed: int) -> fl
     )
 
 
-def _simulated(design: Design, result: Result, seed: int) -> Iterator[Run]:
-    """Make logs of a design as the identified robot with its friction would, with the same white noise for all."""
+def _simulated(candidate: Candidate, result: Result, seed: int) -> Iterator[Run]:
+    """Make logs of a candidate as the identified robot with its friction would, with the same white noise for all."""
+    design = candidate.design
     ((time, joints),) = Outlook(design, {}).motions
     q, qd, qdd = (rows.T for rows in joints[:3])
     for k, payload in enumerate(design.task.payloads):
-        current = result.currents(q, qd, qdd, _carried(payload, result))
+        carried = _carried(payload, result)
+        if payload is not None and carried is not None and any(candidate.beside):
+            moments = carried.parameters
+            moved = np.array([moments.get(kind, 0.0) for kind in FIRST_MOMENTS])
+            moved += (carried.mass or 0.0) * np.array(candidate.beside)
+            of_mount = dict(zip(FIRST_MOMENTS, moved.tolist(), strict=True))
+            carried = carried.model_copy(update={"parameters": moments | of_mount})
+            unknown = {kind: value for kind, value in payload.parameters.items() if kind not in FIRST_MOMENTS}
+            payload = payload.model_copy(update={"parameters": unknown})
+        current = result.currents(q, qd, qdd, carried)
         noise = np.random.default_rng([seed, k]).standard_normal(current.shape)
         current = current + design.task.prior.sigma * noise
         yield Run(f"candidate{k + 1}", result.robot.actuated, time, q, current, payload=payload)
