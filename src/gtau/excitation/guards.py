@@ -100,7 +100,7 @@ def speed_of_tool(robot: Robot, stated: float | None) -> tuple[float, str]:
         return stated, f"tool: at most {stated:g} m/s, as stated"
     name = robot.name.lower()
     allowed = next((speed for start, speed in MAKERS.items() if name.startswith(start)), None)
-    why = "which suits arms beside people" if allowed is None else f"which the maker of '{robot.name}' allows"
+    why = "the usual setting of arms beside people" if allowed is None else f"which the maker of '{robot.name}' allows"
     fastest = allowed or TOOL_SPEED
     return fastest, f"tool: at most {fastest:g} m/s, {why}; state limits.tool_speed"
 
