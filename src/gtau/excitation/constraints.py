@@ -19,6 +19,7 @@ from gtau.robots.parameter import torque_unit
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 APPROACH = 12  # poses between rest and the motion's beginning in which distances are kept while searching
 MARGIN = 0.97  # part of every limit that a first design may use: between instants speeds exceed it by up to 2 %
+TOOL_SPEED = "speed of the tool's frame"
 SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # approaches; at four times the duration a sixteenth of the acceleration is left
 
 
@@ -189,7 +190,7 @@ def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
         return point.to_rows(point.to_joints(replace(slopes, c=by_c, yd=by_yd)))
 
     values = task.tool_speed[0](motion.c, motion.yd)[0] / limit
-    yield ConstraintUsage("speed of the tool's frame", limit, "m/s", values, rows)
+    yield ConstraintUsage(TOOL_SPEED, limit, "m/s", values, rows)
 
 
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:

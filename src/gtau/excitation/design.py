@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.excitation.constraints import MARGIN, ConstraintUsage, constraint_usages, whole_run
+from gtau.excitation.constraints import MARGIN, TOOL_SPEED, ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.evaluation import along, design_grid, evaluate
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem
@@ -22,6 +22,7 @@ FINER = 10
 STAGE = "searching"
 CLOSER = 0.8  # by which the limits that keep loops closed are tightened where loops cannot be closed
 REACH = ("position", "condition")
+IDLE = 0.3  # part of the tool's speed at a start, below which it counts only once exceeded: a five-bar's is 0.1
 TIGHTER = 3.0  # by which a limit is tightened at most between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion
@@ -178,7 +179,9 @@ def _from_one(
     """Design from one start, and ``keep`` feasible designs; return the most exceeded limit if there are none."""
     if x is None:
         return None
-    tightness = {usage.what: MARGIN for usage in Programme(task, criterion, {}).constraint_usages(x)}
+    at_start = Programme(task, criterion, {}).constraint_usages(x)
+    idle = {usage.what for usage in at_start if usage.what.startswith(TOOL_SPEED) and usage.excess < IDLE}
+    tightness = {usage.what: MARGIN for usage in at_start if usage.what not in idle}
     if not tightness:  # not reachable from home
         return None
     begin, kept, worst = x, None, None
@@ -203,7 +206,7 @@ def _from_one(
             continue
         if exceeded := {usage.what: usage.excess for usage in usages if usage.excess > 1.0}:
             worst = _most_exceeded(usages, -np.inf)
-            tighter = {what: 0.98 * tightness[what] / min(excess, TIGHTER) for what, excess in exceeded.items()}
+            tighter = {what: 0.98 * tightness.get(what, 1) / min(excess, TIGHTER) for what, excess in exceeded.items()}
             tightness = tightness | tighter
             continue
         before, value = np.inf if kept is None else kept.value, float(np.exp(programme.best_value))

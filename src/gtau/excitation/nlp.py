@@ -23,8 +23,8 @@ TOLERANCE = 1e-3  # of the logarithm of the criterion: a tenth of a per cent
 class Programme:
     """Criterion and limits of a task as functions of x, evaluated once for each x.
 
-    ``tightness`` maps what a limit is of to the part of it that may be used; ``best`` is the best x so far whose loads
-    are within that, and ``best_value`` the logarithm of its criterion.
+    ``tightness`` maps what a limit is of to the part of it that may be used, and other limits do not count; ``best`` is
+    the best x so far whose loads are within that, and ``best_value`` the logarithm of its criterion.
     """
 
     def __init__(self, task: DesignProblem, criterion_name: str, tightness: Mapping[str, float]):
@@ -55,7 +55,8 @@ class Programme:
         """Compute the usage of all limits; none where the motion is not reachable."""
         points = self.points(x)
         if self._loads is None:
-            self._loads = tuple(constraint_usages(points))
+            every = constraint_usages(points)
+            self._loads = tuple(load for load in every if not self.tightness or load.what in self.tightness)
         return self._loads
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
