@@ -21,7 +21,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
-from gtau.estimation.regression.dataset import Dataset, System, model_of, robot_notes
+from gtau.estimation.regression.dataset import Dataset, System, model_of, preparation_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
@@ -35,7 +35,7 @@ from gtau.model.singularities import singular_distances
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
-from gtau.signals.preparation.choice import choose_preparation, moving_spectra
+from gtau.signals.preparation.choice import moving_spectra
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
 from gtau.signals.reading.experiment import Experiment
@@ -173,7 +173,7 @@ def check_logs(
     notes += doubtful_commands(used, robot)
     notes += doubtful_currents(used, robot.base)
     notes += doubtful_payloads(robot, (run.payload for run in used))
-    preparation, checked = choose_preparation(used), []
+    preparation, checked = preparation_of(robot, used), []
     every = [(k, run) for k, runs in enumerate(read) for run in runs]
     for k, run in every:
         progress("checking logs", k, len(read))

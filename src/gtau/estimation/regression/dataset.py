@@ -19,6 +19,7 @@ from gtau.estimation.regression.assembly import (
     scale_of_file,
     unexcited,
 )
+from gtau.estimation.regression.bandwidth_trials import best_of_trials
 from gtau.estimation.regression.column_blocks import (
     ColumnBlock,
     PayloadColumns,
@@ -299,6 +300,16 @@ def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
     return [Finding(F.ROBOT, values={"what": note}, source=f"robot '{robot.name}'") for note in notes]
 
 
+def preparation_of(robot: Robot, runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:
+    """Choose the preparation of runs by their spectra, and by trials along the robot's equations; raises GtauError."""
+    if decimator == "chebyshev":
+        return choose_preparation(runs, decimator)
+    model = model_of(robot)
+    runs = [run.ordered(model.actuated) for run in runs]
+    base = base_of(robot, sensors_of(robot, runs))
+    return choose_preparation(runs, decimator, lambda chosen: best_of_trials(model, base, runs, chosen))
+
+
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:
     """Adapt a preparation chosen for other runs to the sampling rate of these."""
     return preparation.at(min(run.rate for run in runs))
@@ -325,9 +336,9 @@ def reduce_runs(
         raise GtauError("the runs have wrenches on different bodies; give the same 'wrenches' for all runs.")
     for run in runs:
         check_wrenches(robot, run)
-    preparation = preparation or choose_preparation(runs, decimator)
     progress("base parameters", 0, 1)
     base = base_of(robot, sensors_of(robot, runs))
+    preparation = preparation or preparation_of(robot, runs, decimator)
     prepared = prepare_runs(model, runs, preparation)
     dataset = Dataset(model, base, preparation, prepared, (), priors or {}, prior_inertias)
     return dataset.reduced(progress=progress)

@@ -46,11 +46,16 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
     torques would keep what the positions lose (on the UPV robot at 100 Hz, 34 Hz raise a leg's torque error from 11 to
     15 %).
     """
-    ends = 2 * EDGE / (LARGEST_ENDS * seconds)
+    ends = cutoff_at_ends(seconds)
     cutoff = max(10 * bandwidth, 5.0, ends)
     narrow = max(min(cutoff, end), 2.5 * bandwidth, ends)
     cutoff = narrow if narrow < 0.25 * rate else cutoff
     return below_nyquist(cutoff, rate)
+
+
+def cutoff_at_ends(seconds: float) -> float:
+    """Return the least cut-off (Hz) whose ends take no more than ``LARGEST_ENDS`` of a log of so many ``seconds``."""
+    return 2 * EDGE / (LARGEST_ENDS * seconds)
 
 
 def below_nyquist(cutoff: float, rate: float) -> float | None:
