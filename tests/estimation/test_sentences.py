@@ -399,6 +399,10 @@ SENTENCES = [  # finding, reason, advice
      "logged late; a low-pass filter with that time constant attenuates them by 20 % at the bandwidth of the motion, "
      "10 Hz",
      "log the currents before any filter and with the time stamps of the positions"),
+    (Finding(F.SMOOTHED, values={"kind": "current", "end": 2.34, "nyquist": 250.0, "runs": ["a", "b"]}),
+     "the currents of 'a' and 'b' were smoothed: above 2.3 Hz they hold nothing, not even noise, though their rate "
+     "shows up to 250 Hz; what a filter takes from motion and friction is in no interval",
+     "identify from the logs as they were recorded"),
     (Finding(F.SLIGHT_COMMAND_LAG, values={"kind": "current", "lag": 0.02, "std": 0.001, "bandwidth": 10.0}),
      "the currents lag behind the motion by more than 16 ms, so they look low-passed, held or logged late; a low-pass "
      "filter with that time constant attenuates them by 38 % at the bandwidth of the motion, 10 Hz",

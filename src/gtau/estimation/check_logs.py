@@ -14,7 +14,12 @@ from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
-from gtau.estimation.diagnostics.log_checks import command_lag, doubtful_commands, require_payload_excitation
+from gtau.estimation.diagnostics.log_checks import (
+    command_lag,
+    doubtful_commands,
+    require_payload_excitation,
+    smoothed_commands,
+)
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads, units_and_signs
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -171,6 +176,7 @@ def check_logs(
     with _noted(notes):
         require_inputs(subject)
     notes += doubtful_commands(used, robot)
+    notes += smoothed_commands(used)
     notes += doubtful_currents(used, robot.base)
     notes += doubtful_payloads(robot, (run.payload for run in used))
     preparation, checked = preparation_of(robot, used), []

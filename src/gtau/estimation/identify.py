@@ -15,7 +15,13 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
-from gtau.estimation.diagnostics.log_checks import command_lag, lack_of_fit, require_payload_excitation
+from gtau.estimation.diagnostics.log_checks import (
+    command_lag,
+    lack_of_fit,
+    require_motion,
+    require_payload_excitation,
+    smoothed_commands,
+)
 from gtau.estimation.diagnostics.stated_constants import weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
@@ -130,7 +136,8 @@ def identify(
         system = dataset.system()
         result = _identified(subject, dataset, system, progress)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
-        beside = [*([geometry.note] if geometry else []), *command_lag(dataset, system)]
+        beside = [*([geometry.note] if geometry else []), *smoothed_commands(dataset.runs)]
+        beside += command_lag(dataset, system)
         notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
         result = result.replaced(geometry=geometry, notes=notes)
         result = late("uses.prediction").with_prediction_cutoffs(result, dataset.runs)
@@ -199,6 +206,7 @@ def estimate(
     fit = estimator.fit(system, gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
     estimates = estimates_of(fit, examined, correlated=not as_paper)
+    require_motion(fit, estimates)
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     lack = lack_of_fit(fit.system.problem, fit.solution)
     bare: Fit | None = fit

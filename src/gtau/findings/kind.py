@@ -178,6 +178,7 @@ class FindingKind(StrEnum):
     MOTOR_SIDE = "torques of the motors", UNIT
     MODEL_TORQUES = "torques of a model"
     COMMAND_LAG = "command lag", FILTERED
+    SMOOTHED = "smoothed commands", FILTERED
     SLIGHT_COMMAND_LAG = "slight command lag", READING
     # other models and estimators, as causes; those of the hypotheses are in their records
     WITHOUT_GRAVITY = "torques without gravity"

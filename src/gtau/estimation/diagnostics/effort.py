@@ -29,7 +29,7 @@ from gtau.estimation.diagnostics.linearisation import least_squares_step
 from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.thresholds.estimates import MISFIT
-from gtau.estimation.thresholds.logs import LATE
+from gtau.estimation.thresholds.logs import LATE, LATE_STEADY
 from gtau.estimation.thresholds.refutation import (
     AS_WELL,
     GRAVITY_MISFIT,
@@ -144,10 +144,16 @@ def _independent(joint: JointRows, j: int) -> float:
 
 
 def _late(joints: Sequence[JointRows], shares: np.ndarray, made: Maker) -> Iterator[Finding]:
-    """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes."""
+    """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes.
+
+    Acceleration shows the lag: without it friction, stops and the controller look like one.
+    """
     remaining, shifted = np.diag(shares), shares[:, -1]
     lags = [joint.lag for joint in joints]
     late = [j for j, lag in enumerate(lags) if lag is not None and shifted[j] < LATE * remaining[j]]
+    late = [
+        j for j in late if shifted[j] < LATE_STEADY * unexplained(basis_of(joints[j].steady), joints[j].effort[:, -1])
+    ]
     if late:
         after = np.where(np.isin(range(len(remaining)), late), shifted, remaining)
         of_joints = [lags[j] for j in late], shifted[late].tolist(), remaining[late].tolist()

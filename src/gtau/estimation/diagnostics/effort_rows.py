@@ -16,7 +16,7 @@ from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.rows import stream_rows
-from gtau.robots.robot import INERTIAL
+from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
@@ -28,7 +28,8 @@ RANK = 1e-8  # of the largest singular value: directions below it are left out
 class JointRows:
     """The K rows of a joint.
 
-    ``columns`` (K, p) are its own, ``weight`` (K, p) gravity's part of them, and ``names`` (p,) their numbers among
+    ``columns`` (K, p) are its own, ``weight`` (K, p) gravity's part of them, ``steady`` (K, p) with those of friction
+    and offsets, and ``names`` (p,) their numbers among
     ``base.standard``, from ``base.count`` on for a second payload, and so on; those without payload are first.
     ``effort`` (K, n + 1) are the columns of all joints, its own as the delay of the model shifts it that fits best, and
     its own again, shifted by the ``lag`` (s) that fits best of all: None where it is such a delay.
@@ -36,6 +37,7 @@ class JointRows:
 
     columns: np.ndarray
     weight: np.ndarray
+    steady: np.ndarray
     names: np.ndarray
     effort: np.ndarray
     lag: float | None
@@ -147,10 +149,12 @@ def _rows(
     columns, weight = np.concatenate(stacked, axis=1)
     stated, lag = _lags(columns, shifted, reach, slowest)
     n = len(dataset.model.actuated)
+    rubbing = [dataset.base.standard[column].kind in DRIVE[1:] for column in regressor.columns[mine]]
     efforts = [shifted(np.array([stated if k == j else 0.0]), k) for k in range(n)]
     return JointRows(
         columns,
         weight,
+        weight + columns * np.tile(rubbing, loaded.shape[1]),
         np.concatenate([regressor.columns[mine] + k * dataset.base.count for k in range(loaded.shape[1])]),
         np.hstack([*efforts, shifted(np.array([lag]))]),
         None if lag == stated else lag,

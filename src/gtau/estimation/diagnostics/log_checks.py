@@ -19,11 +19,12 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import rms_torques
 from gtau.estimation.diagnostics.linearisation import window_motion
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
-from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import MISFIT
+from gtau.estimation.regression.problem import Estimates, Problem
+from gtau.estimation.thresholds.estimates import DETERMINED, MISFIT
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,
     GRAVITY_FELT,
@@ -41,7 +42,8 @@ from gtau.estimation.thresholds.logs import (
 from gtau.estimation.thresholds.refutation import UNFELT_PAYLOAD
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.robots.robot import Robot
+from gtau.robots.robot import INERTIAL, Robot
+from gtau.signals.preparation.bandwidth import end_of_commands
 from gtau.signals.reading.samples import extremes
 from gtau.signals.repair.commands import whole_numbers
 from gtau.signals.run import Run
@@ -89,6 +91,15 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
     return [Finding(F.COMMAND_LAG if loss > LAG_LOSS else F.SLIGHT_COMMAND_LAG, values=values)]
 
 
+def smoothed_commands(runs: Sequence[Run]) -> Iterator[Finding]:
+    """Find runs whose commands hold nothing above some frequency, not even noise: filters smoothed them offline."""
+    ends = {run.name: end for run in runs if (end := end_of_commands(run)) is not None}
+    if ends:
+        slowest = min(run.rate for run in runs if run.name in ends)
+        values = {"kind": runs[0].kind, "end": max(ends.values()), "nyquist": slowest / 2, "runs": list(ends)}
+        yield Finding(F.SMOOTHED, values=values)
+
+
 def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     """Find integer-valued commands, and torques far below all effort limits, in all ``runs``."""
     joints, kind = runs[0].joints, runs[0].kind
@@ -134,6 +145,27 @@ def require_payload_excitation(system: System) -> None:
             f"joint {100 * without.max():.2g} % of its current, {100 * with_all.max():.2g} % with it), so they do not "
             "fix the drive gains; give actual currents or the references of the current loops, not targets of the "
             "controller's own model, check which runs carry the payload, or log longer runs with a heavier one."
+        )
+
+
+def require_motion(fit: Fit, estimates: Estimates) -> None:
+    """Refuse logs that say nothing of the robot, of which nothing can be judged then; raises GtauError.
+
+    They determine none of its inertial parameters, and parameters that fit some joints leave more of another's torque
+    than there is.
+    """
+    problem, dataset = fit.system.problem, fit.dataset
+    values, std = estimates.values[: problem.n_theta], np.sqrt(np.diag(estimates.covariance)[: problem.n_theta])
+    inertial = np.array([name.kind in (*INERTIAL, "ia") for name in problem.parameters])
+    worst = int(np.argmax(shares := unexplained_shares(problem, fit.solution)))
+    if shares[worst] > 1 and inertial.any() and np.all(np.abs(values) < DETERMINED * std, where=inertial):
+        joint = problem.channels[worst].joint
+        seconds = sum(len(run) / run.run.rate for run in dataset.prepared)
+        raise GtauError(
+            f"{seconds:.3g} s of motion determine none of the {inertial.sum()} inertial parameters (the model leaves "
+            f"{100 * shares[worst]:.0f} % of the {dataset.runs[0].kind} of joint '{joint}'), so "
+            "nothing can be said of the robot or of its logs; log longer, along a motion in which all joints move fast "
+            "through their ranges."
         )
 
 

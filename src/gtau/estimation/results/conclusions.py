@@ -54,6 +54,7 @@ def _against(result: Result) -> Iterator[str]:
     for name, verdict in _stated(result):
         if verdict.outcome == Outcome.CONTRADICTORY:
             yield f"{name[0].upper()}{name[1:]} contradicts the data: {verdict.why}."
+    yield from (f"{note.what[0].upper()}{note.what[1:]}." for note in result.notes if note.kind == F.SMOOTHED)
     if failed := missed(result):
         yield f"Requirement missed: {'; '.join(failed)}."
 

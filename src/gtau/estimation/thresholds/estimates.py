@@ -71,6 +71,13 @@ MISFIT = Threshold(
     faulty="0.5 and more (sign flipped in one run, swapped channels)",
     evidence="faults, UR10e pairs",
 )
+DETERMINED = Threshold(
+    2.0,
+    "standard deviations of an inertial parameter, below all of which logs that leave more than a torque say nothing",
+    healthy="5 to 12 of 48 are above (KUKA Med 7 of 16 s, xMate7 Pro of 10 s, Sawyer, Panda at 30 Hz)",
+    faulty="none (3 s of an LWR 4, which leave 7 times a torque)",
+    evidence="shared logs, tests/estimation/test_short_logs.py",
+)
 MISFIT_GIVEN = Threshold(
     0.5,
     "share of a joint's torque that is unexplained, gains given",

@@ -45,6 +45,14 @@ LATE = Threshold(
     faulty="0.02 and less (100 ms), 0.07 to 0.09 (50 ms)",
     evidence="those logs, tests/estimation/test_late_currents.py",
 )
+LATE_STEADY = Threshold(
+    0.6,
+    "unexplained share of a joint's current, shifted, over that which gravity, friction and offsets alone leave: with "
+    "more, acceleration hardly shows the shift",
+    healthy="0.70 (XL330, slow; friction and its servo seem 260 ms early)",
+    faulty="0.13 (da Vinci, 100 ms), 0.32 to 0.55 (11 joints of Aliengo, the twelfth 0.79)",
+    evidence="those logs, tests/estimation/test_late_currents.py",
+)
 DELAY_MOTION = Threshold(
     4.0,
     "standard errors of the share of motion in the current's rate of change",

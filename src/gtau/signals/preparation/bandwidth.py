@@ -36,6 +36,11 @@ LEAST_SIGNAL = 100.0  # or least signal-to-noise ratio of its speed; rest has 40
 FAR_ABOVE = 1e3  # density of a motion over that of such noise
 WHITE = -1.0  # noise is flat in the position's spectrum, or nearly so, where motions fall with f^-2 and faster
 ROUNDING = 1e-9  # of a position, by arithmetic: a range that is no motion
+# Commands smoothed offline: rms share above ``NOISE`` of the sampling rate, and fall of the density within an octave.
+# As logged, 17 sets of nine robots leave 4e-4 and more, and fall by up to 3e3 (coarse registers by less); behind a
+# zero-phase low-pass of fourth order at 1 Hz they leave up to 2e-5 and fall by 6e3 to 1e9, at 5 Hz (but at 30 Hz) up to
+# 4e-6. The logs of an LWR 4 that its publishers have smoothed leave 1e-11.
+SMOOTH, STEEP = 1e-4, 4e3
 SEGMENTS = 16  # of a long log, spread over it
 
 
@@ -75,6 +80,20 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     return tuple(
         _judge(frequency, column, gain, moving) for column, moving in zip(density.T, moves.tolist(), strict=True)
     )
+
+
+def end_of_commands(run: Run) -> float | None:
+    """Find the frequency (Hz) above which no command holds anything, not even noise; None where one does."""
+    frequency, density = _accelerations(run.command, run.rate)
+    density = density[:, density.any(axis=0)] / ((2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 4)[:, None]
+    above = np.sqrt(np.cumsum(density[::-1], axis=0)[::-1] / np.maximum(density.sum(axis=0), 1e-300))
+    if not above.size or above[np.searchsorted(frequency, NOISE * run.rate)].max() > SMOOTH:
+        return None
+    for column in density.T:
+        _, bands = _in_bands(frequency, column)
+        if np.all(bands[:-BANDS] <= STEEP * bands[BANDS:]):
+            return None
+    return float(frequency[np.argmax(above.max(axis=1) <= SMOOTH)])
 
 
 def position_noise(run: Run, cutoffs: Sequence[float | None]) -> np.ndarray:

@@ -1,0 +1,44 @@
+"""Logs that were smoothed offline, beside logs with coarse registers and slow ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gtau.estimation.diagnostics.log_checks import smoothed_commands
+from gtau.signals.preparation.filters import low_pass
+from gtau.signals.run import Run
+
+RATE = 200.0
+
+
+def log(rng: np.random.Generator, rate: float = RATE, cutoff: float | None = None, quantum: float = 1e-6) -> Run:
+    """A current with friction, inertia and noise of 1 % beside a sum of sines."""
+    time = np.arange(int(30 * rate)) / rate
+    w = 2 * np.pi * np.array([0.3, 0.7])
+    angle = w * time[:, None] + [0.0, 1.0]
+    q, qd, qdd = np.sin(angle).sum(axis=1), (w * np.cos(angle)).sum(axis=1), -(w**2 * np.sin(angle)).sum(axis=1)
+    current = 0.1 * qdd + 0.3 * qd + 0.5 * np.sign(qd) + 2 * np.cos(q)
+    current += 0.01 * current.std() * rng.standard_normal(len(time))
+    if cutoff is not None:
+        q, current = low_pass(q, rate, cutoff), low_pass(current, rate, cutoff)
+    q, current = np.round(q / 1e-6) * 1e-6, np.round(current / quantum) * quantum
+    return Run(f"{rate:g}", ("arm",), time, q[:, None], current[:, None])
+
+
+@pytest.mark.parametrize("cutoff", [1.0, 5.0])
+def test_a_log_smoothed_offline_is_named(rng: np.random.Generator, cutoff: float) -> None:
+    (finding,) = smoothed_commands([log(rng), log(rng, cutoff=cutoff)][1:])
+    assert cutoff < finding.values["end"] < 5 * cutoff
+    assert "were smoothed: above" in finding.what
+
+
+@pytest.mark.parametrize(("rate", "quantum"), [(200.0, 1e-6), (200.0, 0.2), (20.0, 1e-6), (10.0, 0.01), (1000.0, 1e-3)])
+def test_coarse_and_slow_logs_are_not(rng: np.random.Generator, rate: float, quantum: float) -> None:
+    assert not list(smoothed_commands([log(rng, rate, quantum=quantum)]))
+
+
+def test_smooth_commands_without_friction_have_no_filter(rng: np.random.Generator) -> None:
+    run = log(rng)
+    still = Run("held", run.joints, run.time, run.position, np.zeros_like(run.command))
+    assert not list(smoothed_commands([still]))
