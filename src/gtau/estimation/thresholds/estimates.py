@@ -74,7 +74,7 @@ MISFIT = Threshold(
 DETERMINED = Threshold(
     2.0,
     "standard deviations of an inertial parameter, below all of which logs that leave more than a torque say nothing",
-    healthy="5 to 12 of 48 are above (KUKA Med 7 of 16 s, xMate7 Pro of 10 s, Sawyer, Panda at 30 Hz)",
+    healthy="9 to 12 of 48 to 50 are above (xMate7 Pro of 10 s, Sawyer, Panda at 30 Hz), 5 (KUKA Med 7, poor)",
     faulty="none (3 s of an LWR 4, which leave 7 times a torque)",
     evidence="shared logs, tests/estimation/test_short_logs.py",
 )

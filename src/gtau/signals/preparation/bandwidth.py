@@ -37,9 +37,9 @@ FAR_ABOVE = 1e3  # density of a motion over that of such noise
 WHITE = -1.0  # noise is flat in the position's spectrum, or nearly so, where motions fall with f^-2 and faster
 ROUNDING = 1e-9  # of a position, by arithmetic: a range that is no motion
 # Commands smoothed offline: rms share above ``NOISE`` of the sampling rate, and fall of the density within an octave.
-# As logged, 17 sets of nine robots leave 4e-4 and more, and fall by up to 3e3 (coarse registers by less); behind a
-# zero-phase low-pass of fourth order at 1 Hz they leave up to 2e-5 and fall by 6e3 to 1e9, at 5 Hz (but at 30 Hz) up to
-# 4e-6. The logs of an LWR 4 that its publishers have smoothed leave 1e-11.
+# The first run of each of 17 sets leaves 4e-4 and more, and falls by up to 3.2e3. Behind a zero-phase low-pass of fourth
+# order and rounded to 1e-6 they leave up to 2e-5 (1 Hz) and 6e-6 (5 Hz, but 1e-3 at a rate of 30 Hz, which is not
+# found), and fall by 6.3e3 and more. The logs of an LWR 4 that its publishers have smoothed leave 2e-11.
 SMOOTH, STEEP = 1e-4, 4e3
 SEGMENTS = 16  # of a long log, spread over it
 
