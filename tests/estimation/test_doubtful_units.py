@@ -8,7 +8,8 @@ import pytest
 from five_bar_logs import STEEL, Plant
 
 from gtau.estimation.check_logs import check_logs
-from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads
+from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_gravity, doubtful_payloads
+from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
 from gtau.findings import FindingKind as F
 from gtau.findings import Severity
@@ -31,6 +32,7 @@ def test_currents_of_drives_are_not_doubted(run: Run) -> None:
     ("factors", "kind", "joints", "subject"),
     [
         ([1e3, 1e3], F.LARGE_CURRENT, {"left", "right"}, "right"),
+        ([1e-3, 1e-3], F.SMALL_CURRENT, {"left", "right"}, "right"),
         ([100.0, 1.0], F.CURRENTS_APART, {"left"}, "right"),
         ([1.0, 60.0], F.CURRENTS_APART, {"right"}, "left"),
     ],
@@ -40,16 +42,17 @@ def test_doubtful_sizes_are_worth_mending(
 ) -> None:
     (note,) = doubtful_currents([replace(run, command=run.command * factors)])
     assert (note.kind, set(note.joints), note.topic, note.severity) == (kind, joints, F.UNIT, Severity.WARNING)
-    assert note.subject == subject or kind == F.LARGE_CURRENT
+    assert note.subject == subject or kind in (F.LARGE_CURRENT, F.SMALL_CURRENT)
 
 
-@pytest.mark.parametrize(("mass", "kinds"), [(STEEL["m"], []), (1e3 * STEEL["m"], [F.EFFORT])])
+@pytest.mark.parametrize(("mass", "kinds"), [(STEEL["m"], []), (1e3 * STEEL["m"], [F.EFFORT, F.SMALL_CURRENT])])
 def test_check_doubts_the_units_that_identify_doubts(run: Run, mass: float, kinds: list[F]) -> None:
     loaded = replace(Plant(noise=0.01).run("loaded", 10.0, STEEL, seed=2), payload=Payload(name="steel", mass=mass))
     robot = load_robot("five-bar")
     of_check = [note.kind for note in check_logs(robot, [run, loaded]).notes if F(note.kind).outcome]
     verdicts = [gain.verdict for gain in identify(robot, [run, loaded]).drive_gains.values()]
-    assert of_check == kinds == list({verdict.finding.kind for verdict in verdicts if verdict.finding})
+    assert sorted(of_check) == sorted(kinds)
+    assert {verdict.finding.kind for verdict in verdicts if verdict.finding} == set(kinds[:1])
 
 
 def test_a_payload_in_grams_is_asked_about() -> None:
@@ -63,3 +66,23 @@ def test_a_payload_in_grams_is_asked_about() -> None:
     # a closed loop bears what no arm does, and a trunk has no reach
     assert list(doubtful_payloads(load_robot("five-bar"), [Payload(name="slab", mass=500.0)])) == []
     assert list(doubtful_payloads(float_base(arm), [Payload(name="slab", mass=500.0)])) == []
+
+
+@pytest.mark.parametrize(
+    ("gravity", "kinds"),
+    [((0.0, 0.0, -9.0), [F.STRENGTH]), ((7.0, 0.0, -7.0), [F.STRENGTH]), ((0.0, 6.93, -6.93), []), ((0, 0, 0), [])],
+)
+def test_gravity_of_no_place_is_asked_about(gravity: tuple[float, float, float], kinds: list[F]) -> None:
+    robot = replace(load_robot("ur10e"), gravity=gravity)
+    assert [note.kind for note in doubtful_gravity(robot)] == kinds
+
+
+def test_gains_are_not_good_under_a_doubtful_gravity(run: Run) -> None:
+    robot = load_robot("five-bar")
+    robot = replace(robot, gravity=tuple(0.9 * component for component in robot.gravity))
+    loaded = replace(
+        Plant(noise=0.01).run("loaded", 10.0, STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])
+    )
+    verdicts = [gain.verdict for gain in identify(robot, [run, loaded]).drive_gains.values()]
+    assert {verdict.outcome for verdict in verdicts} == {Outcome.CONTRADICTORY}
+    assert F.STRENGTH in {note.kind for note in check_logs(robot, [run, loaded]).notes}

@@ -343,6 +343,23 @@ SENTENCES = [  # finding, reason, advice
     (Finding(F.LARGE_CURRENT, ("a",), "a", {"rms": 8099.0}),
      "the current of joint 'a' is 8099 A rms, more than drives of robots take",
      "if it is in mA, write units: {current: mA}; otherwise state 'prior_gains'"),
+    (Finding(F.SMALL_CURRENT, ("a", "b"), "a", {"rms": 0.0072}),
+     "no current is larger than that of joint 'a', 0.0072 A rms, less than drives of robots take",
+     "check the unit of the currents (A stated as mA?) and the payload's mass (kg); if both are right, state "
+     "'prior_gains'"),
+    (Finding(F.SMALL_CURRENT, (), "a", {"gain": 11378.0, "unit": "N m/A", "volts": 5737.0}),
+     "the gain of 'a', 1.138e+04 N m/A, would induce 5.74e+03 V in its motor at the logged speed (rms), more than "
+     "drives of robots supply",
+     "check the unit of the currents (A stated as mA?) and the payload's mass (kg); if both are right, state "
+     "'prior_gains'"),
+    (Finding(F.STRENGTH, values={"strength": 9.0}),
+     "gravity is 9 m/s2 in the robot's description, and 9.76 to 9.84 on earth; gains and parameters that rest on "
+     "weights have its error",
+     "write 'gravity: [0, 0, -9.81]' in the robot file (in base axes; 'moon' and 'none' are words), or state "
+     "'prior_gains' if it is right"),
+    (Finding(F.PRIOR_GAIN, ("a",), values={"ratio": 0.001}),
+     "the true torque is 0.001 times the logged one",
+     "check the unit of the torques (N m, N mm?) and the payload's mass (kg), or state 'prior_gains'"),
     (Finding(F.HEAVY_PAYLOAD, (), "disc", {"mass": 2805.0, "reach": 1.7, "most": 481.6}),
      "payload 'disc' weighs 2805 kg, more than arms that reach 1.7 m carry (about 482 kg at most); all drive gains are "
      "proportional to it",

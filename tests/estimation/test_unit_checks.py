@@ -77,6 +77,7 @@ def test_right_units_are_accepted(parallel: list[Run], serial: list[Run]) -> Non
     [
         (in_grams, F.HEAVY_PAYLOAD, "payload 'disc' weighs 2000 kg"),
         (lambda runs: scaled(runs, [1e3] * 3), F.LARGE_CURRENT, "A rms, more than drives of robots take"),
+        (lambda runs: scaled(runs, [1e-3] * 3), F.SMALL_CURRENT, "more than drives of robots supply"),
     ],
 )
 def test_a_unit_of_all_joints_is_the_first_that_is_said(
@@ -139,7 +140,7 @@ def test_a_reversed_torque_column_contradicts_and_no_scale_is_asserted() -> None
     assert "The torque scale of 'left' is in doubt." in headline(result)
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-3])
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 3.3, 0.33])
 def test_torques_in_another_unit_give_inertias_out_of_scale_with_the_file(factor: float, tmp_path: Path) -> None:
     arm = stated_arm.robot(tmp_path)
     run = stated_arm.torque_run(stated_arm.plant(arm), 1)
@@ -166,3 +167,22 @@ def test_friction_that_drives_a_joint_contradicts_its_gain(tmp_path: Path) -> No
     result = identify(arm, [replace(run, command=run.command - 2 * stated_arm.FRICTION["fv"] * speed * [0, 0, 1, 0])])
     assert kinds(result)["j3"] == F.IMPOSSIBLE_PARAMETERS
     assert "physically impossible parameters: fv_j3 = -1.5 N m s/rad" in headline(result)
+
+
+@pytest.mark.parametrize(("mass", "kind"), [(1.2, None), (1.2e-3, F.PRIOR_GAIN)])
+def test_a_torque_scale_of_no_gear_contradicts(mass: float, kind: F | None) -> None:
+    """The payload's mass in t, of torques in N m."""
+    plant = Plant(gains=(1.0, 1.0), noise=0.02)
+    runs = [
+        plant.run("free", seed=1, kind="torque"),
+        replace(plant.run("loaded", payload=STEEL, seed=2, kind="torque"), payload=Payload(name="steel", mass=mass)),
+    ]
+    assert kinds(identify(FIVE_BAR, runs)) == (dict.fromkeys(FIVE_BAR.actuated, kind) if kind else {})
+
+
+def test_a_file_that_is_somewhat_off_contradicts_no_gain(tmp_path: Path) -> None:
+    arm = stated_arm.robot(tmp_path)
+    run = stated_arm.torque_run(stated_arm.plant(arm), 1)
+    assert kinds(identify(arm, scaled([run], [1.35] * 4))) == {}
+    heavy = stated_arm.robot(tmp_path, {"j4": 12.0})  # ten times the last link, which is no factor of all
+    assert F.UNLIKE_FILE not in kinds(identify(heavy, [run])).values()

@@ -17,6 +17,7 @@ from gtau.robots.placement import exact_angle, in_degrees
 from gtau.robots.readers.native import read_native
 from gtau.robots.readers.native_text import native_text, write_native
 from gtau.robots.readers.read import catalog_names
+from gtau.robots.readers.source import RobotSource
 from gtau.robots.readers.urdf import read_urdf
 from gtau.robots.robot import (
     GROUND,
@@ -763,3 +764,10 @@ def test_prefixes_that_are_declared_nowhere_do_no_harm(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(arm(HINGE.format("")).replace("</robot>", "<xacro:arm/></robot>"))
     with pytest.raises(GtauError, match="holds xacro macros; expand it"):
         load_robot(tmp_path / "arm.urdf")
+
+
+@pytest.mark.parametrize(("word", "strength"), [("moon", 1.62), ("none", 0.0)])
+def test_gravity_may_be_a_word(word: str, strength: float, tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(GOOD + f"gravity: {word}\n")
+    assert np.linalg.norm(load_robot(tmp_path / "robot.yaml").gravity) == strength
+    assert RobotSource(file="ur10e", gravity=word).gravity == load_robot(tmp_path / "robot.yaml").gravity

@@ -20,7 +20,12 @@ from gtau.estimation.diagnostics.log_checks import (
     require_payload_excitation,
     smoothed_commands,
 )
-from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_payloads, units_and_signs
+from gtau.estimation.diagnostics.unit_checks import (
+    doubtful_currents,
+    doubtful_gravity,
+    doubtful_payloads,
+    units_and_signs,
+)
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
@@ -178,6 +183,7 @@ def check_logs(
     notes += doubtful_commands(used, robot)
     notes += smoothed_commands(used)
     notes += doubtful_currents(used, robot.base)
+    notes += doubtful_gravity(robot)
     notes += doubtful_payloads(robot, (run.payload for run in used))
     preparation, checked = preparation_of(robot, used), []
     every = [(k, run) for k, runs in enumerate(read) for run in runs]

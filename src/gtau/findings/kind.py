@@ -134,8 +134,10 @@ class FindingKind(StrEnum):
     GAINS_APART = "gains far apart", Outcome.CONTRADICTORY
     HEAVY_PAYLOAD = "payload too heavy", Outcome.CONTRADICTORY, UNIT
     LARGE_CURRENT = "current too large", Outcome.CONTRADICTORY, UNIT
+    STRENGTH = "strength of gravity", Outcome.CONTRADICTORY
     UNLIKE_FILE = "inertias out of scale", Outcome.CONTRADICTORY
     EFFORT = "effort limit", Outcome.CONTRADICTORY
+    SMALL_CURRENT = "current too small", Outcome.CONTRADICTORY, UNIT
     WIDE_SCALE = "uncertain scale", Outcome.WEAK
     WIDE_RIPPLE = "wide by ripple", Outcome.WEAK
     WIDE_CAUSE = "wide by an alternative", Outcome.WEAK

@@ -16,20 +16,32 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.estimation.diagnostics.alternatives import rms_speeds
 from gtau.estimation.diagnostics.verdict import half_widths, motors
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import (
     EFFORT_FACTOR,
+    FILE_ALIKE,
     FILE_FACTOR,
+    FILE_SHARE,
     GAINS_APART,
     LEG_DIFFERENCE,
     LEG_DIFFERENCE_STD,
     LEG_PROBABILITY,
     NEGATIVE_STD,
+    OTHER_UNIT,
     PRIOR_FACTOR,
 )
-from gtau.estimation.thresholds.logs import CURRENTS_APART, LARGEST_CURRENT, PAYLOAD_DENSITY
+from gtau.estimation.thresholds.logs import (
+    CURRENTS_APART,
+    LARGEST_CURRENT,
+    LARGEST_VOLTAGE,
+    PAYLOAD_DENSITY,
+    PLACES,
+    SMALLEST_CURRENT,
+)
+from gtau.estimation.thresholds.refutation import BEYOND_GEARS
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped
@@ -59,9 +71,10 @@ def units_and_signs(
         base = dataset.robot.base
         known = {joint: float(gain) for joint, gain, half in of_joints if half < 1 and joint not in base}
         yield from _unlike_priors(fit, known, prior_gains)
-        apart = list(_gains_apart(fit, known))
+        apart = [*_gains_apart(fit, known), *_voltages(fit, known)]
     of_sizes = (
         *apart,
+        *doubtful_gravity(dataset.robot),
         *doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)),
         *doubtful_currents(dataset.runs, dataset.robot.base),
         *(unlike_file(audit) if audit else ()),
@@ -79,12 +92,15 @@ def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, fl
     Without a prior they are positive.
     """
     robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
+    least, most = (1 / OTHER_UNIT, BEYOND_GEARS / 2) if kind == "torque" else (0.0, np.inf)
     for joint, gain in zip(fit.system.problem.joints, fit.gains.tolist(), strict=True):
         prior = priors.get(joint)
         ratio = abs(gain / prior) if prior else 1.0
         if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
             values = {"ratio": ratio, "prior": prior, "unit": gain_unit(robot, joint, kind)}
             yield Finding(F.PRIOR_GAIN, (joint,), values=values)
+        elif joint in known and prior is None and not least <= abs(gain) <= most:
+            yield Finding(F.PRIOR_GAIN, (joint,), values={"ratio": abs(gain)})
         if joint in known and gain * (prior or 1.0) < 0:
             values = {"kind": kind, "negative": gain < 0, "prior": prior is not None}
             yield Finding(F.NEGATIVE_GAIN, (joint,), values=values)
@@ -110,8 +126,26 @@ def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
                 yield Finding(F.GAINS_APART, (joint,), peer, values)
 
 
+def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
+    """Find gains that are too large for the speed of their joint, as a motor's voltage per speed is its gain."""
+    problem, kind = fit.system.problem, fit.dataset.runs[0].kind
+    speeds = dict(zip(problem.joints, rms_speeds(fit).tolist(), strict=False))
+    volts = {joint: abs(gain) * speeds[joint] for joint, gain in known.items()}
+    worst = max(volts, key=lambda joint: volts[joint], default="")
+    if kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:
+        values = {"gain": abs(known[worst]), "unit": gain_unit(fit.dataset.robot, worst, kind), "volts": volts[worst]}
+        yield Finding(F.SMALL_CURRENT, (), worst, values)
+
+
+def doubtful_gravity(robot: Robot) -> Iterator[Finding]:
+    """Find a strength of gravity that is of no place where robots are; without gravity there is nothing to doubt."""
+    strength = float(np.linalg.norm(robot.gravity))
+    if strength and not any(low <= strength <= high for low, high in PLACES):
+        yield Finding(F.STRENGTH, values={"strength": strength})
+
+
 def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterator[Finding]:
-    """Find currents that are too large, or of very different size between joints but those of a floating ``base``."""
+    """Find currents of a size of no drive, or very different between joints but those of a floating ``base``."""
     if runs[0].kind != "current":
         return
     joints = runs[0].joints
@@ -125,6 +159,8 @@ def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterat
     driven = sorted((rms, joint) for joint, rms in zip(joints, sizes, strict=True) if joint not in base and rms > 0)
     if large := tuple(joint for rms, joint in driven if rms > LARGEST_CURRENT):
         yield Finding(F.LARGE_CURRENT, large, large[-1], {"rms": driven[-1][0]})
+    if driven and driven[-1][0] < SMALLEST_CURRENT:
+        yield Finding(F.SMALL_CURRENT, tuple(joint for _, joint in driven), driven[-1][1], {"rms": driven[-1][0]})
     for (small, below), (larger, above) in pairwise(driven):
         if larger > CURRENTS_APART * small:
             yield Finding(F.CURRENTS_APART, (above,), below, {"larger": larger, "smaller": small})
@@ -156,7 +192,7 @@ def _reach(robot: Robot) -> float | None:
 
 
 def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
-    """Find first moments that are all together out of scale with those of the robot's file."""
+    """Find first moments that are out of scale with those of the robot's file, by one factor for all."""
     moments = [
         (audited.value, audited.stated)
         for audited in audit.parameters
@@ -164,9 +200,11 @@ def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
         if abs(audited.value) > NEGATIVE_STD * audited.std
     ]
     if len(moments) >= 2:
-        identified, stated = np.linalg.norm(moments, axis=0)
-        factor = float(identified / stated)
-        if not 1 / FILE_FACTOR <= factor <= FILE_FACTOR:
+        identified, stated = np.abs(np.transpose(moments))
+        factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))
+        apart, own = max(factor, 1 / factor), np.log(identified / stated / factor)
+        common = np.mean(np.abs(own) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
+        if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
             yield Finding(F.UNLIKE_FILE, values={"factor": factor, "count": len(moments)})
 
 

@@ -149,11 +149,27 @@ GAINS_APART = Threshold(
     evidence="shared logs, data sheets; the factors between units",
 )
 FILE_FACTOR = Threshold(
-    10.0,
+    2.0,
     "rms of the identified first moments over that of the robot's file, or the inverse",
-    healthy="1.00 (UR10e), 1.19 (Aliengo), 1.20 (KUKA), 1.34 (xMate 7 Pro), 1.66 (AIRBOT Play)",
-    faulty="1000 (g for kg, N mm for N m)",
+    healthy="1.00 (UR10e), 1.19 (Aliengo), 1.20 (KUKA), 1.34 (xMate 7 Pro)",
+    faulty="3.3 (a payload of 1.5 kg stated as 5), 1000 (g for kg, N mm for N m)",
     evidence="shared logs with their URDF and MJCF files, tests/estimation/test_unit_checks.py",
+)
+FILE_ALIKE = Threshold(
+    1.5,
+    "factor of a moment over that of all, or the inverse, within which it has that factor",
+    healthy="1.6 and 4.7 (the smallest moment of KUKA and UR10e), else up to 1.3",
+    evidence="the same logs",
+)
+FILE_SHARE = Threshold(
+    2 / 3,
+    "share of the moments within FILE_ALIKE, from which a factor is one of all",
+    healthy="2 of 3, 3 of 4, 3 of 4, 3 of 3 (the same logs)",
+    faulty="1, 1 and 3 of 6 (files whose link 4, 2 or 3 is ten times too heavy, which the audit names)",
+    evidence="the same logs, the arm of tests/support/stated_arm.py",
+)
+OTHER_UNIT = Threshold(
+    10.0, "factor from which a unit is wrong", healthy="up to 1.4 (torques of AIRBOT Play)", evidence="units of files"
 )
 EFFORT_FACTOR = Threshold(
     2.0, "rms torque over the joint's limit of effort", healthy="below 1", faulty="1000 (g for kg)", evidence="faults"

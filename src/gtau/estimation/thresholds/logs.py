@@ -136,6 +136,22 @@ LARGEST_CURRENT = Threshold(
     faulty="980 (dVRK), 8100 (UR10e, mA read as A)",
     evidence="shared logs; large drives do reach it, so that it is asked and not refused",
 )
+SMALLEST_CURRENT = Threshold(
+    0.02,
+    "rms current of the joint with the largest, A, from which it is rather in A and was stated as mA",
+    healthy="0.075 (SO-101), 1 (dVRK), 7.2 and 8.1 (UR10e)",
+    faulty="0.0072 and 0.0081 (UR10e, A stated as mA)",
+    evidence="shared logs; drives that take more than 20 A are left to LARGEST_VOLTAGE",
+)
+LARGEST_VOLTAGE = Threshold(
+    1500.0,
+    "rms speed of a joint times its gain, V: what its motor induces, from which a unit is wrong",
+    healthy="5.7 (UR10e), 620 (Orthoglide, simulated)",
+    faulty="5,700 (UR10e, A stated as mA, or the payload in g)",
+    evidence="shared logs; drives of robots are supplied with 12 to 800 V",
+)
+PLACES = ((9.76, 9.84), (1.61, 1.64))
+"""Strengths of gravity, m/s2: on land 9.764 (Huascaran) to 9.834 (Arctic Ocean) with what files round, the moon."""
 PAYLOAD_DENSITY = Threshold(
     100.0,
     "mass of a payload over the cube of the arm's reach, kg/m3, from which it is rather in g",

@@ -15,6 +15,7 @@ from gtau.errors import GtauError
 from gtau.robots.floating import base_joints
 from gtau.robots.placement import DEGREES_ADVICE, exact_placement, in_degrees, short_angles_note
 from gtau.robots.readers.expressions import RESERVED, AffineInQ, evaluate, linear
+from gtau.robots.readers.source import gravity_of
 from gtau.robots.robot import (
     DAMPING,
     INERTIAL,
@@ -62,12 +63,6 @@ Coordinate = Annotated[AffineInQ, BeforeValidator(_coordinate)]
 """A number that may hold the joint coordinate ``q``."""
 Triple = tuple[Number, Number, Number]
 Angles = tuple[Angle, Angle, Angle]
-
-
-def _gravity(value: Any) -> Any:
-    if isinstance(value, str):
-        raise ValueError(f"write three numbers, m/s2 in base axes, such as [0, 0, -9.81], not '{value}'")
-    return value
 
 
 MDH_KEYS = ("gamma", "b", "alpha", "d", "theta", "r")
@@ -206,7 +201,7 @@ class _RobotEntry(_Entry):
     source: str = ""
     notes: list[str] = []
     constants: dict[str, Any] = {}  # evaluated first, see _constants
-    gravity: Annotated[Triple, BeforeValidator(_gravity)] = (0.0, 0.0, -STANDARD_GRAVITY)
+    gravity: Annotated[Triple, BeforeValidator(gravity_of)] = (0.0, 0.0, -STANDARD_GRAVITY)
     joints: dict[str, _JointEntry]
     platforms: dict[str, _PlatformEntry] = {}
     closures: list[_ClosureEntry] = []

@@ -66,6 +66,17 @@ class GivenLimits(Keys):
         return position
 
 
+GRAVITIES = {"none": (0.0, 0.0, 0.0), "moon": (0.0, 0.0, -1.62)}
+
+
+def gravity_of(value: Any) -> Any:
+    """Read gravity that is written as a word; raises ValueError."""
+    value = GRAVITIES.get(value, value) if isinstance(value, str) else value
+    if isinstance(value, str):
+        raise ValueError(f"write three numbers, m/s2 in base axes, such as [0, 0, -9.81], moon or none, not '{value}'")
+    return value
+
+
 class RobotSource(BaseModel):
     """A robot's file or catalog name, with the selected joints and the pose of its base.
 
@@ -81,7 +92,7 @@ class RobotSource(BaseModel):
     joints: tuple[str, ...] = ()
     held: dict[str, FiniteFloat] = {}
     limits: dict[str, GivenLimits] = {}
-    gravity: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    gravity: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None, BeforeValidator(gravity_of)] = None
 
 
 AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("group")], Discriminator(text_or_group)]
