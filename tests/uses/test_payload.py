@@ -85,8 +85,11 @@ def test_one_log_is_weighed_by_the_model(model: Result, folder: Path) -> None:
     assert found.weighed is not None
     assert found.weighed.by_model
     said = " ".join(plain(weighing_page(model, [found], "identified")).split())
-    assert "the model is the reference, with friction that may have changed by 20 %" in said
+    assert "the model is the reference, with gains that may have changed by 3 % and friction by 20 %" in said
     assert found.verdict.outcome == "good"
+    # torque constants that fell show in what the robot itself weighs
+    (after,) = weigh(model, five_bar().robot, [replace(run, command=run.command / 0.95)])
+    assert after.parameters["m"].value == pytest.approx(mass.value, abs=0.01)
     warm = replace(run, command=run.command / 0.9)
     (apart,) = weigh(model, five_bar().robot, [warm])
     assert apart.verdict.finding.kind == F.MODEL_APART
@@ -310,6 +313,6 @@ def test_a_few_poses_are_weighed_by_the_moves_between_them(tmp_path: Path) -> No
     for moving in ([True] * 4, [False, True, True, False]):
         (load,) = weigh(model, true, [posed(true, moving, 6)])
         assert load.parameters["m"].value == pytest.approx(1.5, abs=load.parameters["m"].half_interval())
-        assert load.parameters["m"].half_interval() < 0.02
+        assert load.parameters["m"].half_interval() < 0.03
     with pytest.raises(GtauError, match=r"the robot stands still in all runs|no joint moves"):
         weigh(model, true, [posed(true, [True] * 4, 1)])

@@ -21,7 +21,7 @@ from gtau.report.logs import logs_section
 from gtau.report.motion import motion_section
 from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
 from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_section
-from gtau.uses.weigh import FRICTION_CHANGE
+from gtau.uses.weigh import FRICTION_CHANGE, GAIN_CHANGE
 
 CAUTION = (
     "A small error does not validate the gains: they scale both sides. Next: weigh a known load, which does (gtau "
@@ -127,8 +127,9 @@ def weighing_page(
         )
     if any(payload.weighed and payload.weighed.by_model for payload in payloads):
         said.append(
-            "no run shows the robot with another load, so the model is the reference, with friction that may have "
-            f"changed by {100 * FRICTION_CHANGE:.0f} %; a log of the same motion without payload narrows the interval"
+            "no run shows the robot with another load, so the model is the reference, with gains that may have changed "
+            f"by {100 * GAIN_CHANGE:.0f} % and friction by {100 * FRICTION_CHANGE:.0f} %; a log of the same motion "
+            "without payload narrows the interval"
         )
     given = "the logged torques taken as true, whose scale was not tested" if torques else "these gains assumed exact"
     words = masses_words(payloads, f"with {given}, " if exact else "")

@@ -66,11 +66,11 @@ class GivenLimits(Keys):
         return position
 
 
-GRAVITIES = {"none": (0.0, 0.0, 0.0), "moon": (0.0, 0.0, -1.62)}
+GRAVITIES = {"none": ("0", "0", "0"), "moon": ("0", "0", "-1.62")}
 
 
 def gravity_of(value: Any) -> Any:
-    """Read gravity that is written as a word; raises ValueError."""
+    """Replace a word for gravity by the numbers, as text; raises ValueError."""
     value = GRAVITIES.get(value, value) if isinstance(value, str) else value
     if isinstance(value, str):
         raise ValueError(f"write three numbers, m/s2 in base axes, such as [0, 0, -9.81], moon or none, not '{value}'")
