@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import stated_arm
 from engines import closed_torques
 from five_bar_logs import CHI, GAINS, TOOL, five_bar
 from sensed_logs import SensedPlant
@@ -435,3 +436,31 @@ def test_the_calibration_of_a_sensor_counts_by_its_share_in_the_scale() -> None:
     assert not scale_uncertainty(exact.system, exact.solve).any()
     (alone,), (tolerant,) = sensor_scales(exact), sensor_scales(fit)
     assert tolerant.std == pytest.approx(np.hypot(alone.std, 0.05))
+
+
+@pytest.mark.parametrize(
+    ("off", "others", "method", "wrong"),
+    [
+        (1.0, {}, None, set()),
+        (1.1, {}, "wls", {"mz_j4"}),  # the torques are given
+        (1.1, {"ia_j4": 0.01}, None, {"mz_j4", "ia_j4"}),  # the two contradict each other
+        (1.1, {}, None, set()),  # it sets the scale alone
+    ],
+)
+def test_known_parameters_test_torques_and_are_compared_with_all_else(
+    off: float, others: dict[str, float], method: str | None, wrong: set[str], tmp_path: Path
+) -> None:
+    arm = stated_arm.robot(tmp_path)
+    run, true = stated_arm.torque_run(stated_arm.plant(arm), 1), stated_arm.chi(arm)
+    priors = {name: {"value": true[name], "std": std * true[name]} for name, std in others.items()}
+    priors |= {"mz_j4": {"value": off * true["mz_j4"], "std": 0.01 * true["mz_j4"]}, "my_j1": {"value": 0, "std": 0.2}}
+    result = identify(arm, [run], priors=priors, method=method)
+    assert {note.subject for note in result.notes if note.kind == F.PRIOR} == wrong
+    assert result.method == (method or "ml")
+    if method is None and not others:
+        for gain in result.drive_gains.values():
+            low, high = gain.interval()
+            assert low < off < high
+    (said,) = [note for note in result.notes if note.subject == "mz_j4"] or [None]
+    if said is not None:  # what all else says, not a mean of it and the prior
+        assert said.values["found"] == pytest.approx(true["mz_j4"], rel=0.05)

@@ -15,8 +15,10 @@ from gtau.estimation.experiment_runs import Options, Subject
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.scale_source import require_scale
 from gtau.progress import Progress
-from gtau.robots.robot import Robot
+from gtau.robots.parameter import parameter_of
+from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 
@@ -58,8 +60,8 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
     """Plan an identification: its estimator, and the gains (n,) that it is given; None where it estimates them.
 
     Where nothing tests the scale of logged torques it is set to 1, except by an estimator of gains that was asked for;
-    known parameters alone test it only for the latter, as they may be rough. Raises GtauError if nothing fixes the
-    scale of the currents, or the estimator asked for lacks an input.
+    data sheets, friction and the file's inertias test it only for the latter, as they may be rough. Raises GtauError if
+    nothing fixes the scale of the currents, or the estimator asked for lacks an input.
     """
     options, runs = subject.options, dataset.runs
     estimator, named = estimator_for(options, runs), options.method is not None
@@ -71,16 +73,19 @@ def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator,
             if demanded:
                 raise
         else:
-            if demanded or tests_torques(system):
+            if demanded or tests_torques(system, subject.stated):
                 return estimator, None
         estimator = estimator if named else estimator_of("wls")
     return estimator, given_gains(dataset.robot, runs, options.gains, estimator.name)
 
 
-def tests_torques(system: System) -> bool:
-    """Decide whether a known payload, a torque sensor or a wrench tests the scale of logged torques."""
+def tests_torques(system: System, stated: Mapping[str, Prior]) -> bool:
+    """Decide whether a known payload, a torque sensor, a wrench or a ``stated`` inertia tests the scale of torques."""
     problem, known = system.problem, (carried for carried in system.payloads if carried.payload.mass is not None)
-    return any(carried.acts for carried in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
+    of_file = set(system.dataset.priors) - set(system.dataset.stated_priors)
+    inertias = [name for name in stated.keys() - of_file if parameter_of(name).kind in (*INERTIAL, "ia")]
+    weighed = any(stated[name].value for name in inertias)  # a value of zero has no scale
+    return weighed or any(load.acts for load in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
 
 
 def _refuse_priors(estimator: Estimator, subject: Subject) -> None:

@@ -40,6 +40,9 @@ from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import Payload
 
+LEAST_OTHERS = 1e-3
+"""Weight of all else in an estimate, below which it is the prior: 2e-9 where a prior sets the scale, by rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class StatedConstant:
@@ -243,9 +246,10 @@ def sensor_contradictions(scales: Sequence[SensorScale], joints: Sequence[str], 
 
 
 def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:
-    """Find base parameters whose estimates differ from their priors by more than the ``accuracy`` (relative).
+    """Find base parameters whose estimates without their prior differ from it by more than the ``accuracy`` (relative).
 
-    ``covariance`` (k, k) is that of (theta, gains, delays).
+    ``covariance`` (k, k) is that of (theta, gains, delays). Each estimate is a mean of what all else says and the
+    prior, whose weight is its share in the information; that of a prior which alone sets the scale is 1.
     """
     parameters, base, wrong = fit.system.problem.parameters, fit.dataset.base.names, []
     priors = {name: prior for name, prior in fit.dataset.stated_priors.items() if name in base and name in parameters}
@@ -254,9 +258,12 @@ def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> l
         if prior.value is None or prior.std is None:
             continue
         k = parameters.index(name)
-        value, std = float(fit.solution.theta[k]), float(np.sqrt(covariance[k, k]))
-        apart = prior.std * np.sqrt(max(1 - (std / prior.std) ** 2, 0.0))  # as the estimate has the prior in it
-        if abs(value - prior.value) > max(limit * apart, accuracy * abs(prior.value)):
+        others = 1 - float(fit.solution.covariance[k, k]) / prior.std**2
+        if others < LEAST_OTHERS:
+            continue
+        value = prior.value + (float(fit.solution.theta[k]) - prior.value) / others
+        std = float(np.sqrt(max(covariance[k, k] - ((1 - others) * prior.std) ** 2, 0.0))) / others
+        if abs(value - prior.value) > max(limit * np.hypot(std, prior.std), accuracy * abs(prior.value)):
             values = {"found": value, "std": std, "prior": prior.value, "prior_std": prior.std}
             wrong.append(Finding(F.PRIOR, (), name, values))
     return wrong

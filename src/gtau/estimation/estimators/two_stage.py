@@ -42,7 +42,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         x = least_squares(A[:, :-1], -A[:, -1])
         if not any(block[:, -1].any() for block in blocks):  # noise biases a scale by known parameters towards zero
             known = problem.total_known[:, :-1] @ x
-            x *= -(problem.total_known[:, -1] @ known) / (known @ known)
+            x *= -(problem.total_known[:, -1] @ known) / max(known @ known, 1e-300)
         gains = np.where(problem.unknown_gains, x[of_gains], 1.0)
         if not np.all(np.abs(gains) > 0):
             raise GtauError(
