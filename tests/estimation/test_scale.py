@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,7 @@ from typer.testing import CliRunner
 from gtau import Result, read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.estimation.check_logs import check_logs
 from gtau.estimation.diagnostics.stated_constants import (
     estimate_slopes,
     scale_shares,
@@ -32,6 +34,7 @@ from gtau.estimation.estimators.maximum_likelihood import ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.identify import identify
+from gtau.estimation.preconditions import refuse_repeated
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN
@@ -40,8 +43,8 @@ from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
-from gtau.signals.reading.statements import Payload, Prior
-from gtau.signals.run import Run
+from gtau.signals.reading.statements import Payload, Prior, as_payload
+from gtau.signals.run import Log, Run
 
 ARM = Robot(
     "arm",
@@ -464,3 +467,51 @@ def test_known_parameters_test_torques_and_are_compared_with_all_else(
     (said,) = [note for note in result.notes if note.subject == "mz_j4"] or [None]
     if said is not None:  # what all else says, not a mean of it and the prior
         assert said.values["found"] == pytest.approx(true["mz_j4"], rel=0.05)
+
+
+def test_a_first_moment_in_metres_is_recognised(tmp_path: Path) -> None:
+    arm = stated_arm.robot(tmp_path)
+    plant = replace(stated_arm.plant(arm), tool="j4")
+    carried = {"m": 5.0, "mx": 0.25, "mz": 0.5, "xx": 0.06, "yy": 0.07, "zz": 0.02}
+    known = Payload(name="block", mass=5.0, parameters={"mx": 0.05})
+    (payload,) = identify(arm, [plant.run(1), plant.run(2, payload=carried, known=known)]).payloads
+    assert payload.verdict.outcome == Outcome.CONTRADICTORY
+    assert "if 0.05 is in m, write 'mx: 0.25'" in payload.verdict.advice
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({"xx": -0.5}, "xx is -0.5 kg m2"),
+        ({"mx": 0.4, "yy": 0.01}, "yy is 0.01 kg m2, and 0.08 by mass and centre alone"),
+        ({"xx": 0.5, "yy": 0.1, "zz": 0.1}, "xx is 0.5 kg m2, and yy and zz together 0.2"),
+        ({"xx": 0.1, "yz": 0.2}, "yz is 0.2 kg m2, and xx 0.1"),
+    ],
+)
+def test_inertias_that_no_body_has_are_refused(parameters: dict[str, float], problem: str) -> None:
+    with pytest.raises(GtauError, match=re.escape(f"{problem}, which no body has; correct the parameters")):
+        as_payload({"name": "block", "mass": 2.0, "parameters": parameters})
+    block = {"mx": 0.1, "my": -0.04, "xx": 0.02, "yy": 0.03, "zz": 0.02, "xy": 0.005}
+    assert as_payload({"name": "block", "mass": 2.0, "parameters": block}) is not None
+
+
+def test_the_same_samples_are_refused_twice(tmp_path: Path) -> None:
+    arm = stated_arm.robot(tmp_path)
+    run = stated_arm.torque_run(stated_arm.plant(arm), 1)
+    loaded = replace(run, name="loaded", payload=Payload(name="block", mass=1.0))
+    with pytest.raises(GtauError, match="runs 'run 1' and 'loaded' hold the same samples, so it is declared with two"):
+        identify(arm, [run, loaded])
+    notes = check_logs(arm, [run, replace(run, name="again")]).notes
+    assert any("hold the same samples, so it would count twice" in str(note) for note in notes)
+
+
+def test_parts_of_a_log_that_overlap_are_refused() -> None:
+    refuse_repeated([part_of_log(0.0, 5.0), part_of_log(5.0, 9.0)])
+    with pytest.raises(GtauError, match="hold the same samples"):
+        refuse_repeated([part_of_log(0.0, 5.0), part_of_log(4.0, 9.0)])
+
+
+def part_of_log(start: float, end: float) -> Run:
+    time = np.arange(start, end, 0.01)
+    q = np.sin(time)[:, None]
+    return Run(f"from {start:g}", ("j",), time, q, q, log=Log(paths=(Path("log.csv"),)))

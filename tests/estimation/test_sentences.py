@@ -231,6 +231,11 @@ SENTENCES = [  # finding, reason, advice
      values={"parameter": "mx", "declared": 0.3, "found": 0.2, "std": 0.01, "unit": "kg m"}),
      "given its mass and all other data, its mx is 0.2 kg m (standard deviation 0.01), not 0.3 kg m",
      "check mx, its frame (that of the body that carries the payload) and the mass; or omit mx"),
+    (Finding(F.PAYLOAD_PARAMETER,
+     values={"parameter": "mx", "declared": 0.05, "found": 0.0995, "std": 0.001, "unit": "kg m", "moment": 0.1}),
+     "given its mass and all other data, its mx is 0.0995 kg m (standard deviation 0.001), not 0.05 kg m",
+     "if 0.05 is in m, write 'mx: 0.1' (mass times distance, kg m); otherwise check mx, its frame (that of the body "
+     "that carries the payload) and the mass; or omit mx"),
     (Finding(F.SENSOR_SCALE, values={"scale": 1.051, "std": 0.004}),
      "all other data give torques 1.051 times its reading (standard deviation 0.004)",
      "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
+from itertools import combinations
 
 import numpy as np
 
@@ -21,6 +22,8 @@ from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
+ALIKE = 1000  # samples that are compared before all are
+
 
 def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
     """Return the estimator asked for, or the default: ML, or as in the paper TLS, or WLS of torques; GtauError."""
@@ -34,9 +37,10 @@ def require_inputs(subject: Subject) -> Estimator:
     Raises GtauError where it takes neither torque sensors nor known parameters, and there are some (``consistent``
     parameters are sought with the latter whatever the estimator); where it does not support a floating base; where it
     takes gains and some joint has none; where the paper has no such method, or it cannot be constrained; where the
-    solver of consistent parameters is not installed.
+    solver of consistent parameters is not installed; where a log is given twice.
     """
     options, estimator = subject.options, estimator_for(subject.options, subject.runs)
+    refuse_repeated(subject.runs)
     if options.as_paper and not estimator.in_paper:
         of_paper = ", ".join(other.name for other in estimators().values() if other.in_paper)
         raise GtauError(
@@ -54,6 +58,24 @@ def require_inputs(subject: Subject) -> Estimator:
     if estimator.gains == Gains.GIVEN:
         given_gains(subject.robot, subject.runs, options.gains, estimator.name)
     return estimator
+
+
+def refuse_repeated(runs: Sequence[Run]) -> None:
+    """Refuse runs that hold the same samples, or overlapping parts of a log; raises GtauError."""
+    for one, other in combinations(runs, 2):
+        overlap = min(one.time[-1], other.time[-1]) - max(one.time[0], other.time[0])
+        of_log = bool(one.log.paths) and one.log.paths == other.log.paths and overlap > 2 / min(one.rate, other.rate)
+        alike = one.command.shape == other.command.shape and np.ptp(one.command[:ALIKE], axis=0).any()
+        same = alike and all(
+            np.array_equal(a[:ALIKE], b[:ALIKE]) and np.array_equal(a, b)
+            for a, b in ((one.command, other.command), (one.position, other.position))
+        )
+        if of_log or same:
+            declared = "it is declared with two loads" if one.payload != other.payload else "it would count twice"
+            raise GtauError(
+                f"runs '{one.name}' and '{other.name}' hold the same samples, so {declared}; remove one of them, or "
+                "give the log that was meant."
+            )
 
 
 def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator, np.ndarray | None]:

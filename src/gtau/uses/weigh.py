@@ -20,7 +20,7 @@ from gtau.estimation.estimators.least_squares import fit_by, wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.estimators.newton import solve as newton
 from gtau.estimation.experiment_runs import Subject, options_of, read
-from gtau.estimation.preconditions import given_gains
+from gtau.estimation.preconditions import given_gains, refuse_repeated
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Estimates, Problem
@@ -94,6 +94,7 @@ def weigh(
     require_same(model, subject.robot, subject.runs[0].kind, str(source) if of_file else "this experiment")
     if not any(run.payload is not None and run.payload.mass is None for run in subject.runs):
         raise GtauError(f"{where}no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
+    refuse_repeated(subject.runs)
     bare = any(run.payload is None for run in subject.runs)
     chosen = [run for run in subject.runs if run.payload is None or run.payload.mass is None or not bare]
     g_tau, covariance = _prior_gains(model, subject, where) if gains == "prior" else _identified_gains(model)

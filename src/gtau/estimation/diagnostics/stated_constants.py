@@ -38,8 +38,11 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import Channel
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
+IN_METRES = 4.0
+"""Times, by which a parameter is nearer to the mass times what is stated than to this: it was in m, not kg m; 16 and
+more (arm of tests/support/stated_arm.py)."""
 LEAST_OTHERS = 1e-3
 """Weight of all else in an estimate, below which it is the prior: 2e-9 where a prior sets the scale, by rounding."""
 
@@ -323,6 +326,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
         "remains": residual_ratio(other, fit),
         "given": "" if fit.free_gains else fit.dataset.runs[0].kind,
     }
+    if kind in FIRST_MOMENTS and mass and abs(value - mass * declared) < abs(value - declared) / IN_METRES:
+        tested["moment"] = mass * declared
     likelihood = float(problem.total_rows @ np.log(other.solution.sigma))
     return likelihood, GOOD if small else known_verdict(tested, _explained(fit, other))
 

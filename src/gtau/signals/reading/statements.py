@@ -53,6 +53,12 @@ class Payload(Keys):
         return parameters
 
     @model_validator(mode="after")
+    def _of_a_body(self) -> Payload:
+        if problem := no_body(self.parameters, self.mass):
+            raise ValueError(f"{problem}, which no body has; correct the parameters (at the frame's origin, SI units)")
+        return self
+
+    @model_validator(mode="after")
     def _of_a_known_or_unknown_mass(self) -> Payload:
         if self.mass is None and "mass_std" in self.model_fields_set:
             raise ValueError("'mass_std' is given without 'mass'; add the mass or remove it")
@@ -64,6 +70,32 @@ class Payload(Keys):
             moments = ", ".join(f"{k}: {self.mass * c:.6g}" for k, c in zip(FIRST_MOMENTS, self.center, strict=True))
             raise ValueError(f"'center' is for an unknown mass; for a known one write 'parameters: {{{moments}}}'")
         return self
+
+
+ROUNDED = 0.01  # of a moment of inertia: what people round
+
+
+def no_body(parameters: Mapping[str, float], mass: float | None) -> str:
+    """Say what of inertial parameters at the frame's origin no body has, as far as they are given; empty if nothing.
+
+    A moment about an axis is negative, larger than the other two together, smaller than what mass and centre alone
+    have, or a product of two axes is larger than half the moment about the third.
+    """
+    x, y, z = (parameters.get(kind, 0.0) for kind in FIRST_MOMENTS)
+    others = {"xx": ("yy", "zz", "yz", y, z), "yy": ("xx", "zz", "xz", x, z), "zz": ("xx", "yy", "xy", x, y)}
+    for kind, (one, other, product, a, b) in others.items():
+        moment = parameters.get(kind)
+        if moment is None:
+            continue
+        least = (a * a + b * b) / mass if mass else 0.0
+        if moment < 0 or moment < (1 - ROUNDED) * least:
+            return f"{kind} is {moment:g} kg m2" + (f", and {least:.3g} by mass and centre alone" if least else "")
+        most = parameters.get(one, np.inf) + parameters.get(other, np.inf)
+        if moment > (1 + ROUNDED) * most:
+            return f"{kind} is {moment:g} kg m2, and {one} and {other} together {most:g}"
+        if 2 * abs(parameters.get(product, 0.0)) > (1 + ROUNDED) * moment:
+            return f"{product} is {parameters[product]:g} kg m2, and {kind} {moment:g}"
+    return ""
 
 
 def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
