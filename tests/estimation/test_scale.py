@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import stated_arm
 from engines import closed_torques
-from five_bar_logs import CHI, GAINS, TOOL, five_bar
+from five_bar_logs import CHI, GAINS, TOOL, Plant, five_bar, write_experiment
 from sensed_logs import SensedPlant
 from typer.testing import CliRunner
 
@@ -515,3 +515,14 @@ def part_of_log(start: float, end: float) -> Run:
     time = np.arange(start, end, 0.01)
     q = np.sin(time)[:, None]
     return Run(f"from {start:g}", ("j",), time, q, q, log=Log(paths=(Path("log.csv"),)))
+
+
+def test_prior_gains_of_some_joints_are_enough_where_gains_are_estimated(tmp_path: Path) -> None:
+    path = write_experiment(tmp_path, Plant(noise=0.02))
+    path.write_text(path.read_text().replace("{left: 2.5, right: 4.0}", "{left: 25.0}"))
+    kinds = {
+        joint: gain.verdict.finding.kind for joint, gain in identify(path).drive_gains.items() if gain.verdict.finding
+    }
+    assert kinds["left"] == F.PRIOR_GAIN
+    with pytest.raises(GtauError, match="needs a drive gain for every joint, and joint 'right' has none"):
+        identify(path, method="wls")

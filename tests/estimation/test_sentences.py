@@ -12,7 +12,7 @@ from gtau.estimation.diagnostics.hypotheses import description, drives
 from gtau.findings import Finding, Severity
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import finding_document, named_causes
-from gtau.findings.words import phrase, templates
+from gtau.findings.words import filled, percents, phrase, templates
 
 NO_GRAVITY = (
     "log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., gravity: [0, 0, "
@@ -723,3 +723,11 @@ def test_a_finding_has_a_topic_and_its_sentence() -> None:
     noise = Finding(F.NOISY, ("left",), values={"shares": [("left", 0.5)]}, source="run")
     assert (noise.topic, noise.joint, noise.severity) == (F.POSITION_NOISE, "left", Severity.WARNING)
     assert str(noise) == f"run: {noise.what}; {noise.action}"
+
+
+def test_numbers_are_written_as_people_write_them() -> None:
+    assert percents([65.142, 65.141]) == "65.14 %"
+    assert percents([1.2, 65.14]) == "1.20 to 65.14 %"
+    assert percents([3923.72, 12.0]) == "12.00 to more than 1000 %"
+    assert filled("unexplained current", {"share": 37.0, "kind": "current", "given": True})[0].count("more than 1000 %")
+    assert "a robot mass of 0 kg" in filled("negative mass", {"mass": -0.0})[0]

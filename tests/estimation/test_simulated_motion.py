@@ -262,3 +262,11 @@ def test_gains_of_the_orthoglide_logs(method: str, decimation: int | None, share
         assert low < truth < high
         assert gain.value == pytest.approx(truth, rel=4e-3)
         assert gain.verdict.outcome == "good"
+
+
+def test_delays_that_are_not_estimated_leave_instruments_of_full_rank() -> None:
+    """As of logs in whose currents a delay is lost in noise."""
+    system = reduce_runs(FIVE_BAR, pair(Plant(noise=0.02))).system(delays=False)
+    _, solution = instrumental(system, ml(system.problem), True, silent)
+    np.testing.assert_allclose(solution.gains, GAINS, rtol=0.02)
+    assert np.all(np.isfinite(solution.jackknife))

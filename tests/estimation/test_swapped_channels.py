@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gtau.estimation.diagnostics.effort import rank_meanings
 from gtau.estimation.diagnostics.effort_rows import joint_rows
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
@@ -78,3 +79,16 @@ def test_swapped_columns_are_named(columns: tuple[int, ...], runs: list[Run]) ->
         if joint in wrong:
             assert gain.verdict.finding.kind == F.SWAPPED
             assert set(gain.verdict.finding.joints) == wrong
+
+
+def test_what_exchanging_leaves_is_of_all_joints_and_not_of_the_noisiest(runs: list[Run]) -> None:
+    """Of joints that differ in noise, the worst after against the best before said hardly anything, or the opposite."""
+    rng, disturbed = np.random.default_rng(1), []
+    for run in runs:
+        slow = np.convolve(rng.standard_normal(len(run.time)), np.ones(150) / 150, "same")
+        command = run.command.copy()
+        command[:, 0] += 0.1 * command[:, 0].std() * slow / slow.std()
+        disturbed.append(replace(run, command=command))
+    best, *_ = rank_meanings(reduce_runs(SCARA, with_columns(disturbed, [1, 0, 2, 3])), 0.01)
+    assert (best.kind, best.joints) == (F.SWAPPED, ("1", "2"))
+    assert best.values["exchanged"] < 0.3 * best.values["as_logged"]

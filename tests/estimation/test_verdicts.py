@@ -8,18 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.stats
-from five_bar_logs import GAINS, JOINTS, STEEL, Plant, pair
+from five_bar_logs import GAINS, JOINTS, STEEL, Plant, five_bar, pair
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.diagnose import base_misfit
+from gtau.estimation.diagnostics.diagnose import _estimated_gains, base_misfit
+from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.verdict import (
     GOOD,
     OUTCOMES,
@@ -33,7 +35,9 @@ from gtau.estimation.diagnostics.verdict import (
     verdict_of,
     worst,
 )
+from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.results.conclusions import Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
@@ -372,3 +376,25 @@ def test_moments_of_a_base_that_hangs_still_are_no_misfit(left: float, unexplain
     shares = base_misfit(SimpleNamespace(system=SimpleNamespace(problem=problem), solution=solution))
     assert shares["forces"] < 0.01
     assert (shares["moments"] > BASE_MISFIT) == unexplained
+
+
+@pytest.mark.parametrize(("factor", "refuted"), [(1.0, True), (400.0, False)])
+def test_a_gain_that_is_noise_refutes_nothing(factor: float, refuted: bool) -> None:
+    """A tilt that would move a gain by 40 % is evidence at an interval of 1 %, not at one of 400 %."""
+    plant = Plant(noise=0.02)
+    runs = [
+        plant.run("free", seed=1),
+        replace(plant.run("loaded", payload=STEEL, seed=2), payload=Payload(name="steel", mass=STEEL["m"])),
+    ]
+    fit = ML.fit(reduce_runs(five_bar().robot, runs).system())
+    estimates = estimates_of(fit, Examination(), correlated=True)
+    estimates = replace(estimates, scatter=factor**2 * estimates.scatter)
+    tilt = Finding("gravity tilt", values={"towards": (1.0, 0.0, 0.0)})
+    part = SimpleNamespace(
+        moves=dict.fromkeys(("left", "right"), 40.0), size=4.0, unit="degrees", share=0.6, causes=(tilt,)
+    )
+    examined: Any = SimpleNamespace(refuted=(part,), alternatives=(), ripple=None)
+    findings = list(_estimated_gains(fit, examined, estimates, 0.03, {}))
+    verdicts = decide(("left", "right"), findings)
+    outcome = Outcome.CONTRADICTORY if refuted else Outcome.NOT_IDENTIFIABLE
+    assert {verdict.outcome for verdict in verdicts.values()} == {outcome}

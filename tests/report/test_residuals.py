@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gtau.estimation.results.estimate import TorqueError
+from gtau.report.identification import _largest
 from gtau.report.residuals import autocorrelation, histogram, moments, spectrum
 
 
@@ -47,3 +49,12 @@ def test_a_histogram_is_a_density_with_the_deviation_of_what_is_kept(rng: np.ran
     few = [(np.arange(5.0), np.ones(5))]
     assert histogram(few) is None
     assert moments(few) is None
+
+
+def test_the_tile_of_the_largest_error_in_band_counts_reversals_too() -> None:
+    errors = [
+        TorqueError("a", 1.0, 100.0, "N m", 7.0, 100.0, 9.0, 100.0),
+        TorqueError("b", 2.0, 100.0, "N m", 3.0, 100.0, 4.0, 100.0),
+    ]
+    assert _largest(errors, in_band=True) == "7.00 % (a)"
+    assert _largest(errors) == "2.00 % (b)"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 RELATIVE = "of itself"  # unit of a size that is a share of what it changes
+MOST_PERCENT = 1000.0
+"""Per cent, above which a size is none: what has it is no estimate, and no error of one."""
 Sentence = tuple[str, str]
 """Reason and advice, of a cause its name and advice, which is empty where there is nothing to do."""
 
@@ -67,9 +69,9 @@ def _environment() -> Environment:
     )
     environment.globals["pi"] = pi
     environment.filters |= {
-        "form": format,
+        "form": _form,
         "moment": moment,
-        "percent": lambda share, spec: f"{100 * share:{spec}} %",
+        "percent": _percent,
         "percent_text": percent_text,
         "plural": lambda number: "s" * (number != 1),
         "quoted": lambda names, between=", ": between.join(map(quoted, names)),
@@ -105,6 +107,23 @@ def moment(time: float, digits: int = 9) -> str:
     if time > 1e10:
         return f"{time:.3f} s"
     return f"{datetime.fromtimestamp(time, UTC).isoformat(' ', 'milliseconds')[:-6]} UTC ({time:.3f} s)"
+
+
+def _form(value: float, spec: str) -> str:
+    """Write a number, zero without a sign."""
+    text = format(value, spec)
+    return text if text.strip("-0.") else text.removeprefix("-")
+
+
+def _percent(share: float, spec: str) -> str:
+    """Write a share per cent; above ten times the whole it says no more than that."""
+    return f"{_form(100 * share, spec)} %" if abs(share) <= MOST_PERCENT / 100 else f"more than {MOST_PERCENT:g} %"
+
+
+def percents(values: Iterable[float]) -> str:
+    """Write the range of shares (per cent), one number where they are alike."""
+    shown = [f"{value:.2f}" if value <= MOST_PERCENT else f"more than {MOST_PERCENT:g}" for value in sorted(values)]
+    return f"{' to '.join(dict.fromkeys((shown[0], shown[-1])))} %"
 
 
 def counted(number: int, noun: str) -> str:

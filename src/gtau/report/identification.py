@@ -15,7 +15,7 @@ from gtau.estimation.results.conclusions import VISIBLE, findings, headline, mis
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
-from gtau.findings.words import percent_text
+from gtau.findings.words import percent_text, percents
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
 from gtau.report.gains import (
@@ -171,7 +171,7 @@ def _tiles(result: Result, runs: Sequence[RunEvidence]) -> Facts:
         {
             "widest 95 % interval of a gain": f"+-{percent_text(widths[widest])} % ({widest})" if widest else None,
             "largest torque residual of the rows used": _largest(result.residuals),
-            "largest torque error of a validation run, in band": _largest(errors),
+            "largest torque error of a validation run, in band": _largest(errors, in_band=True),
             "smallest R² of a joint": f"{shares[least]:.4f} ({least})" if least else None,
             "scale from": all_sources(result) or None,
             "base parameters": f"{len(result.essential)} of {len(result.parameters)} essential",
@@ -179,9 +179,11 @@ def _tiles(result: Result, runs: Sequence[RunEvidence]) -> Facts:
     )
 
 
-def _largest(errors: Sequence[TorqueError]) -> str | None:
-    worst = worst_joint(errors)
-    return None if worst is None else f"{worst.relative:.2f} % ({worst.joint})"
+def _largest(errors: Sequence[TorqueError], in_band: bool = False) -> str | None:
+    """Name the joint with the largest error of the rows used, or ``in_band``, reversals included."""
+    sizes = [((error.relative_all if in_band else error.relative) or 0.0, error.joint) for error in errors]
+    size, worst = max(sizes, default=(0.0, ""))
+    return f"{percents([size])} ({worst})" if worst else None
 
 
 def counts(result: Result) -> str:
@@ -212,11 +214,11 @@ def _fit_words(result: Result) -> list[Text]:
     worst = worst_joint(result.residuals)
     if worst is None:
         return []
-    best = min(residual.relative for residual in result.residuals)
     every = [residual.relative_all for residual in result.residuals if residual.relative_all is not None]
-    more = f"; of all samples: {min(every):.2f} to {max(every):.2f} %" if every else ""
-    words = f"Torque residuals of the rows used: {best:.2f} to {worst.relative:.2f} % rms"
-    said = [f"{words}, the largest at '{worst.joint}'{more}."]
+    more = f"; of all samples: {percents(every)}" if every else ""
+    where = f", the largest at '{worst.joint}'" if len(result.residuals) > 1 else ""
+    used = percents(residual.relative for residual in result.residuals)
+    said = [f"Torque residuals of the rows used: {used} rms{where}{more}."]
     if result.consistency is not None:
         cost = _growth(_overall(result.consistency))
         said.append(f"Physically consistent parameters: torque residuals {cost}.")

@@ -13,7 +13,7 @@ from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding, FindingKind
-from gtau.findings.words import to_width
+from gtau.findings.words import percents, to_width
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_section, payloads_section
@@ -77,7 +77,7 @@ def headline(result: Result, runs: Sequence[RunEvidence]) -> str:
         return "No joint moves in these runs, so there is no torque error."
     worst = max(errors, key=lambda error: error.relative_raw or 0.0)
     raw, in_band, away = (
-        f"{min(values):.2f} to {max(values):.2f} %"
+        percents(values)
         for values in zip(*((error.relative_raw, error.relative_all, error.relative) for error in errors), strict=True)
     )
     rates = {run.run.rate for run in runs}

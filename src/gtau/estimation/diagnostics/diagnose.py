@@ -150,7 +150,7 @@ def _estimated_gains(
     problem, solution, gains, rows = fit.system.problem, fit.solution, fit.gains, fit.system.problem.gain_rows
     random, total = (np.sqrt(np.diag(part)[rows]) for part in (estimates.random, estimates.covariance))
     stds, halves = random / np.abs(gains), half_widths(fit, estimates)
-    wide_at_random = halves * random / total > accuracy
+    at_random = halves * random / total
     misfits = unexplained_shares(problem, solution)
     unknown = problem.unknown_gains[: len(gains)]
     turned = any(all(move < -100 for move in part.moves.values()) for part in examined.refuted)  # by another gravity
@@ -169,7 +169,7 @@ def _estimated_gains(
                 yield Finding(F.TLS_CONFUSED, mine, values={"limit": float(LOST_GAIN)})
         for part in examined.refuted:
             move = part.moves[joint] / 100
-            if abs(move) > accuracy:
+            if abs(move) > accuracy and at_random[j] < 1:  # a gain that is noise refutes nothing
                 values = {"size": part.size, "unit": part.unit, "share": part.share, "move": move}
                 yield Finding(F.REFUTED, mine, values=values, causes=part.causes, size=part.share)
         if misfits[j] > MISFIT:
@@ -182,7 +182,7 @@ def _estimated_gains(
                 values = {"move": move, "t": other.t}
                 yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=other.causes, size=abs(other.t))
         if half > accuracy:
-            values = {"half": half, "accuracy": accuracy, "random": bool(wide_at_random[j])}
+            values = {"half": half, "accuracy": accuracy, "random": bool(at_random[j] > accuracy)}
             kind, causes = _widest(examined, estimates, rows.start + j)
             yield Finding(kind, mine, values=values, causes=causes)
 

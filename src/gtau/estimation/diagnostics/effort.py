@@ -102,7 +102,12 @@ def rank_meanings(dataset: Dataset, slowest: float) -> tuple[Finding, ...]:
         **values: Any,
     ) -> Finding:
         values["likelihood"] = gain(after, before) - chosen / 2 * float(np.log(total))
-        values |= {"exchanged": float(after[altered].max()), "as_logged": float(before[altered].min())}
+        # means as the likelihood weighs them, so that what is likelier leaves less
+        exchanged, logged = (
+            float(np.exp(np.average(np.log(np.maximum(left[altered], TINY)), weights=counts[altered])))
+            for left in (after, before)
+        )
+        values |= {"exchanged": exchanged, "as_logged": logged}
         return Finding(kind, tuple(names[j] for j in altered), values=values)
 
     none = gain(np.full(len(remaining), float(MISFIT)))

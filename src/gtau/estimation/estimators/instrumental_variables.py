@@ -21,7 +21,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.estimators.newton import jacobian, moved, one_step, residuals, squared, to_gains
+from gtau.estimation.estimators.newton import RANK, jacobian, moved, one_step, residuals, squared, to_gains
 from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangles, triangle
@@ -98,8 +98,15 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
         norms = np.linalg.norm(Z, axis=0)
         norms[norms == 0] = 1.0
         Q, R = np.linalg.qr(Z / norms)
-        back = np.linalg.inv(R) / norms[:, None]
+        U, s, Vt = np.linalg.svd(R)
+        shown = s > RANK * s[0]  # a delay that is lost in noise has no column
+        Q, back = Q @ U[:, shown], (Vt[shown] / norms).T / s[shown]
         A = Q.T @ J @ back  # not Z^T J, in which half of the digits would be lost
+        if np.linalg.cond(A) * RANK > 1:
+            raise GtauError(
+                "instrumental variables do not determine the estimates, as the simulated motion shows nothing of some; "
+                "use --method ml, or add runs that excite the parameters better."
+            )
         step = -np.linalg.solve(A, Q.T @ e)
         values = moved(values, back @ step, n)
         if k > 0 and np.linalg.norm(step) < CONVERGED * np.sqrt(len(step)):

@@ -103,9 +103,6 @@ class Experiment(Keys):
         if signals is None or not gains:
             return gains
         _known_joints(gains, signals)
-        missing = [joint for joint in signals.position if joint not in gains]
-        if missing:
-            raise ValueError(f"joint '{missing[0]}' has no gain; give one for every joint or for none")
         zero = [joint for joint, gain in gains.items() if gain.value == 0]
         if zero:
             raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N per A) of its drive")
