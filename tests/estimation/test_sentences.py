@@ -297,6 +297,11 @@ SENTENCES = [  # finding, reason, advice
      "the data do not show whether the torques contain gravity (0.3 % of a joint's torque at most): it hardly varies "
      "along these motions, the robot is balanced, or a driver compensates it",
      f"if a driver compensates it, {NO_GRAVITY}"),
+    (Finding(F.NO_GRAVITY_SHOWN, values={"felt": 0.031, "own": "current"}),
+     "the data do not show whether the torques contain gravity (3 % of a joint's torque at most): it hardly varies "
+     "along these motions, the robot is balanced, or a driver compensates it",
+     "if a driver compensates it, log the actual currents of the motors, or write 'robot: {file: ..., gravity: [0, 0, "
+     "0]}' in the experiment file for a model without gravity"),
     (Finding(F.WITHOUT_GRAVITY, ("left",), values={"left": {"left": [0.2, 0.01]}}),
      "torques without gravity, as from a driver that compensates it, which leaves 1 % of 'left' unexplained instead of "
      "20 %,",

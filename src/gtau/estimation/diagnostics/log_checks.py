@@ -231,4 +231,6 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
         torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
     felt = float(np.max(torques / np.maximum(rms_torques(fit), 1e-300)))
     if UNFELT <= felt < GRAVITY_FELT:
-        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt})
+        kind, loops = dataset.runs[0].kind, bool(dataset.robot.closures)
+        of_no_driver = {"own": kind} if loops or kind == "current" else {}  # drivers of arms report torques
+        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt, **of_no_driver})
