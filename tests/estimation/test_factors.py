@@ -339,6 +339,6 @@ def test_two_parameters_of_one_name_are_refused() -> None:
     joints = (Joint("arm", "ground", "revolute", Mdh()), Joint("armR", "arm", "revolute", Mdh(d=0.3)))
     robot, time = Robot("planar", joints, gravity=(0.0, -9.81, 0.0)), np.arange(2000) / 200
     q = np.stack([np.sin(3 * time), np.sin(5 * time + 1)], axis=1)
-    runs = [Run(f"{mass:g} kg", ("arm", "armR"), time, q, q) for mass in (0.0, 1.0)]
+    runs = [Run(f"{mass:g} kg", ("arm", "armR"), time, q, q + mass) for mass in (0.0, 1.0)]
     with pytest.raises(GtauError, match="parameters of 'arm' and 'armR' are both called 'zz_armR'"):
         identify(robot, with_payloads(runs, None, KNOWN))
