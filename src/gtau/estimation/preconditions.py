@@ -66,7 +66,7 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
         overlap = min(one.time[-1], other.time[-1]) - max(one.time[0], other.time[0])
         of_log = bool(one.log.paths) and one.log.paths == other.log.paths and overlap > 2 / min(one.rate, other.rate)
         alike = one.command.shape == other.command.shape and np.ptp(one.command[:ALIKE], axis=0).any()
-        same = alike and all(
+        same = (alike and one.kind == other.kind) and all(
             np.array_equal(a[:ALIKE], b[:ALIKE]) and np.array_equal(a, b)
             for a, b in ((one.command, other.command), (one.position, other.position))
         )

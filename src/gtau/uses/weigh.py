@@ -216,9 +216,9 @@ MODEL_APART = 5.0
 """Mean square of the standard deviations by which a log moves the model's parameters, or its gains, from which it
 contradicts them.
 
-Of parameters with gains taken for exact: 0.9 to 3.6 where masses are right (11 logs of a UR10e within 33 days), 25 where
-one is 0.21 kg off. With gains of today, which take a fall of 3 % up: 1 of 18 weighings of that robot, currents as logged
-or 3 % more or less, is above. Of gains: 10 where they fall by 10 % (a five-bar).
+Of parameters, with gains taken for exact: 0.9 to 3.6 where masses are right (11 logs of a UR10e within 33 days), 25
+where one is 0.21 kg off. With gains of today, which take up a fall of 3 %: above it 1 of 18 weighings of that robot,
+currents as logged or 3 % more or less. Of gains: 10 where they fall by 10 % (a five-bar).
 """
 
 
