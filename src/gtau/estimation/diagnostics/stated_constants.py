@@ -31,7 +31,7 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import FIXED, KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import MISFIT_GIVEN, PAYLOAD_MOVES
+from gtau.estimation.thresholds.estimates import IN_METRES, LEAST_OTHERS, MISFIT_GIVEN, PAYLOAD_MOVES
 from gtau.estimation.thresholds.refutation import APART
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -39,12 +39,6 @@ from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
-
-IN_METRES = 4.0
-"""Times, by which a parameter is nearer to the mass times what is stated than to this: it was in m, not kg m; 16 and
-more (arm of tests/support/stated_arm.py)."""
-LEAST_OTHERS = 1e-3
-"""Weight of all else in an estimate, below which it is the prior: 2e-9 where a prior sets the scale, by rounding."""
 
 
 @dataclass(frozen=True, eq=False)

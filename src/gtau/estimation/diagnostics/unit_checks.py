@@ -35,10 +35,10 @@ from gtau.estimation.thresholds.estimates import (
 )
 from gtau.estimation.thresholds.logs import (
     CURRENTS_APART,
+    GRAVITY_RANGE,
     LARGEST_CURRENT,
     LARGEST_VOLTAGE,
     PAYLOAD_DENSITY,
-    PLACES,
     SMALLEST_CURRENT,
 )
 from gtau.estimation.thresholds.refutation import BEYOND_GEARS
@@ -54,6 +54,8 @@ from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
+PLACES = (9.80, 1.62)  # m/s2, on earth and on the moon
 
 
 def units_and_signs(
@@ -140,7 +142,7 @@ def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
 def doubtful_gravity(robot: Robot) -> Iterator[Finding]:
     """Find a strength of gravity that is of no place where robots are; without gravity there is nothing to doubt."""
     strength = float(np.linalg.norm(robot.gravity))
-    if strength and not any(low <= strength <= high for low, high in PLACES):
+    if strength and min(abs(strength - place) for place in PLACES) > GRAVITY_RANGE:
         yield Finding(F.STRENGTH, values={"strength": strength})
 
 

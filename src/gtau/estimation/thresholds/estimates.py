@@ -181,6 +181,19 @@ PAYLOAD_MOVES = Threshold(
     faulty="above (a parameter 50 % off)",
     evidence="faults",
 )
+IN_METRES = Threshold(
+    4.0,
+    "times, by which a first moment is nearer to the mass times what is stated than to this, which was rather in m",
+    faulty="15 to 400 (payloads of 0.5 to 5 kg)",
+    evidence="arm of tests/support/stated_arm.py",
+)
+LEAST_OTHERS = Threshold(
+    1e-3,
+    "share of all else in an estimate that has a prior, below which it is the prior",
+    healthy="0.1 and more (a prior of 1 % beside torques that are given)",
+    faulty="0, up to rounding (a prior that alone sets the scale)",
+    evidence="arm of tests/support/stated_arm.py",
+)
 HIDDEN_KNOWN = Threshold(
     0.01,
     "share of the known parameters' torque that no unknown one explains, below which a refusal names it as the cause",

@@ -150,8 +150,13 @@ LARGEST_VOLTAGE = Threshold(
     faulty="5,700 (UR10e, A stated as mA, or the payload in g)",
     evidence="shared logs; drives of robots are supplied with 12 to 800 V",
 )
-PLACES = ((9.76, 9.84), (1.61, 1.64))
-"""Strengths of gravity, m/s2: on land 9.764 (Huascaran) to 9.834 (Arctic Ocean) with what files round, the moon."""
+GRAVITY_RANGE = Threshold(
+    0.04,
+    "strength of gravity from 9.80 m/s2, or 1.62 on the moon, beyond which it is of no place",
+    healthy="-0.036 (Huascaran) to 0.034 (Arctic Ocean)",
+    faulty="0.8 (9.0 m/s2: gains 8 to 10 % low)",
+    evidence="geodesy",
+)
 PAYLOAD_DENSITY = Threshold(
     100.0,
     "mass of a payload over the cube of the arm's reach, kg/m3, from which it is rather in g",
