@@ -207,7 +207,7 @@ GAIN_CHANGE = 0.03
 """Standard deviation of a gain on another day, of itself, where one load alone is logged.
 
 Torque constants fall by 0.1 % a kelvin of the magnets, motors warm up by 10 to 40 K. On a UR10e (two pairs, 19 days
-apart) gains differ by 1 to 4 %. Taken for exact, gains that fell by 3 % moved its masses by 0.26 kg of 2.8 at half
+apart) gains differ by up to 5 %. Taken for exact, gains that fell by 3 % moved its masses by 0.26 kg of 2.8 at half
 intervals of 0.18, and 0.16 kg without payload.
 """
 

@@ -184,13 +184,13 @@ PAYLOAD_MOVES = Threshold(
 IN_METRES = Threshold(
     4.0,
     "times, by which a first moment is nearer to the mass times what is stated than to this, which was rather in m",
-    faulty="15 to 400 (payloads of 0.5 to 5 kg)",
+    faulty="13 to 2000 (payloads of 0.5 to 5 kg)",
     evidence="arm of tests/support/stated_arm.py",
 )
 LEAST_OTHERS = Threshold(
     1e-3,
     "share of all else in an estimate that has a prior, below which it is the prior",
-    healthy="0.1 and more (a prior of 1 % beside torques that are given)",
+    healthy="0.01 (data ten times less certain than the prior) and more",
     faulty="0, up to rounding (a prior that alone sets the scale)",
     evidence="arm of tests/support/stated_arm.py",
 )
