@@ -17,8 +17,11 @@ def printable(text: str) -> str:
 
 
 def short(value: object, longest: int = LONGEST) -> str:
-    """Write a value of a file so that it fits a sentence."""
-    text = printable(str(value)[: longest + 1])
+    """Write a value of a file so that it fits a sentence; of a path the end says which file it is."""
+    text = str(value)
+    if len(text) > longest and "/" in text[-longest:]:
+        return f"{printable(text[: longest // 3])}...{printable(text[3 + longest // 3 - longest :])}"
+    text = printable(text[: longest + 1])
     return text if len(text) <= longest else f"{text[: longest - 3]}..."
 
 

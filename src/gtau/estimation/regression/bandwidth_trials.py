@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gtau.errors import GtauError
 from gtau.estimation.regression.factors import EXTRA, KNOWN, SIGNAL, equations
 from gtau.estimation.regression.plausibility import motor_to_joint_speed
 from gtau.estimation.regression.rows import stream_rows
@@ -46,7 +47,10 @@ def best_of_trials(
     cutoffs = _cutoffs(runs, preparation)
     if len(cutoffs) == 1:
         return preparation
-    errors = _errors(model, base, runs, preparation, cutoffs)
+    try:
+        errors = _errors(model, base, runs, preparation, cutoffs)
+    except GtauError:  # positions that the robot cannot have: the checks of the runs say why
+        return preparation
     good = errors <= (1 + MARGIN) * np.min(errors)
     if good[0] or not good.any():
         return preparation
