@@ -365,7 +365,7 @@ def test_one_command_from_episodes(tmp_path: Path, motion: Any, monkeypatch: pyt
     logs = []
     for name, (time, position, current) in motion.items():  # columns in the order of the joints, as there are no names
         log = (time, position[:, ::-1], current[:, ::-1])
-        logs.append(str(lerobot(tmp_path / f"{name}.parquet", log, 2, arrays=False)))
+        logs.append(str(lerobot(tmp_path / f"{name}.parquet", log, 1, arrays=False)))
     done = CliRunner().invoke(app, ["identify", *logs, "--robot", "arm.urdf", "--kind", "current", "--json"])
     assert done.exit_code == 0, done.output
     gains = {each["joint"]: each["value"] for each in json.loads(done.stdout)["drive_gains"]}
