@@ -768,6 +768,7 @@ def test_prefixes_that_are_declared_nowhere_do_no_harm(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("word", "strength"), [("moon", 1.62), ("none", 0.0)])
 def test_gravity_may_be_a_word(word: str, strength: float, tmp_path: Path) -> None:
-    (tmp_path / "robot.yaml").write_text(GOOD + f"gravity: {word}\n")
+    arm = "robot: r\njoints:\n  j: {antecedent: ground, d: 0.3, theta: q, actuated: true}\n"
+    (tmp_path / "robot.yaml").write_text(f"{arm}gravity: {word}\n")
     assert np.linalg.norm(load_robot(tmp_path / "robot.yaml").gravity) == strength
     assert RobotSource(file="ur10e", gravity=word).gravity == load_robot(tmp_path / "robot.yaml").gravity

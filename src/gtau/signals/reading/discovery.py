@@ -339,7 +339,7 @@ def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dic
     if 0 < len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
         joints = chain
     if len(pairs) < len(joints):
-        listed = f" ({', '.join(pairs)})" if all(pairs) else ""
+        listed = f" ({', '.join(pairs)})" if pairs and all(pairs) else ""
         raise GtauError(
             f"the log has positions and commands of {counted(len(pairs), 'joint')}{listed}, but robot "
             f"'{robot.name}' has {len(joints)} actuated ones; "
