@@ -63,6 +63,7 @@ def test_resembling_names() -> None:
         "base_yaw_pos,shoulder_pos,elbo_pos,base_yaw_torque,shoulder_torque,elbow_torque",
         "base_yaw_pos,shoulder_lift_pos,elbow_pos,base_yaw_torque,shoulder_lift_torque,elbow_torque",
         "base_pos,shoulder_pan_pos,elbow_flex_pos,base_tau,shoulder_pan_tau,elbow_flex_tau",
+        "yaw_pos,shoulder_pan_pos,elbow_joint_pos,yaw_tau,shoulder_pan_tau,elbow_joint_tau",
         "pos.base_yaw,pos.shoulder,pos.elbow2,tau.base_yaw,tau.shoulder,tau.elbow2",
     ],
 )

@@ -58,6 +58,7 @@ OF_ANY = frozenset(
 )
 SIGNAL_WORDS = NO_UNIT | COMMAND | OF_ANY
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
+AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
 ODD = re.compile(
     r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$"
 )  # brackets that may hold an unknown unit
@@ -140,8 +141,13 @@ def _named(name: str) -> tuple[str, str]:
 
 
 def by_words(name: ColumnName) -> ColumnName | None:
-    """Return a name with another label, all words in it that are none of signals; None where it has no such words."""
+    """Return a name with another label, all words in it that are none of signals; None where it has no such words.
+
+    The word ``joint`` beside them belongs to the label.
+    """
     label, stem = _named(name.stem.replace("#", name.label, 1))
+    if label and (around := AROUND.search(stem)):
+        label, stem = around[0].replace("#", label), stem.replace(around[0], "#")
     return replace(name, label=label, stem=stem) if label and name.kind not in (None, "other") else None
 
 
