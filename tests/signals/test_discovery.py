@@ -127,6 +127,16 @@ def test_unit_of_time(tmp_path: Path, scale: float, unit: str | None) -> None:
     assert draft.kind == "torque"
 
 
+def test_a_row_back_in_time_leaves_the_time_column(tmp_path: Path) -> None:
+    order = np.arange(len(TIME))
+    order[[900, 901]] = 901, 900
+    draft = discover(
+        [save(tmp_path / "a.csv", "t,q1,q2,dq1,dq2,tau1,tau2", TIME[order], Q[order], QD[order], V[order])]
+    )
+    assert draft.time == ("t",)
+    assert "velocities" not in draft.open
+
+
 def test_the_rate_of_a_log_without_time_is_that_of_its_velocities(tmp_path: Path) -> None:
     with_velocity = discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", Q, QD, V)])
     assert (with_velocity.time, with_velocity.rate) == ((), 250.0)
