@@ -60,6 +60,13 @@ def test_another_unit_is_refused(run: Run) -> None:
         prepared(limited(Limits(position=(0.0, 0.01))), run)
 
 
+def test_angles_of_another_turn_are_within_limits(run: Run) -> None:
+    """Encoders that count from 0 to 360 deg, and limits that count from -180."""
+    low, high = run.position[:, 0].min(), run.position[:, 0].max()
+    for turn in (-2 * np.pi, 2 * np.pi):
+        assert prepared(limited(Limits(position=(low - 0.1 + turn, high + 0.1 + turn))), run).notes == ()
+
+
 def test_a_placeholder_for_the_limit_of_speed_is_a_note_and_another_clock_refused(run: Run) -> None:
     slow = limited(Limits(velocity=0.01))
     (note,) = prepared(slow, run).notes

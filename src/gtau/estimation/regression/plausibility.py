@@ -95,6 +95,9 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
     unit = joint.unit
     if joint.limits.position is not None:
         lower, upper = joint.limits.position
+        if joint.turns:  # encoders of one turn count from 0 to 360 deg what limits count from -180
+            turns = np.clip(np.round((lower + upper - low - high) / (4 * np.pi)), -1, 1)
+            low, high = low + 2 * np.pi * turns, high + 2 * np.pi * turns
         excess = max(lower - low, high - upper) / (upper - lower)
         if excess > FAR_BEYOND_LIMITS:
             raise GtauError(
