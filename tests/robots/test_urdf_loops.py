@@ -242,6 +242,7 @@ def test_motors_of_loops_are_those_with_a_transmission_or_named_beside(tmp_path:
         ("<constraint name='c'/>", "<constraint> 'c' is not read; write the frames that it ties under 'closed_loop'"),
         ("<coupling name='c'/>", "<coupling> 'c' is not read"),
         ("<drake:linear_bushing_rpy/>", "<drake:linear_bushing_rpy> is not read"),
+        ("<d:linear_bushing_rpy xmlns:d='http://drake.mit.edu'/>", "line 1: <linear_bushing_rpy> is not read"),
         ("<drake:joint name='c' type='ball'/>", "<drake:joint> 'c' is not read"),
         ("<mujoco><equality/></mujoco>", "<mujoco>: its <equality> is not read"),
         ("<loop name='c' type='prismatic'/>", "<loop> 'c', of type 'prismatic' and between 0 links, is not read"),

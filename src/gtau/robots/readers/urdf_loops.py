@@ -38,9 +38,10 @@ def written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:
     """Read the loops that the elements of a file close, with notes; refuse by name those that are not read."""
     closures, notes, known = list[Closure](), list[str](), {WORLD, *tree.frames}
     for element in tree.root:
-        written = str(element.tag).replace(".", ":")  # the colon of a prefix that is declared nowhere
+        # without a namespace; the colon of a prefix that is declared nowhere
+        written = str(element.tag).rpartition("}")[2].replace(".", ":")
         what = f"line {line_of(element)}: <{written}> '{element.get('name', '')}'".removesuffix(" ''")
-        match re.split("[:}]", written)[-1]:
+        match written.rpartition(":")[2]:
             case "loop" | "loop_joint":
                 closures += _joined(element, [_side(tree, part, what) for part in element if part.tag in SIDES], what)
             case "ball_constraint":
