@@ -75,6 +75,17 @@ def bags(folder: Path, motion: Any, **options: Any) -> list[str]:
     ]
 
 
+def test_moving_columns_that_are_not_used_are_in_the_first_line(
+    tmp_path: Path, motion: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "arm.urdf").write_text(URDF)
+    header = "t,shoulder_pos,rail_pos,shoulder_current,rail_current"
+    np.savetxt(tmp_path / "a.csv", np.column_stack(motion["empty"]), delimiter=",", header=header, comments="")
+    experiment_of([tmp_path / "a.csv"], str(tmp_path / "arm.urdf"), None, None, None, tmp_path / "out")
+    said = "experiment.yaml is drafted from 1 log, whose columns rail_pos, rail_current move and are not used."
+    assert said in capsys.readouterr().err
+
+
 def test_one_command_from_bags(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The robot from the bag, without the finger, the load from a name; the guesses are data beside the result."""
     monkeypatch.chdir(tmp_path)

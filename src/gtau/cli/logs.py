@@ -251,7 +251,8 @@ def experiment_of(
         )
     file = folder / "experiment.yaml"
     write_draft(draft, file)
-    typer.echo(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}.", err=True)
+    held = f", whose columns {draft.reasons['unmatched']} move and are not used" if "unmatched" in draft.open else ""
+    typer.echo(tidy(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}{held}."), err=True)
     return file, guesses(draft, file)
 
 
