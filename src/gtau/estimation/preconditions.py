@@ -23,6 +23,7 @@ from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 ALIKE = 1000  # samples that are compared before all are
+OVERLAP = 0.25  # s; regular clocks of two parts that a dropout cuts may be as late as time stamps
 
 
 def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
@@ -64,7 +65,7 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
     """Refuse runs that hold the same samples, or overlapping parts of a log; raises GtauError."""
     for one, other in combinations(runs, 2):
         overlap = min(one.time[-1], other.time[-1]) - max(one.time[0], other.time[0])
-        of_log = bool(one.log.paths) and one.log.paths == other.log.paths and overlap > 2 / min(one.rate, other.rate)
+        of_log = bool(one.log.paths) and one.log.paths == other.log.paths and overlap > max(OVERLAP, 2 / one.rate)
         alike = one.command.shape == other.command.shape and np.ptp(one.command[:ALIKE], axis=0).any()
         same = (alike and one.kind == other.kind) and all(
             np.array_equal(a[:ALIKE], b[:ALIKE]) and np.array_equal(a, b)
