@@ -53,6 +53,16 @@ def test_motors_that_are_off_are_named_with_what_to_leave_out(
     assert remedy in str(refusal.value)
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_all_times_at_which_motors_are_off_are_named_and_noise_does_not_hide_them(noise: float) -> None:
+    log, rng = motion(), np.random.default_rng(2)
+    for begin, end in ((2.0, 3.5), (6.0, 7.0)):
+        log = put(put(log, "ia", 0.0, begin, end), "ib", 0.0, begin, end)
+    log |= {name: log[name] + noise * rng.normal(size=log["t"].shape) for name in ("ia", "ib")}
+    with pytest.raises(GtauError, match="from 2 s to 3.5 s and from 6 s to 7 s in full motion: the motors were off"):
+        read(log)
+
+
 def test_motors_that_are_off_are_no_magnitudes_and_not_clipped() -> None:
     """A torque that is never negative while the motor drives ends at zero."""
     log = motion()

@@ -24,6 +24,8 @@ STAYS, MOVED = 0.1, 0.02
 # one, or where it stays ALONE times as long as at any other time. Zeros, which may be the dead band of a sensor that
 # reversals pass again and again, must be of all moving joints or ALONE times as long as other zeros, too.
 ALONE = 4.0
+# Noise of motors that are off, over the largest command of each joint; all moving joints must then be off together.
+OFF = 0.01
 # Steps in the range of a coarse command: 30 and more in those logs (the last joint of an xMate 7). Its plateaus are
 # no limits, and it jumps by its steps.
 COARSE = 20.0
@@ -85,28 +87,38 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
         return spell.value != 0 or together or all(ALONE * other.samples < spell.samples for other in zeros)
 
     held = [spell for own in spells.values() for spell in own if at_fault(spell)]
+    off = [spell for spell in _spells(samples, OFF * np.maximum(-ends[0], ends[1])) if in_motion(spell)]
+    off = [spell for spell in off if spell.value == 0]
+    if len(moving) > 1:
+        held += [one for one in off if all(any(one.beside(k) for k in off if k.channel == j) for j in moving)]
     if not held:
         return
-    spell = max(held, key=lambda spell: spell.samples)
-    names = dict.fromkeys(channels[other.channel].joint for other in held if spell.beside(other))
-    until = "the end" if spell.end == len(samples.time) else f"{samples.time[spell.end]:.9g} s"
+    parts: list[Spell] = []  # the longest, and others of its kind at other times
+    for spell in sorted(held, key=lambda spell: -spell.samples):
+        if not parts or ((spell.value == 0) == (parts[0].value == 0) and not any(map(spell.beside, parts))):
+            parts.append(spell)
+    parts.sort(key=lambda spell: spell.begin)
+    spell, count = parts[0], len(samples.time)
+    names = dict.fromkeys(channels[other.channel].joint for other in held if any(map(other.beside, parts)))
+    ends_at = ["the end" if part.end == count else f"{samples.time[part.end]:.9g} s" for part in parts]
+    times = [f"from {samples.time[part.begin]:.9g} s to {end}" for part, end in zip(parts, ends_at, strict=True)]
+    remedy = f"that part out ({samples.without(spell.begin, spell.end)})"
     raise GtauError(
         f"{samples.name}, {samples.place(spell.begin)}: the {channels[spell.channel].kind.name} of "
-        f"joint{'s' * (len(names) > 1)} {' and '.join(map(repr, names))} stays at {spell.value + 0.0:.6g} from "
-        f"{samples.time[spell.begin]:.9g} s to {until} in full motion: "
-        f"{'it was not read' if spell.value else 'the motors were off'}; leave that part out "
-        f"({samples.without(spell.begin, spell.end)})."
+        f"joint{'s' * (len(names) > 1)} {' and '.join(map(repr, names))} stays at {spell.value + 0.0:.6g} "
+        f"{' and '.join(times)} in full motion: {'it was not read' if spell.value else 'the motors were off'}; leave "
+        f"{remedy if len(parts) == 1 else 'those parts out (one run of that log for each part between them)'}."
     )
 
 
-def _spells(samples: Samples) -> Iterator[Spell]:
-    """Yield the spells of more than FROZEN equal commands."""
+def _spells(samples: Samples, noise: np.ndarray | None = None) -> Iterator[Spell]:
+    """Yield the spells of more than FROZEN equal commands; commands below the ``noise`` (c,) of theirs count as 0."""
     columns = [(j, channel.row) for j, channel in enumerate(samples.channels) if channel.kind.of_joint]
     running: dict[int, list[float]] = {}  # begin, value, lowest and highest position, value before
     for start, stop in spans(len(samples.time)):
         command, position = block(samples.command, start, stop), block(samples.position, start, stop)
         for j, row in columns:
-            x = command[:, j]
+            x = command[:, j] if noise is None else np.where(np.abs(command[:, j]) < noise[j], 0.0, command[:, j])
             begins = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
             low, high = (extreme.reduceat(position[:, row], begins) for extreme in (np.minimum, np.maximum))
             begin, value, least, most, before = running.get(j, [start, x[0], np.inf, -np.inf, x[0]])
