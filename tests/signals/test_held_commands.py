@@ -59,7 +59,7 @@ def test_all_times_at_which_motors_are_off_are_named_and_noise_does_not_hide_the
     for begin, end in ((2.0, 3.5), (6.0, 7.0)):
         log = put(put(log, "ia", 0.0, begin, end), "ib", 0.0, begin, end)
     log |= {name: log[name] + noise * rng.normal(size=log["t"].shape) for name in ("ia", "ib")}
-    with pytest.raises(GtauError, match="from 2 s to 3.5 s and from 6 s to 7 s in full motion: the motors were off"):
+    with pytest.raises(GtauError, match=r"from 2 s to 3\.5 s and from 6 s to 7 s in full motion: the motors were off"):
         read(log)
 
 
