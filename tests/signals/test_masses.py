@@ -41,6 +41,15 @@ from gtau.signals.reading.masses import masses_in_name
         ("payload.5kg.csv", (5.0, 0.5)),
         ("2x1.25kg.csv", (1.25, 2.5)),
         ("tool_0.5kg_load_1kg.csv", (0.5, 1.0, 1.5)),
+        ("1 1/2kg", (1.5,)),
+        ("load_1½kg.csv", (1.5,)),
+        ("load_3⁄4kg.csv", (0.75,)),
+        ("load_1.5e0kg.csv", (1.5,)),
+        ("run1e2kg.csv", (100.0, 2.0)),
+        ("without_2kg.csv", (2.0, 0.0)),
+        ("no_5kg.csv", (5.0, 0.0)),
+        ("no_load_5kg.csv", (5.0, 0.0)),
+        ("domino_5kg.csv", (5.0,)),
         ("chirp_0.5g.csv", (0.0005, 0.0)),  # an acceleration?
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from unicodedata import numeric
 
 UNITS: dict[tuple[str, ...], float] = {
     ("kg", "kilo"): 1.0,
@@ -11,11 +12,14 @@ UNITS: dict[tuple[str, ...], float] = {
     ("oz",): 0.45359237 / 16,
 }
 MASS = re.compile(
-    r"(?:(?<!\d)(?P<times>\d+) ?[x*×] ?)?(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)[-_ ]?"
+    r"(?:(?<!\d)(?P<times>\d+) ?[x*×] ?)?(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)"
+    r"(?P<power>e[+-]?\d)?[-_ ]?"
     r"(?P<unit>kg(?![fm]|cm)|kilos?(?![a-z])|kilogram|(?:g|gr|gms?|grams?|grammes?|gramm)(?![a-z])|lbs?(?![a-z])|pounds?"
     r"|oz(?![a-z]))(?P<rest>\d+(?![\d.,]*[-_ ]?(?:kg|g|lb|oz)(?![a-z])))?",
     re.IGNORECASE,
 )
+FRACTION = re.compile(r"(?:(?<![\d.,])(\d+)[-_ ]?)?(?:(?<!\d)(\d)[/⁄](\d)|([¼½¾]))")
+NO = re.compile(r"(?<![a-z])(?:no|non|without|wo|sans|ohne|un)[-_ ]?(?:(?:pay)?load(?:ed)?|mass|weight)?[-_ ]*$", re.I)
 DATE = re.compile(
     r"(?<!\d)20\d\d([-_.]?)[01]\d\1[0-3]\d(?:[-_T ][0-2]\d[-_.:h]?[0-5]\d(?:[-_.:]?[0-5]\d)?(?=[-_ ]))?(?!\d)"
 )
@@ -27,15 +31,24 @@ def masses_in_name(name: str) -> tuple[float, ...]:
     """Read the mass in kg from the name of a file: no reading, one, or several, of which the user must choose.
 
     ``1,5kg``, ``1p5kg`` and ``1500g`` have one; ``loaded_1_5kg`` may be 1.5 kg or log 1 with 5 kg, ``1kg5`` 1.5 kg or
-    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg. A mass that is too small or too large may be none (0).
+    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg. A mass that is too small or too large may be none (0),
+    as may ``no_5kg`` be.
     """
-    matches = list(MASS.finditer(DATE.sub(" ", name)))
+    name = FRACTION.sub(_decimal, DATE.sub(" ", name))
+    matches = list(MASS.finditer(name))
     readings = [_readings(match) for match in matches]
     masses = {mass: None for of_match in readings for mass in of_match}
     if len(matches) > 1:
         masses |= {round(sum(of_match[0] for of_match in readings), 6): None}
+    if any(NO.search(name[: match.start()]) for match in matches):
+        masses |= {0.0: None}
     likely = [mass for mass in masses if mass == 0 or LEAST <= mass <= MOST]
     return tuple(likely or ((*masses, 0.0) if masses else ()))
+
+
+def _decimal(match: re.Match[str]) -> str:
+    whole, over, under, sign = match.groups()
+    return f"{int(whole or 0) + (numeric(sign) if sign else int(over) / (int(under) or 1)):.6g}"
 
 
 def _readings(match: re.Match[str]) -> list[float]:
@@ -55,7 +68,9 @@ def _readings(match: re.Match[str]) -> list[float]:
         texts.append(f"0.{last}")
     if match["rest"]:
         texts.insert(0, f"{texts[0].partition('.')[0]}.{match['rest']}")
-    numbers = [float(text) for text in texts]
+    numbers = [float(text + (match["power"] or "")) for text in texts]
+    if match["power"] and not before:
+        numbers.append(float(match["power"].lstrip("eE+-")))  # log 1e with as much
     if match["times"]:
         numbers += [int(match["times"]) * number for number in numbers]
     return [round(number * factor, 6) for number in numbers]
