@@ -50,6 +50,16 @@ def test_commands_of_registers_are_corrected(
     assert discover([log]).kind == "current"
 
 
+@pytest.mark.parametrize("size", [0.1, 0.00269])
+def test_commands_of_registers_that_are_scaled_already_are_corrected(
+    size: float, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    signed = counts(900, rng)
+    run = read_run(save(tmp_path / "a.csv", Q, size * logged(signed, 16, False)), SIGNALS, units={"current": "A"})
+    np.testing.assert_allclose(run.command, size * signed, atol=1e-9)
+    assert "signed number of 16 bits" in str(run.notes[0])
+
+
 def test_positions_of_registers_are_corrected(tmp_path: Path, rng: np.random.Generator) -> None:
     steps = np.rint(2048 / np.pi * Q)
     log = save(tmp_path / "a.csv", logged(steps, 32, False), 1e-3 * counts(900, rng))

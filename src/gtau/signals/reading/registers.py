@@ -66,6 +66,8 @@ def with_signs(
     arrays = []
     for kind, array, scale in zip(("position", "command"), (samples.position, samples.command), scales, strict=True):
         columns = {j: scale[joint] for j, joint in enumerate(samples.joints) if joint in scale}
+        if kind == "command":  # positions wrap by turns that are no register's range
+            columns = {j: _count(array, j, size) for j, size in columns.items()}
         registers = _registers(array, columns)
         for register in set(registers.values()):
             names = tuple(samples.joints[j] for j, other in registers.items() if other == register)
@@ -73,6 +75,16 @@ def with_signs(
         parts = (_signed(part, registers, columns) for part in blocks(array))
         arrays.append(stored_like(array, parts) if registers else array)
     return replace(samples, position=arrays[0], command=arrays[1])
+
+
+def _count(array: np.ndarray, j: int, scale: float) -> float:
+    """Find what one count is: ``scale``, or the step of a column that is never negative and was scaled before."""
+    if extremes(array)[0][j] < 0:
+        return scale
+    values = np.unique(np.concatenate([part[:, j] for part in blocks(array)])) / scale
+    steps = np.diff(values)[np.diff(values) > 1e-9 * values[-1]]
+    step = float(f"{steps.min():.6g}") if steps.size else 1.0
+    return scale if np.allclose(values, np.rint(values), 1e-9, 0.0) else scale * step
 
 
 def _registers(array: np.ndarray, columns: Mapping[int, float]) -> dict[int, Register]:
