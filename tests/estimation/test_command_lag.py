@@ -67,6 +67,15 @@ def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
     assert (found.kind, found.severity) == (F.SLIGHT_COMMAND_LAG, Severity.INFORMATION)
 
 
+@pytest.mark.parametrize("others", [np.nan, 0.05])
+def test_one_joint_alone_shows_no_lag_of_all(others: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Friction of a wrist may look like one."""
+    lags = np.array([others, 0.057]), np.array([0.01, 0.01])
+    monkeypatch.setattr("gtau.estimation.diagnostics.log_checks.command_lags", lambda problem: lags)
+    dataset = logged(0.0)
+    assert bool(command_lag(dataset, dataset.system())) == np.isfinite(others)
+
+
 def test_noise_alone_has_no_lag() -> None:
     """Currents that are mostly noise say nothing, however they are filtered."""
     run = Plant(noise=20.0).run("free", 8.0, seed=1)

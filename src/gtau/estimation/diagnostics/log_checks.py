@@ -28,6 +28,7 @@ from gtau.estimation.thresholds.estimates import DETERMINED, MISFIT
 from gtau.estimation.thresholds.logs import (
     DELAY_MOTION,
     GRAVITY_FELT,
+    LAG_JOINTS,
     LAG_LEAST,
     LAG_LOSS,
     LAG_SAMPLES,
@@ -78,7 +79,7 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
     rate = min(run.rate for run in dataset.runs)
     lags, errors = command_lags(system.problem)
     known = np.isfinite(lags) & (errors > 0)
-    if not known.any():
+    if known.sum() < min(LAG_JOINTS, len(lags)):
         return []
     weights = 1 / errors[known] ** 2
     lag = float(weights @ lags[known] / weights.sum())
