@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,3 +44,21 @@ def test_smooth_commands_without_friction_have_no_filter(rng: np.random.Generato
     run = log(rng)
     still = Run("held", run.joints, run.time, run.position, np.zeros_like(run.command))
     assert not list(smoothed_commands([still]))
+
+
+@pytest.mark.parametrize("window", [12, 200])
+def test_a_moving_average_is_named_with_its_window(rng: np.random.Generator, window: int) -> None:
+    run = log(rng)
+    mean = np.convolve(run.command[:, 0], np.ones(window) / window, "same")[:, None]
+    (finding,) = smoothed_commands([replace(run, command=mean)])
+    assert f"smoothed by a moving average over {window / RATE:.2g} s; what" in finding.what
+
+
+@pytest.mark.parametrize("period", [10, 20])
+def test_commands_that_are_updated_slowly_are_no_averages(rng: np.random.Generator, period: int) -> None:
+    run = log(rng)
+    between = np.interp(run.time, run.time[::period], run.command[::period, 0])[:, None]
+    held = np.repeat(run.command[::period], period, axis=0)[: len(run.time)]
+    smooth = log(rng, cutoff=3.0).command
+    for command in (between, held, smooth):
+        assert not any("average" in finding.what for finding in smoothed_commands([replace(run, command=command)]))

@@ -35,7 +35,7 @@ class Log:
 
     ``settings`` are those of the preparation made by hand, ``notes`` report repairs, ``whole_share`` is the share of
     whole numbers among the joints' commands before they were resampled (None: they were not), ``temperature`` is that
-    of the joints.
+    of the joints, ``window`` (s) that of a moving average that the commands were behind.
     """
 
     paths: tuple[Path, ...] = ()
@@ -45,6 +45,7 @@ class Log:
     notes: tuple[Finding, ...] = ()
     whole_share: float | None = None
     temperature: Temperature | None = None
+    window: float | None = None
 
 
 class More(TypedDict, total=False):
@@ -275,7 +276,7 @@ def read_parts(
 
         temperature = read_temperature(paths, signals, units, part)
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
-        checked, whole_share = check(piece, notes, settings.clock)
+        checked, whole_share, window = check(piece, notes, settings.clock)
         runs.append(
             Run(
                 (paths[0].name if paths[0].is_dir() else paths[0].stem) + checked.part.label,
@@ -287,7 +288,7 @@ def read_parts(
                 as_payload(payload),
                 valid=checked.valid,
                 channels=channels,
-                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature),
+                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature, window),
             )
         )
         notes = []

@@ -46,7 +46,7 @@ from gtau.findings import FindingKind as F
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.bandwidth import end_of_commands
 from gtau.signals.reading.samples import extremes
-from gtau.signals.repair.commands import whole_numbers
+from gtau.signals.repair.commands import whole_numbers, window_of_commands
 from gtau.signals.run import Run
 
 
@@ -93,11 +93,19 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
 
 
 def smoothed_commands(runs: Sequence[Run]) -> Iterator[Finding]:
-    """Find runs whose commands hold nothing above some frequency, not even noise: filters smoothed them offline."""
+    """Find runs whose commands filters smoothed offline: nothing above some frequency, or a moving average."""
     ends = {run.name: end for run in runs if (end := end_of_commands(run)) is not None}
     if ends:
         slowest = min(run.rate for run in runs if run.name in ends)
         values = {"kind": runs[0].kind, "end": max(ends.values()), "nyquist": slowest / 2, "runs": list(ends)}
+        yield Finding(F.SMOOTHED, values=values)
+    windows = {  # as logged: resampled noise has another colour
+        run.name: window_of_commands(run.command, run.rate) if run.log.whole_share is None else run.log.window
+        for run in runs
+        if run.name not in ends
+    }
+    if averaged := {name: window for name, window in windows.items() if window}:
+        values = {"kind": runs[0].kind, "window": max(averaged.values()), "runs": list(averaged)}
         yield Finding(F.SMOOTHED, values=values)
 
 

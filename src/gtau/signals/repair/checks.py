@@ -18,7 +18,14 @@ from gtau.findings import FindingKind as F
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import Clock, clock_of
-from gtau.signals.repair.commands import Ends, clipped, refuse_held, refuse_magnitudes, whole_numbers
+from gtau.signals.repair.commands import (
+    Ends,
+    clipped,
+    refuse_held,
+    refuse_magnitudes,
+    whole_numbers,
+    window_of_commands,
+)
 from gtau.signals.repair.faults import find_glitches, glitch_note, refuse_frozen, refuse_slips, without_glitches
 from gtau.signals.repair.gaps import Given, in_order
 from gtau.signals.repair.resampling import POSITIONS, holds_of, uniform
@@ -30,14 +37,15 @@ LATEST = 0.25
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
-def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[Samples, float]:
+def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[Samples, float, float | None]:
     """Check the complete samples of a log, repair what is safe, and put them on a uniform grid.
 
     Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
     clipped at a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the
     mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
     samples' instants are, unless that is ``given``. ``notes`` report every repair. Raises GtauError where values cannot
-    be right, or too many are missing. Also returns the share of whole numbers among the joints' commands as logged.
+    be right, or too many are missing. Also returns, of the joints' commands as logged, the share of whole numbers, and
+    the window of a moving average that they are behind.
     """
     ends = extremes(samples.command)  # repairs leave them
     _refuse_stuck(samples, ends, notes)
@@ -63,7 +71,8 @@ def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[
     refuse_magnitudes(samples, ends)
     clips = clipped(samples, ends, holds, notes)
     whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
-    return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share
+    window = window_of_commands(samples.command, clock.rate)
+    return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share, window
 
 
 def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
