@@ -430,6 +430,9 @@ SENTENCES = [  # finding, reason, advice
      "the currents of 'a' and 'b' were smoothed: above 2.3 Hz they hold nothing, not even noise, though their rate "
      "shows up to 250 Hz; what a filter takes from motion and friction is in no interval",
      "identify from the logs as they were recorded"),
+    (Finding(F.SMOOTHED, values={"kind": "current", "window": 1.0, "runs": ["a"]}),
+     "the currents of 'a' were smoothed by a moving average over 1 s; what a filter takes from motion and friction is "
+     "in no interval", "identify from the logs as they were recorded"),
     (Finding(F.SLIGHT_COMMAND_LAG, values={"kind": "current", "lag": 0.02, "std": 0.001, "bandwidth": 10.0}),
      "the currents lag behind the motion by more than 16 ms, so they look low-passed, held or logged late; a low-pass "
      "filter with that time constant attenuates them by 38 % at the bandwidth of the motion, 10 Hz",
@@ -545,13 +548,14 @@ SENTENCES = [  # finding, reason, advice
      "aligned the currents with the positions by linear interpolation between their stamps (500 Hz; positions 125 Hz; "
      "typically 0.71 ms from a position to the nearest); left out 12 positions before the first or after the last of "
      "them", ""),
-    (Finding(F.STILL, ("a", "b")), "the position of joint 'a', 'b' never changes: it yields no rows", ""),
+    (Finding(F.STILL, ("a", "b")), "the position of joints 'a' and 'b' never changes: it yields no rows", ""),
     (Finding(F.REGISTER, ("a",), values={"signal": "command", "bits": 16, "sign": False}),
      "the command of joint 'a' is a signed number of 16 bits that was logged as unsigned: 65536 is subtracted from "
      "32768 and more", ""),
     (Finding(F.REGISTER, ("a",), values={"signal": "position", "bits": 11, "sign": True}),
      "the position of joint 'a' is a signed number of 11 bits that was logged as unsigned: 1024 and more are negative, "
      "with the magnitude above that", ""),
+    (Finding(F.UNWRAPPED, ("a", "b")), "unwrapped the angles of joints 'a' and 'b', which jumped by a turn", ""),
     (Finding(F.UNWRAPPED, ("a",)), "unwrapped the angle of joint 'a', which jumped by a turn", ""),
     (Finding(F.OUTLIERS, ("a",), time=1.4,
      values={"counts": [["a", 1]], "first": "a", "place": "line 9", "logged": 3.0, "instead": 0.51234}),

@@ -395,6 +395,14 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
         assert "Drive gains need the mass" not in text
 
 
+@pytest.mark.parametrize(("count", "said"), [(1, "load is assumed to be"), (2, "load1 ... load2 are assumed to be")])
+def test_commands_that_are_one_column_are_singular(count: int, said: str, tmp_path: Path) -> None:
+    names = ["load"] if count == 1 else ["load1", "load2"]
+    header = ",".join(["t", *(name.replace("load", "q") for name in names), *names])
+    draft = discover([save(tmp_path / "a.csv", header, TIME, Q[:, :count], V[:, :count])])
+    assert any(note.what.startswith(said) for note in guesses(draft, tmp_path))
+
+
 def test_what_is_no_torque_sensor(tmp_path: Path) -> None:
     """Targets are the controller's model, and a column that never changes measures nothing."""
     header = "t,q1,q2,current1,current2,{0}1,{0}2"

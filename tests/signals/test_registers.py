@@ -45,7 +45,7 @@ def test_commands_of_registers_are_corrected(
     np.testing.assert_allclose(run.command, 0.00269 * signed, atol=1e-9)
     (note,) = (str(note) for note in run.notes)
     assert note.startswith(
-        f"the command of joint 'a', 'b' is a signed number of {bits} bits that was logged as unsigned"
+        f"the command of joints 'a' and 'b' is a signed number of {bits} bits that was logged as unsigned"
     )
     assert discover([log]).kind == "current"
 

@@ -267,6 +267,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     columns = ", ".join(f"{joint}: {column}" for joint, column in signals["position"].items())
     torques, sensors = beside.get("torques", {}), signals.get("joint_torque", {})
     first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
+    are = "are" if len(commands) > 1 else "is"
     how = draft.reasons["position"]
     nearly = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
     assumed = {
@@ -274,9 +275,9 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
         "counts": f"the log gives counts, shares or unknown units ({listed_units(draft)})",
         "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
-        "kind": f"{first} are assumed to be {draft.kind}s",
-        "motor": f"{first} are assumed to be currents",
-        "gravity": f"{first} are assumed to be torques without gravity",
+        "kind": f"{first} {are} assumed to be {draft.kind}s",
+        "motor": f"{first} {are} assumed to be currents",
+        "gravity": f"{first} {are} assumed to be torques without gravity",
         "clock": f"time is {' and '.join(draft.time)}, but other columns increase too",
         "received": f"time is {draft.reasons.get('received', '')}, the receipt stamps",
         "torques": f"{_first(torques.values())} are not used"
@@ -284,7 +285,7 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         "sensors": f"{_first(sensors.values())} are assumed to be torque sensors behind the gears, which set the scale",
         "base": f"{_first(beside.get('motion', ()))} are not used: the base is assumed to be fixed",
         "wrenches": f"{_first(beside.get('wrenches', ()))} are not used: no external contact is assumed",
-        "reference": f"{first} are references, not measurements",
+        "reference": f"{first} {are} references, not measurements",
     }
     other = "torque" if draft.kind == "current" else "current"
     advice = UNSURE | {"kind": f"if they are {other}s, state --kind {other}"}
