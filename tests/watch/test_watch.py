@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import sqlite3
 import time
@@ -28,6 +29,7 @@ from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import power
 from gtau.watch.quantities import unseen_zeros
+from gtau.watch.signal_faults import signal_faults
 from gtau.watch.statistics import LogStatistics, statistics_of
 from gtau.watch.watch import Watch
 
@@ -167,6 +169,63 @@ def test_contacts_lags_and_clocks_are_named(model: Result, healthy: list[LogStat
     for k in range(100, 103):
         watch.update_statistics(statistics_of(model, late(k, 10)), f"{k}", f"2026-02-{k - 99:02d}")
     assert watch.alarm.explanations[0].kind == "clock"  # 20 ms, of which a part is seen
+
+
+def made(kind: str, k: int) -> Run:
+    """The log of a day with a fault of its signals, that of one joint on the right one."""
+    run = day(k)
+    q, v = run.position.copy(), run.command.copy()
+    place, forward = (q[:, 1] - q[:, 1].min()) / np.ptp(q[:, 1]), np.sign(np.gradient(q[:, 1]))
+    match kind:
+        case "exchanged position":
+            q = q[:, ::-1]
+        case "exchanged command":
+            v = v[:, ::-1]
+        case "frozen":
+            q[:, 1] = q[0, 1]
+        case "frozen later":
+            q[2000:, 1] = q[2000, 1]
+        case "frozen, few values":
+            q[:, 1] = np.round(6 * place) / 6
+        case "rub":
+            v[:, 1] += 0.1 * forward * (np.abs(place - 0.6) < 0.15)  # 0.4 N m
+        case "ripple":
+            v[:, 1] += 0.05 * np.sin(40 * place)
+    return replace(run, position=q, command=v)
+
+
+@pytest.mark.parametrize(
+    ("fault", "joint", "size", "words"),
+    [
+        ("exchanged position", "left and right", 1.0, "positions of left and right exchanged"),
+        ("exchanged command", "left and right", 1.0, "currents of left and right exchanged"),
+        ("frozen", "right", 1.0, "frozen encoder of right (one position in 100 % of the log)"),
+        ("frozen later", "right", 0.5, "frozen encoder of right (one position in 50 % of the log)"),
+        ("frozen, few values", "right", None, "frozen encoder of right"),
+        ("rub", "right", 0.4, "rub of right (friction that differs by 0.4"),
+        ("ripple", "right", 0.4, "ripple of right (torque that differs by 0.3"),
+    ],
+)
+def test_a_fault_of_the_signals_is_named(
+    model: Result, healthy: list[LogStatistics], fault: str, joint: str, size: float | None, words: str
+) -> None:
+    watch = watched(model, healthy)
+    for k in range(100, 102):
+        watch.update_statistics(statistics_of(model, made(fault, k)), f"{k}", f"2026-02-{k - 99:02d}")
+        (cause,) = watch.alarm.explanations
+        assert (cause.kind, cause.joint) == (re.split("[ ,]", fault)[0], joint)
+        if size is not None:
+            assert cause.size == pytest.approx(size, rel=0.1)
+        assert words in alarm_words(watch.alarm)[0]
+
+
+def test_no_fault_of_the_signals_is_named_without_one(model: Result, healthy: list[LogStatistics]) -> None:
+    values = np.mean([log.values for log in healthy], axis=0)
+    others = [{"gain": 0.8}, {"friction": 3.0}, {"payload": 1.0}, {"zero": 10.0}, {"gain": 0.9, "payload": 0.4}]
+    changed = [log for change in others for log in days_of(model, 100, 1, **change)]
+    late = statistics_of(model, replace(day(100), command=np.roll(day(100).command, 10, axis=0)))
+    for log in (*healthy, *changed, late):
+        assert signal_faults(model, log, values, log.speed) == ()
 
 
 def test_an_odd_log_is_set_aside_until_the_next_agrees(model: Result, healthy: list[LogStatistics]) -> None:

@@ -20,6 +20,7 @@ from gtau.watch.causes import causes_of, contacts_of
 from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, alone, evidence, far_off, mean_of, median
 from gtau.watch.history import Alarm, Explained, History, Logs, WatchSettings
 from gtau.watch.quantities import Quantity, identified
+from gtau.watch.signal_faults import SIGNAL_FAULTS, signal_faults
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 
 WEEK, WEEKLY = 7.0, 7  # days, and logs that count as a week where they have one date
@@ -205,7 +206,7 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
 
 def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
     """Return whether a cause, or that beside it, is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
-    if cause.kind == "rate":
+    if cause.kind in ("rate", *SIGNAL_FAULTS):
         return True  # it makes the others wrong
     kind = "friction" if cause.quantity in PLAIN_FRICTION else cause.quantity
     size = np.inf if cause.kind == "units" else abs(cause.size if cause.relative is None else cause.relative)
@@ -247,9 +248,9 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     healthy = view.reference if by_model else mean_of(x[before])
     changed = mean_of(x[after])
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
-    causes: tuple[Explained, ...] = ()
-    if not view.of_kind(RESIDUAL)[columns].all():
-        of_charts = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
+    of_charts = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
+    causes = signal_faults(model, log, of_charts, mean_of(logs.speeds[before]))
+    if not causes and not view.of_kind(RESIDUAL)[columns].all():
         rated = view.settings.tolerances.rated_payload or RATED
         causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, 2 * rated)
     return Alarm(

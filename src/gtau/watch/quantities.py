@@ -106,12 +106,15 @@ def identified(model: Result, name: Parameter) -> float:
     return 0.0 if estimate is None else estimate.value or 0.0
 
 
-def normal_equations(model: Result, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def normal_equations(
+    model: Result, run: Run, parts: list[tuple[np.ndarray, ...]] | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Reduce a log to the normal equations ``A^T A``, ``A = [columns | y]``, of the watched quantities.
 
     Return those of each joint in each block that the jackknife leaves out (blocks, n, p + 1, p + 1), whose rows are
     divided by the model's own residual; the number of rows (blocks, n) behind them; and the mean absolute velocity (n,)
-    of each joint in its rows. Raises GtauError.
+    of each joint in its rows. Raises GtauError. ``parts`` of the rows (K,) are listed if
+    asked for: their joint, block, position, direction, and the rows ``[columns | y]`` (K, p + 1) themselves.
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     if model.robot.floating:
@@ -150,7 +153,10 @@ def normal_equations(model: Result, run: Run) -> tuple[np.ndarray, np.ndarray, n
             block = blocks[part.outputs][kept]
             add_products(G[:, j], A[j, kept] / sigma[j], block)
             np.add.at(rows[:, j], block, 1)
-            way[j] += float(np.sum(np.abs(part.motion.yd[idm.layout.actuated[j], kept])))
+            q, qd = (states[idm.layout.actuated[j], kept] for states in (part.motion.c, part.motion.yd))
+            way[j] += float(np.sum(np.abs(qd)))
+            if parts is not None:
+                parts.append((np.full(len(q), j), block, q, np.sign(qd), A[j, kept] / sigma[j]))
     count = rows.sum(axis=0)
     if not (count >= FEWEST_ROWS).any():
         raise GtauError(

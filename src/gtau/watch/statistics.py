@@ -38,7 +38,7 @@ class LogStatistics:
     columns; ``formula`` (k, k) the covariance for independent residuals of unit variance, which has the full rank that
     the jackknife lacks. ``uneven`` (n,) is the largest rms residual of a block over the median one, of each joint:
     contacts are brief. ``speed`` (n,) is the mean absolute velocity, ``payload`` the mass that the log is stated to
-    carry, kg.
+    carry, kg. The ``run`` itself is there where a fault of its signals can be sought.
     """
 
     name: str
@@ -51,6 +51,7 @@ class LogStatistics:
     uneven: np.ndarray
     speed: np.ndarray
     payload: float = 0.0
+    run: Run | None = None
 
     @property
     def std(self) -> np.ndarray:
@@ -74,15 +75,15 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log, whose payload is part of what is expected; raises GtauError."""
     G, rows, speed = normal_equations(model, run)
     (quantities, _), charts = quantities_of(model), charts_of(model)
-    total, blocks = G.sum(axis=(0, 1)), np.arange(len(G))
+    total, blocks, friction = G.sum(axis=(0, 1)), np.arange(len(G)), _of(quantities, "friction")
     C, usable = _combinations(total, quantities)
-    residual, uneven = _residuals(G, rows, quantities, blocks >= 0)
+    residual, uneven = residuals_of(G, rows, friction, blocks >= 0)
     k, p, K = len(C), len(quantities), len(charts)
     values, replicates = np.concatenate([C @ total[:p, p], residual]), []
     for block in np.flatnonzero(rows.any(axis=1)):
         rest = total - G[block].sum(axis=0)
         without, fine = _combinations(rest, quantities)
-        residual, _ = _residuals(G, rows, quantities, blocks != block)
+        residual, _ = residuals_of(G, rows, friction, blocks != block)
         replicates.append(np.concatenate([np.where(fine, without @ rest[:p, p], values[:k]), residual]))
     covariance = jackknife(np.array(replicates)) if len(replicates) > 1 else np.full((K, K), np.inf)
     std = np.sqrt(np.diag(covariance))
@@ -103,6 +104,7 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
         uneven,
         speed,
         0.0 if run.payload is None else run.payload.mass or model.payload(run.payload.name)["m"],
+        run,
     )
 
 
@@ -131,16 +133,18 @@ def _combinations(G: np.ndarray, quantities: Sequence[Quantity]) -> tuple[np.nda
     return (inverse / scale / scale[:, None])[charted], usable[charted]
 
 
-def _residuals(
-    G: np.ndarray, rows: np.ndarray, quantities: Sequence[Quantity], used: np.ndarray
+def residuals_of(
+    G: np.ndarray, rows: np.ndarray, free: Sequence[int], used: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute each joint's log ratio of rms residuals, friction free, in the blocks ``used``, and its unevenness."""
-    friction, n = _of(quantities, "friction"), rows.shape[1]
+    """Compute each joint's log ratio of rms residuals in the blocks ``used``, columns ``free``, and its unevenness."""
+    n = rows.shape[1]
     rms, uneven = np.full(n, np.nan), np.ones(n)
     for j in np.flatnonzero(rows[used].any(axis=0)):
         total, count = G[used, j].sum(axis=0), rows[:, j]
         x = np.zeros(len(total))
-        x[friction], x[-1] = -inverse_of(total[np.ix_(friction, friction)]) @ total[friction, -1], 1.0
+        scale = np.sqrt(np.maximum(np.diag(total)[free], 1e-300))
+        N = total[np.ix_(free, free)] / scale / scale[:, None]
+        x[free], x[-1] = -inverse_of(N) @ (total[free, -1] / scale) / scale, 1.0
         rms[j] = 0.5 * np.log(max(float(x @ total @ x), 1e-300) / count[used].sum())
         squares = np.einsum("p,spq,q->s", x, G[:, j], x)
         of_blocks = np.sqrt(np.maximum(squares, 0.0) / np.maximum(count, 1))[count > 0]

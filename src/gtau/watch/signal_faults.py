@@ -1,0 +1,126 @@
+"""Faults that the samples of the newest log show: a frozen encoder, exchanged columns, a rub, a ripple.
+
+None of them is a change of the quantities: all of these, free at every joint, leave a residual beyond that of healthy
+logs. A fault is named where it leaves far less: the log with two columns exchanged back, or the residual of one joint
+without a function of its position. The function is fitted without the block that it is judged in, so that only what
+recurs at a position counts. An encoder is frozen where it stands in such a log, and moved in those before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations, product
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.factors import add_products
+from gtau.estimation.regression.run_blocks import BLOCKS
+from gtau.estimation.results.result import Result
+from gtau.robots.parameter import torque_unit
+from gtau.signals.run import Run
+from gtau.watch.history import Explained
+from gtau.watch.quantities import normal_equations
+from gtau.watch.statistics import RESIDUAL, LogStatistics, inverse_of, residuals_of
+
+SIGNAL_FAULTS = ("frozen", "exchanged", "rub", "ripple")
+FEW_VALUES = 8  # positions of a frozen encoder; a joint of 4096 steps a turn takes more within a degree
+STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command's scatter elsewhere meanwhile: of
+# joints at rest in healthy logs of a UR10e, 8 of 30 exceed both, but all quantities leave nothing there
+GROWN = 2.0  # times the squares of healthy logs, left at a joint: of 12 healthy logs of three robots one has 3.1
+LEFT = 0.5  # of what all quantities leave beyond healthy logs: 0.00 to 0.32 by the right fault of a five-bar, 0.10 to
+# 0.61 on a UR10e; 1.3 and more by another fault, by contacts, lags, and in the healthy log that has 3.1
+NODES, SMOOTH = 61, 0.1  # of a piecewise linear function over a joint's range, and the weight of its steps, in rows
+EXTREMES = (0.02, 0.98)  # quantiles of it along the log, between which its size is stated
+
+
+def signal_faults(model: Result, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray) -> tuple[Explained, ...]:
+    """Name the fault of a log by its samples, given ``healthy`` charts (k,) and mean velocities ``speed`` (n,)."""
+    if log.run is None:
+        return ()
+    run, parts = log.run.ordered(model.idm.actuated, link_side=False), list[tuple[np.ndarray, ...]]()
+    friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
+    usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
+    single, every = _left(model, run, parts, friction, [*range(len(log.quantities))])
+    seen, grown = np.isfinite(single + usual), single > GROWN * usual
+    if not (every > GROWN * usual)[seen].any():
+        return ()
+    if frozen := tuple(_frozen(run, speed)):
+        return frozen
+    limit = float((usual + LEFT * (every - usual))[seen].sum())
+    faults = (*_exchanged(model, run, friction, grown), *_of_position(model, run, parts, friction, single, grown))
+    misfits = [float(left[seen].sum()) for _, left in faults]
+    best = int(np.argmin([*misfits, limit]))
+    return (faults[best][0],) if best < len(faults) else ()
+
+
+def _named(kind: str, joint: str, size: float, unit: str = "1", quantity: str = RESIDUAL) -> Explained:
+    return Explained(kind=kind, joint=joint, quantity=quantity, size=size, half=0, unit=unit, misfit=0)
+
+
+def _left(model: Result, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]) -> list[np.ndarray]:
+    """Compute the mean squared residual (n,) of each joint over that of the model, by columns that are ``free``."""
+    G, rows, _ = normal_equations(model, run, parts)
+    return [np.exp(2 * residuals_of(G, rows, columns, np.ones(len(G), dtype=bool))[0]) for columns in free]
+
+
+def _frozen(run: Run, speed: np.ndarray) -> Iterator[Explained]:
+    """Find joints that moved in earlier logs, and whose position takes few values or stays while the command does not.
+
+    Their size is the share of the log with one position.
+    """
+    for joint, q, v in ((run.joints[j], run.position[:, j], run.command[:, j]) for j in np.flatnonzero(speed > 0)):
+        begins = np.flatnonzero(np.diff(q, prepend=np.nan) != 0)
+        lengths = np.diff(begins, append=len(q))
+        still = np.repeat(np.arange(len(begins)) == np.argmax(lengths), lengths)
+        share = float(still.mean())
+        if len(np.unique(q)) < FEW_VALUES or (STILL < share < 1 and v[still].std() > LIVELY * v[~still].std()):
+            yield _named("frozen", joint, share)
+
+
+def _exchanged(
+    model: Result, run: Run, friction: list[int], grown: np.ndarray
+) -> Iterator[tuple[Explained, np.ndarray]]:
+    """Exchange columns of two joints back, and compute what is left (n,) then."""
+    for pair, column in product(combinations(np.flatnonzero(grown), 2), ("position", "command")):
+        values = getattr(run, column).copy()
+        values[:, pair] = values[:, pair[::-1]]
+        try:
+            (left,) = _left(model, replace(run, **{column: values}), None, friction)
+        except GtauError:  # the loops do not close there
+            continue
+        quantity = run.kind if column == "command" else column
+        yield _named("exchanged", " and ".join(run.joints[j] for j in pair), 1.0, quantity=quantity), left
+
+
+def _of_position(
+    model: Result,
+    run: Run,
+    parts: list[tuple[np.ndarray, ...]],
+    friction: list[int],
+    single: np.ndarray,
+    grown: np.ndarray,
+) -> Iterator[tuple[Explained, np.ndarray]]:
+    """Fit friction and a function of the position, against the motion (a rub) or not; compute what is left (n,) then.
+
+    Steps between its nodes are weighed, so that places of few rows follow their neighbours.
+    """
+    joints, *rows = (np.concatenate(part) for part in zip(*parts, strict=True))
+    steps = np.diff(np.eye(NODES), axis=0)
+    rms = {error.joint: error.rms for error in model.residuals}
+    for j in np.flatnonzero(grown):
+        joint = run.joints[j]
+        block, q, direction, table = (part[joints == j] for part in rows)
+        at = (q - q.min()) / max(np.ptp(q), 1e-12) * (NODES - 1)
+        hats = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
+        for kind, sign in (("rub", direction), ("ripple", np.ones_like(q))):
+            A = np.hstack([sign[:, None] * hats, table[:, [*friction, -1]]])
+            G = np.zeros((BLOCKS, A.shape[1], A.shape[1]))
+            add_products(G, A, block)
+            total, left = G.sum(axis=0), single.copy()
+            total[:NODES, :NODES] += SMOOTH * steps.T @ steps
+            fits = [np.append(-inverse_of(S[:-1, :-1]) @ S[:-1, -1], 1.0) for S in (*(total - G), total)]
+            left[j] = np.einsum("sp,spq,sq->", fits[:-1], G, fits[:-1]) / len(q)
+            size = float(np.ptp(np.quantile(hats @ fits[-1][:NODES], EXTREMES)) * (rms.get(joint) or 1.0))
+            yield _named(kind, joint, size, torque_unit(model.robot, joint)), left
