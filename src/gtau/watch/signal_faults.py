@@ -30,7 +30,7 @@ STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command
 # joints at rest in healthy logs of a UR10e, 8 of 30 exceed both, but all quantities leave nothing there
 GROWN = 2.0  # times the squares of healthy logs, left at a joint: 1.8 at most of 14 healthy logs of two measured arms
 LEFT = 0.5  # of what all quantities leave beyond healthy logs: up to 0.30 by the right fault of a five-bar, 0.27 of a
-# UR10e (with smaller ones 0.56 and 0.93), both simulated there; 1.2 and more by another kind, a contact or a lag
+# UR10e (two others 0.56 and 0.93, unnamed), put into healthy logs; 1.2 and more by another kind, a contact or a lag
 NODES, SMOOTH = 61, 0.1  # of a piecewise linear function over a joint's range, and the weight of its steps, in rows
 EXTREMES = (0.02, 0.98)  # quantiles of it along the log, between which its size is stated
 
