@@ -36,7 +36,7 @@ STATES = 64  # random poses, which show whether a distance can change
 SAME = 1e-9  # m
 STATE = "limits.shapes"
 TOOL_SPEED = 1.5  # m/s, to which Universal Robots sets new arms; a first motion took a UR5's tool to 3.8 m/s
-# m/s, by a robot's name: of Franka's interface, Kinova's guide and Ufactory's manual
+# m/s, by a robot's name: Franka states 1.7; those of Kinova and Ufactory are cautious, not checked against manuals
 MAKERS = {"panda": 1.7, "gen3": 0.5, "xarm": 1.0}
 
 
