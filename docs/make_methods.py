@@ -1,7 +1,7 @@
-"""Write the tables of hypotheses and of methods in ``lookup/verdicts.md``.
+"""Write the tables of effects and of methods in ``lookup/verdicts.md``.
 
-What a hypothesis adds is the docstring of its torques. What an estimator is, and when to choose it, are the first
-sentence of the docstring of its module, and those that say when to choose it.
+What an effect is, is the first sentence of the docstring of its module. What an estimator is, and when to choose it,
+are the first sentence of the docstring of its module, and those that say when to choose it.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ import re
 from importlib import import_module
 from pathlib import Path
 
-from gtau.estimation.diagnostics.hypotheses import HYPOTHESES
+from gtau.estimation.effects.registry import EFFECTS
 from gtau.estimation.estimators.registry import PLACES
 
 PAGE = Path(__file__).parent / "lookup" / "verdicts.md"
-OF_HYPOTHESES = "<!-- made by python docs/make_methods.py from the docstrings of the hypotheses -->"
+OF_EFFECTS = "<!-- made by python docs/make_methods.py from the docstrings of the effects -->"
 BEGIN = "<!-- made by python docs/make_methods.py from the docstrings of the estimators -->"
 HEAD = "| method | what it is | when to choose it |"
 
@@ -37,20 +37,20 @@ def table() -> str:
     return "\n".join(rows)
 
 
-def hypotheses() -> str:
-    """Return the table of the hypotheses."""
-    rows = ["| alternative | what is added to each joint's equations |", "| --- | --- |"]
-    for each in HYPOTHESES:
-        words = " ".join((each.torques.__doc__ or "").replace("``", "`").split())
-        words = words.removeprefix("Add ").removesuffix(".")
-        rows.append(f"| {each.name} | {words[:1].lower()}{words[1:]} |")
+def effects() -> str:
+    """Return the table of the effects."""
+    rows = ["| effect | what it is | contradicts the description |", "| --- | --- | --- |"]
+    for effect in EFFECTS:
+        what, _ = sentences(import_module(effect.say.__module__).__doc__ or "")
+        beyond = f"beyond {effect.harmless:g}" if effect.harmless < float("inf") else ""
+        rows.append(f"| {effect.name} | {what} | {'yes' if effect.description else beyond} |")
     return "\n".join(rows)
 
 
 def page() -> str:
     """Return the page with the present tables in place of those that it has."""
     text = PAGE.read_text(encoding="utf-8")
-    for begin, made in ((OF_HYPOTHESES, hypotheses()), (BEGIN, table())):
+    for begin, made in ((OF_EFFECTS, effects()), (BEGIN, table())):
         before, rest = text.split(f"{begin}\n", 1)
         _, after = rest.split("\n\n", 1)
         text = f"{before}{begin}\n{made}\n\n{after}"

@@ -32,9 +32,9 @@ from gtau.cli.commands import app
 from gtau.documents.files import write_table
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative, compete, support
-from gtau.estimation.diagnostics.hypotheses.drives import FRICTION_DRIFT
 from gtau.estimation.diagnostics.verdict import Verdict
+from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import make_task, read_design
@@ -213,7 +213,7 @@ def gain(joint: str, value: float | None, random: float, model: float, outcome: 
 
 
 def result_of(*gains: Estimate) -> SimpleNamespace:
-    return SimpleNamespace(drive_gains={each.name: each for each in gains}, alternatives=())
+    return SimpleNamespace(drive_gains={each.name: each for each in gains}, effects=())
 
 
 def round_of(purpose: str, half: float = 10.0, value: float = 1.0) -> Round:
@@ -249,8 +249,8 @@ def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
     cause = Finding(
         "torque constant", ("a",), values={"what": "a falling torque constant", "action": "log the current"}
     )
-    effect = Alternative("saturation", (cause,), 0.1, 0.01, "1/A", probability=1.0, share=0.4)
-    result = SimpleNamespace(drive_gains={"a": gain("a", 1.0, 0.01, 0.3)}, alternatives=(effect,))
+    effect = EstimatedEffect("saturation", cause, 0.1, 0.01, "1/A", 30.0, 0.4)
+    result = SimpleNamespace(drive_gains={"a": gain("a", 1.0, 0.01, 0.3)}, effects=(effect,))
     once = decide(result, 3.0, [round_of("first")], None)
     assert (once.kind, once.suspect) == ("model part", effect.subject)
     assert once.notes == (f"the data speak for {effect.subject} (40 % of the residual variance)", "log the current")
@@ -262,11 +262,11 @@ def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
 
 
 def test_a_drift_asks_for_a_warm_up_run_which_is_played_and_not_evaluated(copied: Path) -> None:
-    cause = Finding("drifting Coulomb friction", ("left",))
-    drift = Alternative(FRICTION_DRIFT.name, (cause,), -0.2, 0.02, "", probability=1.0, share=0.2)
+    cause = Finding(FRICTION_DRIFT.name, values={"what": "Coulomb friction of 'left' changing along the runs"})
+    drift = EstimatedEffect(FRICTION_DRIFT.name, cause, -0.2, 0.02, "", 30.0, 0.2)
     cold, file = read_rounds(copied)[0], read_design_file(copied)
-    assert warming(SimpleNamespace(alternatives=(replace(drift, size=-0.1),)), cold) == ""
-    drifting = SimpleNamespace(drive_gains={"left": gain("left", 1.0, 0.01, 0.3)}, alternatives=(drift,))
+    assert warming(SimpleNamespace(effects=(replace(drift, likelihood=1.0),)), cold) == ""
+    drifting = SimpleNamespace(drive_gains={"left": gain("left", 1.0, 0.01, 0.3)}, effects=(drift,))
     assert warming(drifting, cold).startswith("the data show Coulomb friction of 'left' changing along the runs, so")
     assert decide(drifting, 3.0, [round_of("first")], None).suspect == ""
     task, _ = read_design(copied / "design.yaml")
@@ -285,9 +285,7 @@ def test_a_drift_asks_for_a_warm_up_run_which_is_played_and_not_evaluated(copied
     assert [run["log"] for run in read_yaml(copied / "experiment.yaml").data["runs"]] == [
         f"02/logs/run{k}.csv" for k in (1, 2, 3, 4)
     ]
-    assert (
-        warming(SimpleNamespace(alternatives=()), warm) == "the next round begins with a warm-up run, as this one did"
-    )
+    assert warming(SimpleNamespace(effects=()), warm) == "the next round begins with a warm-up run, as this one did"
 
 
 def test_done_is_what_a_round_that_did_not_decide_confirms() -> None:
@@ -370,18 +368,6 @@ def test_candidates_are_within_the_limits(tmp_path: Path) -> None:
     assert {"as designed", "at 70 % of the speed", "twice as long"} <= set(offered)
     assert not offered["with a payload of 2 kg"].at_hand
     assert offered["at 50 % of the speed"].design.task.series.period == pytest.approx(6)
-
-
-def test_what_noise_makes_of_effects_does_not_choose_a_candidate() -> None:
-    """Whatever size one draw of the noise gives an effect, what it does to the estimates is the same."""
-    cause = Finding("torque constant", ("a",), values={"what": "a falling torque constant", "action": ""})
-    slopes = np.array([2.0, -1.0])
-    for size in (-0.3, 0.0, 0.1, 0.4):
-        shifts = np.sqrt(support(size, 0.2, 0.5)[1]) * slopes
-        found = Alternative("saturation", (cause,), size, 0.2, "1/A", plausible=0.5, shifts=shifts)
-        usual = compete([found], lambda _: None)[0].by_noise()
-        assert usual.probability == found.probability
-        np.testing.assert_allclose(usual.shifts, np.sqrt(support(0.2, 0.2, 0.5)[1]) * slopes)
 
 
 URDF = """<robot name="arm"><link name="base"/><link name="bar"/><joint name="a" type="revolute"><parent link="base"/>
@@ -683,7 +669,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         return Design(task, "gains", x, 1.0, (), 0)
 
     home = "gtau.campaigns.campaign"
-    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}), alternatives=())
+    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}), effects=())
     monkeypatch.setattr(f"{home}.design", drawn)
     monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ()))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)

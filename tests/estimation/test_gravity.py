@@ -10,10 +10,9 @@ import pytest
 from floating_logs import AT_HOOK, FIXED, POSE, experiment, simulated
 from gravity_logs import Gravity, logged, scara
 
-from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.hypotheses import description
-from gtau.estimation.diagnostics.other_robots import likeliest_gravity
+from gtau.estimation.diagnostics.other_robots import OTHER_GRAVITY, likeliest_gravity
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import read_runs
@@ -30,7 +29,7 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
 
-def found(robot: Robot, runs: list[Run], missing: bool = False) -> Alternative | None:
+def found(robot: Robot, runs: list[Run], missing: bool = False) -> EstimatedEffect | None:
     dataset = reduce_runs(robot, runs)
     gains = np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None
     system = dataset.system(per_run=len(runs) > 1)
@@ -48,14 +47,13 @@ def test_an_arm_on_a_wall_is_named() -> None:
     wrong = [each.verdict for each in result.drive_gains.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
     assert wrong
     (cause,) = wrong[0].finding.causes
-    assert (wrong[0].finding.kind, cause.kind) == (F.REFUTED, description.OTHER_GRAVITY.kind)
+    assert (wrong[0].finding.kind, cause.kind) == (F.REFUTED, OTHER_GRAVITY)
     np.testing.assert_allclose(cause.values["gravity"], true, atol=1e-9)
     before, after = np.array(list(cause.values["left"].values())).T
     assert (after < 0.003).all()
     assert before.max() > 0.1
     assert set(cause.joints) == set(cause.values["left"])
-    sure = [each for each in result.alternatives if each.hypothesis == "gravity"]
-    assert len(sure) == 1  # the tilts that would explain a part of it are not counted again
+    assert len(result.effects) == 1  # the tilts that would explain a part of it are not counted again
     good = identify(replace(robot, gravity=true), logged(robot, true, currents=False))
     assert {each.verdict.outcome for each in good.drive_gains.values()} == {Outcome.GIVEN}
 
@@ -78,7 +76,7 @@ def test_what_to_write_is_what_helps(tmp_path: Path) -> None:
     """Both ways of the advice give the gravity that was found."""
     robot, true = load_robot("ur10e"), np.array([0.3, -0.5, 0.8]) * G / np.linalg.norm([0.3, -0.5, 0.8])
     values = {"gravity": true.tolist(), "also": [], "left": {"a": [0.3, 0.01]}, "floating": False}
-    said = Finding(description.OTHER_GRAVITY.kind, ("a",), values=values).action
+    said = Finding(OTHER_GRAVITY, ("a",), values=values).action
     x, y, z = (float(each) for each in said.split("gravity: [")[1].split("]")[0].split(","))
     np.testing.assert_allclose([x, y, z], true, atol=0.01)
     write_native(robot, tmp_path / "arm.yaml")
@@ -101,8 +99,8 @@ def test_what_to_write_is_what_helps(tmp_path: Path) -> None:
 def test_other_robots(robot: Robot, true: Gravity, currents: bool, also: int) -> None:
     other = found(robot, logged(robot, true, currents))
     assert other is not None
-    assert len(other.causes[0].values["also"]) == also
-    gravities = [other.causes[0].values["gravity"], *other.causes[0].values["also"]]
+    assert len(other.cause.values["also"]) == also
+    gravities = [other.cause.values["gravity"], *other.cause.values["also"]]
     assert max(axis(each) @ axis(true) for each in gravities) > 0.999
 
 
@@ -115,14 +113,14 @@ def test_gravity_is_not_missing_where_the_logs_contradict_it() -> None:
     assert found(robot, logged(robot, robot.gravity, currents=True), missing=True) is None
     without = found(robot, logged(robot, (0.0, 0.0, 0.0), currents=True), missing=True)
     assert without is not None
-    assert without.causes[0].values["remains"] < 0.1
+    assert without.cause.values["remains"] < 0.1
 
 
 def test_a_direction_between_the_axes() -> None:
     robot, true = scara(), (0.4 * G, -0.6 * G, -np.sqrt(1 - 0.52) * G)
     other = found(robot, logged(robot, true, currents=True))
     assert other is not None
-    assert axis(other.causes[0].values["gravity"]) @ axis(true) > np.cos(np.radians(2))
+    assert axis(other.cause.values["gravity"]) @ axis(true) > np.cos(np.radians(2))
 
 
 @pytest.mark.parametrize(
@@ -148,8 +146,6 @@ def test_a_tracker_whose_vertical_is_another(tmp_path: Path) -> None:
     path = experiment(tmp_path, f"{{body: trunk, {POSE}, wrenches: [{AT_HOOK}]}}", simulated(3))
     write_native(replace(float_base(FIXED, "trunk"), gravity=(0.0, -G, 0.0)), tmp_path / "arm.yaml")
     result = identify(path)
-    kinds = {each.causes[0].kind for each in result.alternatives if each.probability > 0.5}
-    assert description.OTHER_GRAVITY.kind in kinds
-    (cause,) = (each.causes[0] for each in result.alternatives if each.causes[0].kind == description.OTHER_GRAVITY.kind)
+    (cause,) = (effect.cause for effect in result.effects if effect.cause.kind == OTHER_GRAVITY)
     np.testing.assert_allclose(axis(cause.values["gravity"]), (0.0, 0.0, -1.0), atol=0.02)
     assert cause.values["floating"]

@@ -9,9 +9,9 @@ import pytest
 from five_bar_logs import STEEL, Plant
 from stated_arm import plant, robot
 
-from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.other_robots import other_loads
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
@@ -35,8 +35,8 @@ def arm_runs(folder: Path, loaded: tuple[bool, ...]) -> list[Run]:
 
 
 def cause_of(result: Result) -> dict:
-    (found,) = (each for each in result.alternatives if each.hypothesis == "tool bodies")
-    (cause,) = found.causes
+    (found,) = (each for each in result.effects if each.effect == "tool bodies")
+    cause = found.cause
     assert cause.kind == F.TOOL_BODY
     return dict(cause.values)
 
@@ -65,18 +65,18 @@ def test_a_payload_on_another_body_is_named(tmp_path: Path) -> None:
     made = replace(plant(arm), tool="j3")
     loaded = replace(made.run(1, BODY), payload=Payload(name="steel", mass=BODY["m"]))
     result = identify(arm, [made.run(0), loaded])
-    (found,) = (each for each in result.alternatives if each.hypothesis == "tool bodies")
-    assert (found.causes[0].kind, found.causes[0].subject) == (F.PAYLOAD_BODY, "j3")
+    (found,) = (each for each in result.effects if each.effect == "tool bodies")
+    assert (found.cause.kind, found.cause.subject) == (F.PAYLOAD_BODY, "j3")
     assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
 
 
 def test_runs_with_the_same_load_are_not_suspected(tmp_path: Path) -> None:
     result = identify(robot(tmp_path), arm_runs(tmp_path, (False, False, False)))
-    assert "tool bodies" not in {each.hypothesis for each in result.alternatives}
+    assert "tool bodies" not in {each.effect for each in result.effects}
     assert result.audit is not None
 
 
-def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> Alternative | None:
+def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> EstimatedEffect | None:
     made = Plant(noise=0.01)
     runs = [
         replace(made.run(f"run {k}", 8.0, STEEL if carries else None, seed=k), payload=KNOWN if says else None)
@@ -97,7 +97,7 @@ def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> Altern
 )
 def test_loads_beside_gains(carried: tuple[bool, ...], declared: tuple[bool, ...], more: dict[str, float]) -> None:
     found = of_five_bar(carried, declared)
-    bodies = [] if found is None else found.causes[0].values["bodies"]
+    bodies = [] if found is None else found.cause.values["bodies"]
     assert {each["run"]: each["more"] for each in bodies} == pytest.approx(more, rel=0.02)
     if found is not None:  # the gains without it are the true ones
         assert found.largest_move > 10

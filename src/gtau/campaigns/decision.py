@@ -16,12 +16,13 @@ from gtau.campaigns.folder import WARM_UP, Round
 from gtau.documents.files import write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import Alternative
-from gtau.estimation.diagnostics.hypotheses.drives import FRICTION_DRIFT, GAIN_DRIFT
+from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
+from gtau.estimation.effects.gain_drift import GAIN_DRIFT
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.refutation import APART, PROBABLE
+from gtau.estimation.thresholds.refutation import APART, CONTRADICTED
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
 from gtau.findings.words import to_width
@@ -208,19 +209,19 @@ def _cause(result: Result, joint: str) -> tuple[str, ...]:
         verdict = result.drive_gains[joint].verdict
         return tuple(filter(None, (verdict.why, verdict.advice)))
     share = f"{100 * suspect.share:.0f} % of the residual variance"
-    return f"the data speak for {suspect.subject} ({share})", suspect.causes[0].action
+    return f"the data speak for {suspect.subject} ({share})", suspect.cause.action
 
 
-def _suspect(result: Result) -> Alternative | None:
+def _suspect(result: Result) -> EstimatedEffect | None:
     """Find the effect that the data show most clearly and no warm-up lessens, None where none is shown."""
-    shown = [one for one in result.alternatives if one.significant and one.share >= SHOWN]
-    return max((one for one in shown if one.hypothesis not in DRIFTS), key=lambda one: one.share, default=None)
+    shown = [effect for effect in result.effects if effect.likelihood > CONTRADICTED and effect.share >= SHOWN]
+    return max((effect for effect in shown if effect.effect not in DRIFTS), key=lambda one: one.share, default=None)
 
 
 def warming(result: Result, last: Round) -> str:
     """Say why the next round begins with a warm-up run, empty if it needs none."""
-    drifts = (one for one in result.alternatives if one.hypothesis in DRIFTS and one.significant)
-    drift = max((one for one in drifts if one.probability > PROBABLE), key=lambda one: one.share, default=None)
+    drifts = (effect for effect in result.effects if effect.effect in DRIFTS and effect.likelihood > CONTRADICTED)
+    drift = max(drifts, key=lambda effect: effect.share, default=None)
     if drift is not None:
         return f"the data show {drift.subject}, so the next round begins with a warm-up run"
     warmed = any(run["name"] == WARM_UP for run in last.motion["runs"])

@@ -12,7 +12,6 @@ import numpy as np
 from gtau.display import late
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import TOOL_BODIES
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
 from gtau.estimation.diagnostics.log_checks import (
@@ -22,7 +21,8 @@ from gtau.estimation.diagnostics.log_checks import (
     require_payload_excitation,
     smoothed_commands,
 )
-from gtau.estimation.diagnostics.stated_constants import weigh_known
+from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
+from gtau.estimation.diagnostics.stated_constants import sensor_scales, sensor_verdict, weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
@@ -205,17 +205,21 @@ def estimate(
     progress("estimation", 0, 1)
     fit = estimator.fit(system, gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
-    estimates = estimates_of(fit, examined, correlated=not as_paper)
+    moved = examined.moved(fit) if estimator.name == "ml" and not as_paper else None
+    if any(sensor_verdict(scale, accuracy).outcome == Outcome.CONTRADICTORY for scale in sensor_scales(fit)):
+        moved = None  # what a sensor contradicts, effects would explain in part
+    estimates = estimates_of(fit, examined, not as_paper, moved is not None)
     require_motion(fit, estimates)
-    essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     lack = lack_of_fit(fit.system.problem, fit.solution)
-    bare: Fit | None = fit
+    plain, fit = fit, moved or fit
+    essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
+    bare: Fit | None = plain
     audit = bodies = lost = None
     if dataset.robot.inertias:
         from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 
-        loaded = TOOL_BODIES in {alternative.hypothesis for alternative in examined.alternatives}
-        bare, audit = audit_inertias(fit, estimates, loaded)
+        loaded = TOOL_BODIES in {effect.effect for effect in examined.refits}
+        bare, audit = audit_inertias(plain, estimates, loaded)
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
     if options.consistent:
         from gtau.estimation.estimators.physical_consistency import consistent
@@ -229,12 +233,12 @@ def estimate(
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
-    findings = diagnose(fit, examined, estimates, payloads, options.gains, accuracy, audit)
+    findings = diagnose(plain, examined, estimates, payloads, options.gains, accuracy, audit)
     findings += () if lost is None else (lost,)
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
-    sensors = sensor_estimates(fit, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
+    sensors = sensor_estimates(plain, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
     described = model_estimates(fit, estimates, predicting, verdicts, payloads, essential)
     return Result(
         dataset.robot,

@@ -14,7 +14,7 @@ COSTLY_REPAIR = 0.02
 """Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
 but for those recorded by polling; 0.05 and more are refused. A choice between the two."""
 
-MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED, F.OTHER_ESTIMATOR}
+MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED}
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class Finding:
 
 
 def _of_wrench(cause: Finding) -> bool:
-    return cause.kind in ("wrench offset", "wrench point")
+    return cause.kind in ("wrench offsets", "wrench points")
 
 
 def named_causes(causes: Sequence[Finding]) -> str:

@@ -126,7 +126,6 @@ class FindingKind(StrEnum):
     UNSETTLED = "not converged", Outcome.NOT_IDENTIFIABLE
     LOST = "lost in noise", Outcome.NOT_IDENTIFIABLE
     SIGN_OPEN = "sign open", Outcome.NOT_IDENTIFIABLE
-    OTHER_ESTIMATOR = "other estimator", Outcome.CONTRADICTORY
     IMPOSSIBLE_PARAMETERS = "impossible parameters", Outcome.CONTRADICTORY
     # units and signs, which fit the data whatever they are: sizes that no such robot has
     PRIOR_GAIN = "prior gain", Outcome.CONTRADICTORY
@@ -139,7 +138,6 @@ class FindingKind(StrEnum):
     EFFORT = "effort limit", Outcome.CONTRADICTORY
     SMALL_CURRENT = "current too small", Outcome.CONTRADICTORY, UNIT
     WIDE_SCALE = "uncertain scale", Outcome.WEAK
-    WIDE_RIPPLE = "wide by ripple", Outcome.WEAK
     WIDE_CAUSE = "wide by an alternative", Outcome.WEAK
     WIDE_RANDOM = "wide interval", Outcome.WEAK
     COUPLED = "coupled joint", Outcome.WEAK
@@ -161,13 +159,8 @@ class FindingKind(StrEnum):
     UNLIKE_LEGS = "unlike legs"
     PRIOR = "contradictory prior"
     PRIOR_INERTIA = "contradictory inertias of the robot's file"
-    RIPPLE = "position ripple"
-    SPRING = "spring"
-    COMMON_RESIDUALS = "residuals that repeat", READING
-    OPPOSED_RESIDUALS = "residuals that depend on the load"
     SMALL_REFUTATION = "description refuted, gains unmoved"
     UNTESTED = "other estimators not tried", READING
-    WEAK_INSTRUMENTS = "weak instruments", READING
     AUTOCORRELATED = "autocorrelated residuals"
     NOT_SEPARATED = "parameters not separated", SEPARATION
     MASS_UNSEEN = "payload mass not identifiable"
@@ -182,13 +175,7 @@ class FindingKind(StrEnum):
     COMMAND_LAG = "command lag", FILTERED
     SMOOTHED = "smoothed commands", FILTERED
     SLIGHT_COMMAND_LAG = "slight command lag", READING
-    # other models and estimators, as causes; those of the hypotheses are in their records
+    # other descriptions, as causes; those of the effects are in their files
     WITHOUT_GRAVITY = "torques without gravity"
-    LENGTH = "length"
-    GAIN_CHANGE = "gain change"
     TOOL_BODY = "body at the tool"
     PAYLOAD_BODY = "payload on another body"
-    BANDWIDTH = "bandwidth"
-    SLOW_ROWS = "rows at low speed"
-    TWO_STAGE = "two-stage least squares"
-    INSTRUMENTS = "instrumental variables"

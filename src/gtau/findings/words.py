@@ -14,7 +14,6 @@ from gtau.errors import quoted
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-RELATIVE = "of itself"  # unit of a size that is a share of what it changes
 MOST_PERCENT = 1000.0
 """Per cent, above which a size is none: what has it is no estimate, and no error of one."""
 Sentence = tuple[str, str]

@@ -16,7 +16,7 @@ from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.interpreter.program import NONE, Program, compile_program, share
-from gtau.model.kinematics import Coordinates, placements, shifted
+from gtau.model.kinematics import Coordinates
 from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, displaced, follow, numbers
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH, WrenchFrame
@@ -340,24 +340,3 @@ class InverseDynamics:
             hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists them."
             raise UnknownName(f"the model of '{self.robot.name}' has no standard parameter '{unknown}'; {hint}")
         return np.array([chi.get(name, 0.0) for name in names], dtype=float)
-
-
-def models_alike(robots: Sequence[Robot], standard: Sequence[Parameter]) -> list[InverseDynamics]:
-    """Make models of robots that differ only in lengths, with a shared regressor of the ``standard`` parameters.
-
-    Its program has the shifts of places as parameters: to derive it for each robot would take most of the time.
-    """
-    places = np.array([[placement.position for placement in placements(robot)] for robot in robots])
-    shifts = places - places[0]  # (robots, places, 3)
-    varies = np.abs(shifts).max(axis=0) > 0
-    s = ca.SX(ca.Sparsity.triplet(*varies.shape, *(index.tolist() for index in np.nonzero(varies))))
-    symbols = ca.SX.sym("s", int(varies.sum()))
-    for symbol, (place, axis) in zip(ca.vertsplit(symbols), np.argwhere(varies).tolist(), strict=True):
-        s[place, axis] = symbol
-    varied = shifted(robots[0], [s[k, :].T for k in range(len(varies))])
-    general = InverseDynamics(varied).columns(standard)
-    program = compile_program(general.inputs, [general.matrix.nz[:]], [symbols])
-    models = [InverseDynamics(robot) for robot in robots]
-    for model, shift in zip(models, shifts, strict=True):
-        model._regressors[general.names] = replace(general, compiled=program.at(shift[varies]))
-    return models

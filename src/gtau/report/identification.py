@@ -32,7 +32,7 @@ from gtau.report.page import Column, Facts, Kind, Page, Section, Text, page, sec
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
 from gtau.report.residuals import residuals_section
 from gtau.report.torques import determination, fit_table, torques_section
-from gtau.report.uncertainty import PAPER, alternatives_section, correlation_section
+from gtau.report.uncertainty import PAPER, correlation_section, effects_section
 from gtau.robots.parameter import Parameter
 
 NOTES = 5  # that the short page shows
@@ -102,7 +102,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
         logs_section([run.run for run in runs], result.robot, result.preparation),
-        alternatives_section(result),
+        effects_section(result),
     )
     return page(
         f"Identification of {result.robot.name}",

@@ -1,4 +1,4 @@
-"""Show what the uncertainty of the estimates comes from: correlations, singular values and alternative models."""
+"""Show what the uncertainty of the estimates comes from: correlations, singular values and effects of the model."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import Alternative
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table, table_of
@@ -71,36 +71,37 @@ def singular_values_chart(values: np.ndarray) -> Chart:
     return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
 
 
-def alternatives_section(result: Result) -> Section | None:
-    """Show other models of the same data, and by how much each moves the gains; None where the result lists none."""
-    if not result.alternatives:
+def effects_section(result: Result) -> Section | None:
+    """Show the effects found beside the model, with their intervals, and by how much each moves the gains."""
+    if not result.effects:
         return None
-    ranked = sorted(result.alternatives, key=lambda other: -other.probability * other.largest_move)
+    ranked = sorted(result.effects, key=lambda effect: -effect.largest_move)
     move = partial(Column, kind=Kind.NUMBER, decimals=2)
     moves = [(move(f"moves {joint_label(joint)} by, %"), partial(_moved, joint)) for joint in result.robot.motors]
     listed = table_of(
         ranked,
-        (Column("alternative"), "subject"),
-        (Column("probability, %", Kind.SHARE, decimals=1), "probability"),
-        *moves,
-        (Column("size", Kind.NUMBER, 2), lambda other: "not identifiable" if other.std is None else other.size),
+        (Column("effect"), "subject"),
+        (Column("size", Kind.NUMBER, 2), "size"),
         (Column("std", Kind.NUMBER, 2), "std"),
         (Column("unit"), "unit"),
+        (Column("log-likelihood", Kind.NUMBER, decimals=1), "likelihood"),
         (Column("share of the residual, %", Kind.SHARE, decimals=1), "share"),
-        name="alternatives-table",
+        *moves,
+        name="effects-table",
     )
     words = (
-        "Each alternative adds one unknown to the model. Its size is estimated from the data, its probability states "
-        "how well they support it; its remaining uncertainty widens the intervals of the gains. Alternatives are "
-        "listed by their probability times the largest move of a gain."
+        "All effects are estimated together with the parameters, as random effects of one mixed model. The "
+        "log-likelihood is what the data lose without an effect, all others being found again: below 3 it is hardly "
+        "seen. The estimates are moved by all effects, and what they leave open widens the intervals. Effects are "
+        "listed by the largest move of a gain."
     )
-    every = section(f"All {len(ranked)} alternatives", listed, folded=True)
-    drifting = _drift_text([other.subject for other in ranked], result)
-    return section("Alternatives", Text(words), drifting, every, id="alternatives")
+    every = section(f"All {len(ranked)} effects", listed, folded=True)
+    drifting = _drift_text([effect.subject for effect in ranked], result)
+    return section("Effects beside the model", Text(words), drifting, every, id="effects")
 
 
-def _moved(joint: str, other: Alternative) -> float | None:
-    return other.moves.get(joint)
+def _moved(joint: str, effect: EstimatedEffect) -> float | None:
+    return effect.moves.get(joint)
 
 
 def _drift_text(texts: Iterable[str], result: Result) -> Text | None:

@@ -257,10 +257,10 @@ def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], prog
         return None
     solve = partial(wls, gains=model.gains)
     dataset = replace(_reduced(model, [run], progress), reference=reference_of(model))
-    alternative = other_loads(fit_by(solve, select_friction(dataset, solve, progress), free_gains=False))
-    if alternative is None:
+    load = other_loads(fit_by(solve, select_friction(dataset, solve, progress), free_gains=False))
+    if load is None:
         return None
-    causes, values = alternative.causes, {"share": alternative.share, "unit": ""}
+    causes, values = (load.cause,), {"share": load.share, "unit": ""}
     return Finding(F.REFUTED, causes[0].joints, values=values, causes=causes)
 
 

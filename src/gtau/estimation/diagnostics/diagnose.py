@@ -21,12 +21,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import TORQUE_SCALE, friction_levels, rms_speeds, rms_torques
 from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.other_estimators import position_noise
-from gtau.estimation.diagnostics.repeating_residuals import repeated_motion_findings
 from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import (
@@ -42,20 +39,19 @@ from gtau.estimation.diagnostics.verdict import (
     motors,
     unexplained_shares,
 )
+from gtau.estimation.effects.effect import Levels
+from gtau.estimation.effects.torque_scale import TORQUE_SCALE
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import BASE_MISFIT, LOST_GAIN, MISFIT, MISFIT_GIVEN, NAMED_SHARE, NEGATIVE_STD
 from gtau.estimation.thresholds.refutation import (
     ALIKE,
     APART,
-    APART_REFUTED,
     BEYOND_GEARS,
     FRICTIONLESS,
     GEARED,
     MODEL_RESIDUAL,
     OTHER_SCALE,
-    REFUTED_SHARE,
-    SCALED,
 )
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
@@ -90,16 +86,11 @@ def diagnose(
         *unlike_legs(fit, estimates),
         *_wrong_priors(fit, estimates, accuracy),
         *units_and_signs(fit, estimates, prior_gains, audit),
-        *position_noise(fit, examined.alternatives),
-        *(examined.ripple.causes if examined.ripple else ()),
     ]
     if audit is not None:
         from gtau.estimation.diagnostics.inertia_audit import prior_findings
 
         findings += prior_findings(audit)
-    groups, _ = fit.dataset.prepared.places
-    if len(np.unique(groups)) < len(groups):  # some runs repeat a motion
-        findings += repeated_motion_findings(fit, examined.alternatives)
     if fit.free_gains:
         findings += _estimated_gains(fit, examined, estimates, accuracy, prior_gains)
         if problem.sensor_channels:
@@ -111,8 +102,8 @@ def diagnose(
         ]
         # parts of the description that the data refute without moving any gain by more than the accuracy
         findings += [
-            Finding(F.SMALL_REFUTATION, values={"share": part.share, "move": move}, causes=part.causes)
-            for part in examined.refuted
+            Finding(F.SMALL_REFUTATION, values={"share": part.share, "move": move}, causes=(part.cause,))
+            for part in examined.contradicting
             if (move := part.largest_move / 100) <= accuracy
         ]
         if fit.dataset.runs[0].kind == "torque":
@@ -153,7 +144,7 @@ def _estimated_gains(
     at_random = halves * random / total
     misfits = unexplained_shares(problem, solution)
     unknown = problem.unknown_gains[: len(gains)]
-    turned = any(all(move < -100 for move in part.moves.values()) for part in examined.refuted)  # by another gravity
+    turned = any(all(move < -100 for move in part.moves.values()) for part in examined.refits)  # by another gravity
     # a negative prior gain says that a motor turns against its joint, and all may
     if min(prior_gains.values(), default=1.0) > 0 and np.all(gains[unknown] < 0) and not turned:
         yield Finding(F.ALL_NEGATIVE, motors(fit))
@@ -167,23 +158,18 @@ def _estimated_gains(
             yield Finding(F.LOST, mine, values={"std": std})
             if "singular_ratio" in solution.statistics:
                 yield Finding(F.TLS_CONFUSED, mine, values={"limit": float(LOST_GAIN)})
-        for part in examined.refuted:
+        for part in examined.contradicting:
             move = part.moves[joint] / 100
             if abs(move) > accuracy and at_random[j] < 1:  # a gain that is noise refutes nothing
                 values = {"size": part.size, "unit": part.unit, "share": part.share, "move": move}
-                yield Finding(F.REFUTED, mine, values=values, causes=part.causes, size=part.share)
+                yield Finding(F.REFUTED, mine, values=values, causes=(part.cause,), size=part.share)
         if misfits[j] > MISFIT:
             yield _unexplained(fit, joint, misfits[j])
         if half >= 1:  # an interval that includes zero leaves not even the sign
             yield Finding(F.SIGN_OPEN, mine)
-        for other in examined.alternatives:
-            move = other.moves[joint] / 100
-            if other.hypothesis == F.TWO_STAGE and abs(move) > accuracy and abs(other.t) > APART_REFUTED:
-                values = {"move": move, "t": other.t}
-                yield Finding(F.OTHER_ESTIMATOR, mine, values=values, causes=other.causes, size=abs(other.t))
         if half > accuracy:
             values = {"half": half, "accuracy": accuracy, "random": bool(at_random[j] > accuracy)}
-            kind, causes = _widest(examined, estimates, rows.start + j)
+            kind, causes = _widest(examined, estimates, rows.start + j, joint)
             yield Finding(kind, mine, values=values, causes=causes)
 
 
@@ -193,18 +179,16 @@ def _unexplained(fit: Fit, joint: str, share: float) -> Finding:
     return Finding(F.UNEXPLAINED, (joint,), values=values | ({"stated": True} if stated else {}))
 
 
-def _widest(examined: Examination, estimates: Estimates, row: int) -> tuple[F, tuple[Finding, ...]]:
-    """Find the largest contribution to the interval of an estimate."""
+def _widest(examined: Examination, estimates: Estimates, row: int, joint: str) -> tuple[F, tuple[Finding, ...]]:
+    """Find the largest contribution to the interval of the gain of a ``joint``."""
     random, model = estimates.random[row, row], estimates.model[row, row]
     if estimates.scale[row, row] > NAMED_SHARE * (random + model):
         return F.WIDE_SCALE, ()
     if model < NAMED_SHARE * (random + model):
         return F.WIDE_RANDOM, ()
-    effects = (*examined.alternatives, *([examined.ripple] if examined.ripple else []))
-    most = max(effects, key=lambda other: other.probability * other.shifts[row] ** 2, default=None)
-    if most is None or most is examined.ripple:
-        return F.WIDE_RIPPLE, ()
-    return F.WIDE_CAUSE, most.causes
+    sized = [effect for effect in examined.effects if effect.size]
+    most = max(sized, key=lambda effect: abs(effect.moves[joint] * effect.std / effect.size), default=None)
+    return (F.WIDE_RANDOM, ()) if most is None else (F.WIDE_CAUSE, (most.cause,))
 
 
 def _given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict]) -> Iterator[Finding]:
@@ -220,22 +204,13 @@ def _given_gains(fit: Fit, examined: Examination, payloads: Mapping[str, Verdict
         for joint in finding.joints
     }
     best = min((finding.values["remains"] for finding in wrong.values()), default=1.0)
-    for part in examined.refuted:
-        cause = part.causes[0]
-        if cause.values.get("remains", best) < best:
+    for part in examined.contradicting:
+        if part.effect == TORQUE_SCALE.name and not abs(part.size) - 3 * part.std > OTHER_SCALE:
+            continue
+        if part.cause.values.get("remains", 0.0) < best:
             values = {"size": part.size, "unit": part.unit, "share": part.share}
-            yield Finding(F.REFUTED, cause.joints, values=values, causes=part.causes, size=part.share)
-    scaled = [
-        effect
-        for effect in examined.alternatives
-        if effect.hypothesis == TORQUE_SCALE
-        and effect.share > REFUTED_SHARE
-        and abs(effect.size) < SCALED  # beyond it is a sign or a unit, which others name
-        and abs(effect.size) - 3 * (effect.std or np.inf) > OTHER_SCALE
-    ]  # of one joint; the others then seem to have the inverse
-    for worst in sorted(scaled, key=lambda effect: -effect.share)[:1]:
-        values = {"size": worst.size, "unit": worst.unit, "share": worst.share}
-        yield Finding(F.REFUTED, worst.causes[0].joints, values=values, causes=worst.causes, size=worst.share)
+            joints = part.cause.joints or motors(fit)
+            yield Finding(F.REFUTED, joints, values=values, causes=(part.cause,), size=part.share)
     for joint, share in zip(fit.system.problem.joints, misfit, strict=True):
         if share > MISFIT_GIVEN:
             yield of_payload.get(joint, _unexplained(fit, joint, share))
@@ -250,7 +225,7 @@ def _impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     listed: dict[str, list[list[object]]] = {}
     for name, terms in regrouped(dataset.base, dataset.model.parameter_names).items():
         if name in places:
-            value, std = float(fit.solution.theta[places[name]]), float(stds[places[name]])
+            value, std = estimates[name], float(stds[places[name]])
             if judge_parameter(value, std, terms).outcome == Outcome.CONTRADICTORY:
                 unit = unit_of(name.kind, dataset.robot, name.body)
                 listed.setdefault(name.body, []).append([name, value, std, unit])
@@ -320,8 +295,9 @@ def _logged_torques(fit: Fit, examined: Examination, estimates: Estimates) -> It
     if any({name := Parameter("fs", joint), name + "R"}.isdisjoint(known) for joint in joints):
         return
     rows = [fit.dataset.model.actuated.index(joint) for joint in joints]
-    (fv, fs), torques = friction_levels(fit), rms_torques(fit)
-    friction = ((fv * rms_speeds(fit) + fs) / np.maximum(torques, 1e-300))[rows].max()
+    levels = Levels(fit)
+    (fv, fs), torques = levels.friction, levels.torques
+    friction = ((fv * levels.speeds + fs) / np.maximum(torques, 1e-300))[rows].max()
     residual = unexplained_shares(fit.system.problem, fit.solution)[rows].max()
     if friction < FRICTIONLESS and residual < MODEL_RESIDUAL:
         values = {"kind": kind, "friction": float(friction), "residual": float(residual)}

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, beside, joint_rows, unexplained
-from gtau.estimation.diagnostics.linearisation import least_squares_step
+from gtau.estimation.effects.linearisation import least_squares_step
 from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.thresholds.estimates import MISFIT

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.diagnostics.linearisation import window_motion
+from gtau.estimation.effects.linearisation import window_motion
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.rows import stream_rows

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import refitted
+from gtau.estimation.diagnostics.refits import refitted
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stacked
 from gtau.estimation.regression.assembly import file_sums, inertia_priors, sizes_of, stated_inertias

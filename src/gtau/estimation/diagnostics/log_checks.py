@@ -17,9 +17,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import rms_torques
-from gtau.estimation.diagnostics.linearisation import window_motion
 from gtau.estimation.diagnostics.verdict import unexplained_shares
+from gtau.estimation.effects.effect import Levels
+from gtau.estimation.effects.linearisation import window_motion
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
@@ -238,7 +238,7 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
         motion, parameters = window_motion(model, window), fit.system.motion(run, fit.solution.theta)
         along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
         torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
-    felt = float(np.max(torques / np.maximum(rms_torques(fit), 1e-300)))
+    felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))
     if UNFELT <= felt < GRAVITY_FELT:
         kind, loops = dataset.runs[0].kind, bool(dataset.robot.closures)
         of_no_driver = {"own": kind} if loops or kind == "current" else {}  # drivers of arms report torques

@@ -1,4 +1,4 @@
-"""Fit the data with another robot than described: other bodies at the tool, another length, another gravity.
+"""Fit the data with another robot than described: other bodies at the tool, another gravity.
 
 Parameters adapt to a wrong description, so that torques computed with them do not have the shape of the residuals, and
 a linear test points anywhere: the robot is fitted again.
@@ -6,9 +6,6 @@ a linear test points anywhere: the robot is fitted again.
 - A body at the tool adds its ten inertial columns in its run (eq. 18), so the data are fitted again with the load of
   one run unknown, then of a second one, as long as that explains much more. An unknown load explains part of any fault
   that is in one run alone; only a mass far from the declared one is a body.
-- A wrong length leaves residuals that depend on the motion, as unmodelled friction does; the two differ in shape, not
-  in size. With each length a little longer and a little shorter, a parabola through the three sums of squares gives the
-  length that fits best, and the share of the residual variance that goes with it.
 - An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity where the robot file has none. The robot
   is fitted again with gravity along each axis of the base, and from the best of them freely (Gauss-Newton over
   directions). Whether torques exclude gravity, as with a driver that compensates it,
@@ -19,35 +16,24 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
-from math import hypot, isclose
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.alternatives import (
-    LENGTHS,
-    TOOL_BODIES,
-    Alternative,
-    established,
-    of_refit,
-    refitted,
-    residual_ratio,
-)
-from gtau.estimation.diagnostics.hypotheses.description import DEGREE, GRAVITY, OTHER_GRAVITY
-from gtau.estimation.diagnostics.linearisation import linearise, on_channels
+from gtau.estimation.diagnostics.refits import described_otherwise, refitted, residual_ratio, unrefined
+from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.gravity import GRAVITY, gravity_changes
+from gtau.estimation.effects.linearisation import linearise, on_channels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.estimation.thresholds.logs import LENGTH_ALIKE, LENGTH_CHANGE, LENGTH_SHARE, LENGTH_TRIED
 from gtau.estimation.thresholds.refutation import (
     GRAVITY_ALIKE,
     GRAVITY_LEAST,
     GRAVITY_SHARE,
-    LENGTH_MOST,
     LOAD_ALIKE,
     LOAD_LEFT,
     MASS_ABSENT,
@@ -56,20 +42,15 @@ from gtau.estimation.thresholds.refutation import (
 )
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.findings.words import RELATIVE
 from gtau.model.base_parameters import base_parameters
-from gtau.model.inverse_dynamics import InverseDynamics, models_alike
-from gtau.model.kinematics import SAME_LENGTH
 from gtau.progress import Progress, silent
-from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import Parameter, payload_label
-from gtau.robots.robot import Attachment, Joint, Mdh, Placement, Robot
 from gtau.signals.reading.statements import Payload
 
 
-def other_body(fit: Fit) -> Alternative | None:
+def other_body(fit: Fit) -> EstimatedEffect | None:
     """Find the body on which payloads explain the residuals, if it is another one than the tool."""
-    unaltered, model = _unrefined(fit), fit.dataset.model
+    unaltered, model = unrefined(fit), fit.dataset.model
     robot, best, remains = model.robot, unaltered, float(LOAD_LEFT)
     for body in robot.bodies:
         if body != robot.tool and Parameter("m", body) in model.parameter_names and fit.system.payloads:
@@ -79,17 +60,12 @@ def other_body(fit: Fit) -> Alternative | None:
     if best is unaltered:
         return None
     cause = Finding(F.PAYLOAD_BODY, (), best.dataset.model.robot.tool, {"tool": robot.tool, "remains": remains})
-    return of_refit(unaltered, TOOL_BODIES, cause, best, unaltered)
+    return described_otherwise(unaltered, TOOL_BODIES, cause, best, unaltered)
 
 
-def _unrefined(fit: Fit) -> Fit:
-    """Give a fit the residuals of one pass, as those of others have."""
-    return replace(fit, solution=replace(fit.solution, sigma=fit.solve(fit.system.problem).sigma))
-
-
-def other_loads(fit: Fit) -> Alternative | None:
+def other_loads(fit: Fit) -> EstimatedEffect | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
-    unaltered = _unrefined(fit)
+    unaltered = unrefined(fit)
     runs, carried, remaining = range(len(fit.dataset.runs)), tuple[int, ...](), 1.0
     best: Fit | None = None
     while best is None or len(carried) < len(runs) - 1:
@@ -142,7 +118,9 @@ def _declared(fit: Fit, run: int) -> float:
     return 0.0 if payload is None else payload.mass or 0.0
 
 
-def _of_bodies(other: Fit, unaltered: Fit, carried: Sequence[int], masses: np.ndarray, std: np.ndarray) -> Alternative:
+def _of_bodies(
+    other: Fit, unaltered: Fit, carried: Sequence[int], masses: np.ndarray, std: np.ndarray
+) -> EstimatedEffect:
     from scipy.special import stdtrit
 
     freedom = degrees_of_freedom(other.system.problem, other.solution, unaltered.free_gains)
@@ -155,101 +133,14 @@ def _of_bodies(other: Fit, unaltered: Fit, carried: Sequence[int], masses: np.nd
     helped = (other.solution.sigma / unaltered.solution.sigma) ** 2 < LOAD_LEFT
     joints = tuple(joint for joint, less in zip(unaltered.system.problem.joints, helped, strict=False) if less)
     cause = Finding(F.TOOL_BODY, joints, values={"bodies": bodies, "remains": residual_ratio(other, unaltered)})
-    return of_refit(unaltered, TOOL_BODIES, cause, other, unaltered)
+    return described_otherwise(unaltered, TOOL_BODIES, cause, other, unaltered)
 
 
-Placed = TypeVar("Placed", Joint, Attachment)
-
-STEP = 0.01  # relative change of a length
-MOST = 12  # lengths that are tried, the longest first: the effort of the search
-
-
-def other_length(fit: Fit, progress: Progress = silent) -> Alternative | None:
-    """Find the length that explains most of the residuals, of similar ones that with the smallest change; or None."""
-    lengths = list(_explaining(fit, progress))
-    most = max((length.share for length in lengths), default=0.0)
-    likely = (length for length in lengths if length.share > LENGTH_ALIKE * most)
-    return min(likely, key=lambda length: abs(length.size), default=None)
-
-
-def _explaining(fit: Fit, progress: Progress) -> Iterator[Alternative]:
-    """Try all lengths, and iterate over those that explain a part of the residuals."""
-    robot = fit.dataset.robot
-    longer, shorter = list(_longer(robot, STEP)), list(_longer(robot, -STEP))
-    if not longer:
-        return
-    before, _ = _fitted(fit, fit.dataset.model)
-    models = models_alike([other for _, other in (*longer, *shorter)], fit.dataset.base.standard)
-    refusals = []
-    for k, (cause, _) in enumerate(longer):
-        progress("other lengths", k, len(longer))
-        try:
-            (above, gains_above), (below, gains_below) = (_fitted(fit, model) for model in models[k :: len(longer)])
-        except GtauError as refusal:  # the robot cannot be assembled or follow its motion with another length
-            refusals.append(refusal)
-            continue
-        slope, curvature = (above - below) / 2, (above + below) / 2 - before
-        if curvature <= 0:
-            continue
-        change, share = -STEP * slope / (2 * curvature), slope**2 / (4 * curvature * before)
-        if share > LENGTH_SHARE and LENGTH_CHANGE < abs(change) < LENGTH_MOST:
-            moves = (gains_above - gains_below) / (2 * STEP) * change / fit.gains
-            yield established(fit, LENGTHS, cause, moves, share, change, RELATIVE)
-    progress("other lengths", len(longer), len(longer))
-    if len(refusals) == len(longer):
-        raise refusals[0]
-
-
-def _fitted(fit: Fit, model: InverseDynamics) -> tuple[float, np.ndarray]:
-    """Fit another ``model`` to first order: sum of its squared residuals, and its gains (n,)."""
-    dataset = replace(fit.dataset, model=model)
-    other = replace(fit, system=replace(fit.system, dataset=dataset))
-    step, rest = linearise(other, dataset.windows()).fitted()
-    change = step[fit.system.problem.gain_rows] if fit.free_gains else np.zeros(len(fit.gains))
-    return float(np.sum(rest**2)), fit.gains - fit.gains**2 * change
-
-
-def _longer(robot: Robot, step: float) -> Iterator[tuple[Finding, Robot]]:
-    """Lengthen each length of the robot by a share ``step``, those that are equal together."""
-    places = [(joint.name, joint.placement) for joint in robot.joints]
-    places += [(end.body, end.placement) for end in robot.ends]
-    lengths: dict[float, list[str]] = {}
-    for name, placement in places:
-        for length in filter(None, _lengths(placement).values()):
-            same = next((known for known in lengths if isclose(known, length, rel_tol=SAME_LENGTH)), length)
-            if name not in lengths.setdefault(same, []):
-                lengths[same].append(name)
-    longest = sorted((length for length in lengths if length > LENGTH_TRIED * max(lengths)), reverse=True)[:MOST]
-    for length in longest:
-        scaled = partial(_scaled, length=length, step=step)
-        closures, springs = moved_ends(robot, scaled)
-        longer = replace(robot, joints=tuple(map(scaled, robot.joints)), closures=closures, springs=springs)
-        yield Finding(F.LENGTH, values={"length": length, "bodies": lengths[length]}), longer
-
-
-OF_MDH = "d", "r", "b"  # lengths of Denavit and Hartenberg
-
-
-def _lengths(placement: Placement) -> dict[str, float]:
-    if isinstance(placement, Mdh):
-        return {name: abs(getattr(placement, name)) for name in OF_MDH}
-    return {"xyz": hypot(*placement.xyz)}
-
-
-def _scaled(placed: Placed, length: float, step: float) -> Placed:
-    """Lengthen the lengths of this size in the placement of a joint or an end by a share ``step``."""
-    placement, longer = placed.placement, dict[str, Any]()
-    for name, size in _lengths(placement).items():
-        if isclose(size, length, rel_tol=SAME_LENGTH):
-            value = np.multiply(getattr(placement, name), 1 + step).tolist()
-            longer[name] = value if name in OF_MDH else tuple(value)
-    return replace(placed, placement=replace(placement, **longer))
-
-
+TOOL_BODIES, OTHER_GRAVITY = "tool bodies", "gravity"
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 
 
-def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress = silent) -> Alternative | None:
+def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress = silent) -> EstimatedEffect | None:
     """Fit without gravity where that may be ``missing``, and with another one where it may be ``turned``.
 
     Of both that with less residual variance is chosen; if similar, only logged torques lack it. Raises GtauError where
@@ -267,7 +158,7 @@ def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress 
     if without is None or other is None:
         return without or other
     alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
-    remaining, of_none = (effect.causes[0].values["remains"] for effect in (other, without))
+    remaining, of_none = (effect.cause.values["remains"] for effect in (other, without))
     return other if remaining < alike * of_none else without
 
 
@@ -284,7 +175,7 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
     return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
 
 
-def _without_gravity(fit: Fit, unaltered: Fit) -> Alternative | None:
+def _without_gravity(fit: Fit, unaltered: Fit) -> EstimatedEffect | None:
     """Fit without gravity, for what that explains of each joint and how it moves the gains.
 
     None where it explains less than with it: a joint alone may fit as well without, as other columns of its own stand
@@ -298,7 +189,7 @@ def _without_gravity(fit: Fit, unaltered: Fit) -> Alternative | None:
     return _of_gravity(fit, F.WITHOUT_GRAVITY, unaltered, other, most)
 
 
-def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> Alternative | None:
+def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find the gravity of the same strength, along an axis or free, that explains most of the residuals, if any does.
 
     Nothing is found where gravity is not seen, nor within the few degrees of which the linear test speaks.
@@ -326,31 +217,29 @@ def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> Alternative 
         return None
     also = [list(other.dataset.robot.gravity) for other in alike if other is not best]
     values = {"gravity": gravity.tolist(), "also": also, "floating": bool(unaltered.dataset.robot.floating)}
-    return _of_gravity(fit, OTHER_GRAVITY.kind, unaltered, best, np.sqrt(1 - GRAVITY_SHARE), **values)
+    return _of_gravity(fit, OTHER_GRAVITY, unaltered, best, np.sqrt(1 - GRAVITY_SHARE), **values)
 
 
-def _of_gravity(fit: Fit, kind: str, unaltered: Fit, other: Fit, most: float, **values: Any) -> Alternative:
-    """Make the alternative of a fit; it is on the joints of whose residuals it leaves at ``most`` this ratio."""
+def _of_gravity(fit: Fit, kind: str, unaltered: Fit, other: Fit, most: float, **values: Any) -> EstimatedEffect:
+    """Describe a fit with another gravity, on the joints of whose residuals it leaves at ``most`` this ratio."""
     joints, before = unaltered.system.problem.joints, unaltered.solution.sigma
     shares, ratio = before / unaltered.system.problem.balance(unaltered.solution.theta), other.solution.sigma / before
     helped = [j for j in range(len(joints)) if ratio[j] <= most]
     remaining = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
     values |= {"left": remaining, "remains": residual_ratio(other, unaltered)}
-    return of_refit(fit, GRAVITY.name, Finding(kind, tuple(remaining), values=values), other, unaltered)
+    return described_otherwise(fit, GRAVITY.name, Finding(kind, tuple(remaining), values=values), other, unaltered)
 
 
 def _freely(at: Fit) -> Iterator[Fit]:
     """Rotate gravity to the direction that the residuals favour."""
     windows = list(enumerate(at.dataset.prepared))
     for _ in range(STEPS):
-        columns = GRAVITY.offered(at)
-        if not columns:
+        gravity = np.array(at.dataset.robot.gravity)
+        if not gravity.any():
             return
         linear = linearise(at, windows, on_channels(GRAVITY.torques, GRAVITY.shared))  # type: ignore[arg-type]
-        tilt = DEGREE * linear.fitted(slice(2))[0][-2:]
-        gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))
-        turned = gravity + size * tilt @ [column.causes[0].values["towards"] for column in columns[:2]]
+        turned = gravity + linear.fitted(slice(2))[0][-2:] @ gravity_changes(gravity)[:2]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
         try:
@@ -362,4 +251,4 @@ def _freely(at: Fit) -> Iterator[Fit]:
 
 def _degrees(one: np.ndarray, other: np.ndarray) -> float:
     cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
-    return float(np.arccos(np.clip(cosine, -1.0, 1.0)) / DEGREE)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))

@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from gtau.estimation.diagnostics.alternatives import refitted, residual_ratio
-from gtau.estimation.diagnostics.linearisation import slopes_of, weighted, weights_of
+from gtau.estimation.diagnostics.refits import refitted, residual_ratio
 from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, unexplained_shares, verdict_of
+from gtau.estimation.effects.linearisation import slopes_of, weighted, weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
     curvature_of_delays,

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.alternatives import rms_speeds
 from gtau.estimation.diagnostics.verdict import half_widths, motors
+from gtau.estimation.effects.effect import Levels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.thresholds.estimates import (
@@ -131,7 +131,7 @@ def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
 def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
     """Find gains that are too large for the speed of their joint, as a motor's voltage per speed is its gain."""
     problem, kind = fit.system.problem, fit.dataset.runs[0].kind
-    speeds = dict(zip(problem.joints, rms_speeds(fit).tolist(), strict=False))
+    speeds = dict(zip(problem.joints, Levels(fit).speeds.tolist(), strict=False))
     volts = {joint: abs(gain) * speeds[joint] for joint, gain in known.items()}
     worst = max(volts, key=lambda joint: volts[joint], default="")
     if kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:

@@ -144,7 +144,7 @@ def evidence(
     ]
     return Evidence(
         notes=(*dataset.notes, *(finding for finding in findings if finding.kind not in OUTCOMES)),
-        alternatives=examined.alternatives,
+        effects=(*examined.refits, *examined.effects),
         curves=curves,
         equation_friction=Named(
             (name, _estimate(estimates, name, friction_unit(name, dataset.robot, temperatures)))

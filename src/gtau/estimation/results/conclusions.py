@@ -21,7 +21,7 @@ from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-NUMBERED = {F.REFUTED, F.WIDE_SCALE, F.WIDE_RIPPLE, F.WIDE_CAUSE, F.WIDE_RANDOM}
+NUMBERED = {F.REFUTED, F.WIDE_SCALE, F.WIDE_CAUSE, F.WIDE_RANDOM}
 """Kinds whose sentence takes the number of ``each`` joint."""
 NAMED = 2  # groups of contradictory joints whose reason the headline gives
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding

@@ -11,8 +11,8 @@ import numpy as np
 
 from gtau import display
 from gtau.documents.validation import PATH, takes
-from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,
@@ -213,8 +213,8 @@ class Evidence:
     ----------
     notes : tuple of Finding
         What was repaired, left out, or is not to be trusted; each has its ``severity``.
-    alternatives : tuple of Alternative
-        What the model may lack, and by how much that would move the gains.
+    effects : tuple of EstimatedEffect
+        What model and description may lack, as the data show it, and by how much that moves the gains.
     curves : dict
         What the data say of friction on all samples, at these gains and inertia; joint to FrictionCurve. Empty for the
         paper's way.
@@ -237,7 +237,7 @@ class Evidence:
     """
 
     notes: tuple[Finding, ...] = ()
-    alternatives: tuple[Alternative, ...] = ()
+    effects: tuple[EstimatedEffect, ...] = ()
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
     equation_friction: Named[Parameter] = field(default_factory=Named)
     geometry: GeometryTest | None = None

@@ -26,11 +26,11 @@ from pydantic import (
 )
 
 from gtau.documents.validation import Positive, unknown
-from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.geometry import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.results.estimate import (
@@ -106,10 +106,8 @@ def _by_parameter(estimates: dict[str, Estimate]) -> dict[Parameter, Estimate]:
     return {parameter_of(name, regrouped=bool(estimate.regroups)): estimate for name, estimate in estimates.items()}
 
 
-def _alternative(alternative: Alternative) -> dict[str, Any]:
-    causes = [finding_document(cause) for cause in alternative.causes]
-    held = {key: value for key, value in asdict(alternative).items() if key not in ("shifts", "plausible")}
-    return held | {"subject": alternative.subject, "causes": causes}
+def _effect(effect: EstimatedEffect) -> dict[str, Any]:
+    return asdict(effect) | {"subject": effect.subject, "cause": finding_document(effect.cause)}
 
 
 def _method(name: str) -> str:
@@ -298,7 +296,7 @@ class ModelDocument(_Group):
     logged_speeds: dict[str, NonNegativeFloat]
     statistics: Annotated[dict[str, FiniteFloat], AfterValidator(_statistics)]
     requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
-    alternatives: tuple[Annotated[Alternative, PlainSerializer(_alternative)], ...]
+    effects: tuple[Annotated[EstimatedEffect, PlainSerializer(_effect)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
     geometry: Annotated[GeometryTest, BeforeValidator(from_document), PlainSerializer(geometry_document)] | None = None

@@ -131,7 +131,7 @@ def _problems(result: Result) -> Iterator[str]:
         yield "the covariance lacks the drive gains"
     verdicts = [estimate.verdict for estimate in _estimates(result)]
     verdicts += [payload.verdict for payload in result.payloads]
-    causes = (cause for alternative in result.alternatives for cause in alternative.causes)
+    causes = (effect.cause for effect in result.effects)
     for finding in (*(verdict.finding for verdict in verdicts if verdict.finding), *causes):
         try:
             finding.sentence  # noqa: B018

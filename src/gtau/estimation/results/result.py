@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overloa
 import numpy as np
 
 from gtau.display import html, late, views
-from gtau.estimation.diagnostics.alternatives import Alternative
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.friction.law import SHAPES, FrictionLaw
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
@@ -111,7 +111,7 @@ class Result:
     singular_values = Forwarded[tuple[float, ...]]("fit")
     data = Forwarded[tuple[Run, ...]]("fit")
     notes = Forwarded[tuple[Finding, ...]]("evidence")
-    alternatives = Forwarded[tuple[Alternative, ...]]("evidence")
+    effects = Forwarded[tuple[EstimatedEffect, ...]]("evidence")
     curves = Forwarded[Mapping[str, FrictionCurve]]("evidence")
     equation_friction = Forwarded[Named[Parameter]]("evidence")
     geometry: ClassVar[Forwarded[GeometryTest | None]] = Forwarded("evidence")

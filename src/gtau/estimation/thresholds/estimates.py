@@ -117,19 +117,6 @@ INFLATED = Threshold(
 
 # How probable and how large alternatives may be before the data; each hypothesis states what is plausible of it.
 
-ALTERNATIVE_PRIOR = Threshold(
-    0.2,
-    "probability of a group of alternatives before the data",
-    healthy="rms z between the gains of the UR10e pairs: 0.89 with 0.5, 0.93 with 0.2, 0.95 with 0.1",
-    evidence="UR10e pairs; simulated gains without a departure had 0.65 and 0.67 with 0.5 (benchmarks/calibration.py)",
-)
-PLAUSIBLE_GAIN_CHANGE = Threshold(
-    0.005,
-    "relative change of a torque constant between runs",
-    healthy="0.001 a kelvin of the magnets",
-    evidence="data sheets of servo motors",
-)
-
 
 # What is known beside the data: data sheets, payloads, likeness of legs, the robot file, where a body's mass may be.
 

@@ -201,33 +201,6 @@ REPEATED_PART = Threshold(
 
 # What torques and logged poses say of the geometry ("UPV": the logs of a real 3UPS+RPU, docs/evidence/zoo.md).
 
-LENGTH_SHARE = Threshold(
-    0.1,
-    "the same, of another length",
-    healthy="below 0.05 (clean)",
-    faulty="0.24 to 0.96 (bars 2 % off)",
-    evidence="faults",
-)
-LENGTH_CHANGE = Threshold(
-    0.005,
-    "relative change of that length",
-    healthy="below 0.005 where residuals are tiny",
-    faulty="0.02",
-    evidence="faults",
-)
-LENGTH_TRIED = Threshold(
-    0.02,
-    "length over the longest of the robot, below which it is not tried",
-    healthy="0.042 and more (17 robots of the catalog and of the shared data): all are tried",
-    evidence="these robots; docs/lookup/catalog.md",
-)
-LENGTH_ALIKE = Threshold(
-    0.8,
-    "share that another length explains over the largest, from which both are equally likely",
-    healthy="0.85 to 1, of the length that is wrong",
-    faulty="0.46 (a bar 2 % off, the next best length)",
-    evidence="tests/acceptance/test_faults.py, tests/estimation/test_geometry.py (a forearm 1.4 % off)",
-)
 GEOMETRY_SHARE = Threshold(
     0.5,
     "share of the variance of the pose residuals that a length or an encoder zero explains, of what is left",

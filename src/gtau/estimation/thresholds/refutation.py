@@ -4,10 +4,26 @@ from __future__ import annotations
 
 from gtau.estimation.thresholds import Threshold
 
-PROBABLE = Threshold(
+CONTRADICTED = Threshold(
+    8.0,
+    "log-likelihood that is lost without an effect that contradicts the description",
+    evidence="a level; see docs/evidence/mixed-model.md",
+)
+CLOSE = Threshold(
+    3.0, "log-likelihood by which a cause is likelier, up to which the other is said too", evidence="20 times as likely"
+)
+LARGEST_MOVE = Threshold(
     0.5,
-    "probability after the data, from which an alternative counts as true",
-    evidence="an even chance: what the data make likelier than the model itself",
+    "relative move of a gain by all effects, beyond which the estimates are not moved",
+    healthy="0.06 (realism, nine effects at once)",
+    evidence="docs/lookup/causes.md; effects are small corrections",
+)
+HARMLESS_SHARE = Threshold(
+    0.3,
+    "share of the residual variance that it explains, up to which it is information",
+    healthy="0.04 (dVRK), 0.11 to 0.16 (UR10), 0.19 (xMate7 Pro)",
+    faulty="0.55 (a Sawyer, zero of joint 2 off by 5.7 degrees), 0.65 (tilted by 4)",
+    evidence="shared logs",
 )
 REFUTED_STD = Threshold(
     6.0,
@@ -23,27 +39,6 @@ REFUTED_SHARE = Threshold(
     "0.21 beside a lag or elasticity of 0.07 to 0.39, which then explains it",
     faulty="0.06 to 0.86 (faults)",
     evidence="faults, UR10e pairs; a dVRK arm, and currents low-passed or joints elastic in benchmarks/calibration.py",
-)
-OF_BEST = Threshold(
-    0.5,
-    "share of the residual variance that it explains over that of the description alternative that explains most",
-    healthy="0.19 to 0.25 (a length, a current between runs, beside an offset or a point of a wrench that is off)",
-    faulty="1 (itself)",
-    evidence="tests/estimation/test_wrench_errors.py",
-)
-OF_REPEATING = Threshold(
-    0.5,
-    "share of the residual variance that it explains over that which repeats at the same positions, mean of all joints",
-    healthy="0.08 and 0.19 (gravity on a dVRK arm, whose cables repeat)",
-    faulty="1.3 and more (base tilted, encoder zeros off, payload off-centre: arm, five-bar, UR10e)",
-    evidence="dVRK with 105 and 205 g; benchmarks/calibration.py, 24 experiments",
-)
-TOGETHER_SHARE = Threshold(
-    0.3,
-    "the same, of all columns of a hypothesis together",
-    healthy="below 0.2 (clean)",
-    faulty="0.9 (gravity along another axis)",
-    evidence="faults, clean",
 )
 GRAVITY_SHARE = Threshold(
     0.5,
@@ -82,13 +77,6 @@ OTHER_SCALE = Threshold(
     "2 and 4)",
     evidence="those logs as they are, and altered",
 )
-SAME_EFFECT = Threshold(
-    1e-5,
-    "1 - cos2 of the torques of two alternatives, below which they count once",
-    healthy="0.0009 (two encoder zeros, slow logs), 0.005 and more elsewhere (alternatives to 60 fits of seven robots)",
-    faulty="8e-7 (the zero of a leg's first encoder and a tilt of its base), rounding (a hypothesis listed twice)",
-    evidence="tests/acceptance, tests/estimation/test_alternatives.py",
-)
 SWAPPED = Threshold(
     0.5,
     "unexplained share with the other joint's current over that with its own",
@@ -96,51 +84,12 @@ SWAPPED = Threshold(
     faulty="below 0.3",
     evidence="tests/estimation/test_swapped_channels.py",
 )
-SCALED = Threshold(
-    1.5,
-    "change of a current between runs; larger ones are a sign or a unit, which other checks name",
-    healthy="0",
-    faulty="-0.5 (halved), 1 (doubled); not -2 (reversed), 1000 (units)",
-    evidence="benchmarks/faults.py",
-)
-TIE = Threshold(
-    1e-6,
-    "relative difference of the significance of two changes, below which the first of them counts",
-    faulty="rounding (of two runs one is as much larger as the other is smaller)",
-    evidence="two runs of a five-bar, whose order rounding had decided",
-)
-DOMINANT = Threshold(
-    0.3,
-    "share of the residual variance that goes with currents out of scale in some runs, from which ripple is not "
-    "looked for",
-    healthy="up to 0.12 (ripple)",
-    faulty="0.53 to 0.71 (2 % out of scale)",
-    evidence="tests/estimation/test_gain_change.py",
-)
 APART = Threshold(
     3.5,
     "standard deviations between a declared value of a payload and what all else gives",
     healthy="below 3 (clean, UR10e pairs)",
     faulty="10 and more (3 % wrong mass of one of two payloads)",
     evidence="clean, faults, 300 Monte Carlo repetitions on the Orthoglide logs",
-)
-APART_REFUTED = Threshold(
-    10.0,
-    "Hausman's statistic of 2SLS against the estimator used, from which the gain is contradictory",
-    healthy="up to 3.1 (clean), 2.6 (UR10e pairs)",
-    faulty="127 (an unloaded run declared loaded)",
-    evidence="clean, 300 Monte Carlo repetitions on the Orthoglide logs",
-)
-WEAK_INSTRUMENTS = Threshold(
-    6.8,
-    "first-stage F of 2SLS (Cragg-Donald, over the square of the lack of fit), below which it is not compared",
-    healthy="7.8 (dVRK), 13 (a UR10e pair), 250 (Puma 560, simulated), 1800 (five-bar), 19,000 (Orthoglide)",
-    faulty="1.4 (AIRBOT Play, one chirp for all joints: 2SLS moves gains by 50 to 95 % at 9 to 33 standard "
-    "deviations, while gains agree to 7 % with those from loaded less unloaded currents)",
-    evidence="those logs; above 6.77, 6.23 and 5.94, the largest values of Stock and Yogo (2005), table 5.1, for one, "
-    "two and three gains and a bias of at most a fifth of that of least squares (level 5 %, up to 30 "
-    "instruments). Those for the size of a test grow with the number of instruments, so the bias left counts "
-    "beside the standard deviation",
 )
 NOISE_STD = Threshold(
     4.0,
@@ -157,32 +106,6 @@ DIFFERENT_STD = Threshold(
     "standard deviations by which another estimator finds a parameter otherwise, from which that is an alternative",
     evidence="a level: one in 370 by chance; differences in a gain are alternatives whatever their size",
 )
-DIFFERENT_PROBABILITY = Threshold(
-    0.1, "probability of such an alternative, from which it is listed", evidence="a choice"
-)
-RIPPLE_SHARE = Threshold(
-    0.3,
-    "share of a joint's residual variance that repeats at the same positions",
-    healthy="below 0.2 (clean)",
-    faulty="0.4 to 0.9 (ripple put in)",
-    evidence="tests/estimation/test_position_ripple.py",
-)
-SPRING_SHARE = Threshold(
-    0.15,
-    "share of the residual variance that a spring across a joint explains",
-    healthy="up to 0.01 (UR10e, Orthoglide, an arm), 0.05 (TX40, dVRK), 0.13 (KUKA, about the vertical)",
-    faulty="0.47 (60 N m/rad at a shoulder), 0.19 to 0.26 (a balancer of 45 N m)",
-    evidence="those logs, tests/estimation/test_position_ripple.py",
-)
-CORRELATED = Threshold(
-    0.3,
-    "correlation of a joint's residuals between runs with different loads that repeat a motion, from which it is said",
-    healthy="-0.05 to 0.1 (noise alone: five-bar); -0.25 to 0.36 (AIRBOT Play)",
-    faulty="0.43 to 0.82 (UR10e pairs, five joints; dVRK); -0.56 (UR10e, wrist 1, where friction may not differ "
-    "between runs)",
-    evidence="those logs, tests/estimation/test_repeated_motions.py",
-)
-CORRELATED_STD = Threshold(4.0, "the same in standard deviations", evidence="a level: one in 15,000 by chance")
 LOAD_LEFT = Threshold(
     0.5,
     "part of the residual variance, geometric mean of all joints, that is left with the load of one more run unknown, "
@@ -190,6 +113,16 @@ LOAD_LEFT = Threshold(
     healthy="0.99 and more (UR10e, two pairs); on another body 0.95 (dVRK), 0.999 (Orthoglide), 19 (UR10e) and more",
     faulty="0.025 to 0.11 (UR10e: 2.8 kg not declared, or declared and absent), 0.012 (an arm, on its forearm)",
     evidence="shared logs; tests/estimation/test_tool_bodies.py",
+)
+REVERSED_LEFT = Threshold(
+    0.7,
+    "part of the residual variance, geometric mean of all joints, that is left with one torque reversed",
+    evidence="LWR 4 with joint 1 reversed, and shared logs of torques as they are",
+)
+TURNED_LEFT = Threshold(
+    0.5,
+    "the same with an angle measured from another link",
+    evidence="an arm with a parallelogram declared serial, and shared logs as they are",
 )
 LIKELY_SHARES = Threshold(
     1.92,
@@ -286,11 +219,4 @@ BEYOND_GEARS = Threshold(
     1000.0,
     "largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes",
     evidence="a choice: gears of arms have 30 to 300",
-)
-LENGTH_MOST = Threshold(
-    0.3,
-    "relative change beyond which a length explains nothing: it is extrapolated from one per cent",
-    healthy="0.02 (the lengths of tests)",
-    faulty="18 (currents without gravity)",
-    evidence="tests/acceptance/test_faults.py, tests/estimation/test_effort_meaning.py",
 )

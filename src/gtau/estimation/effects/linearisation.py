@@ -66,6 +66,11 @@ class FitWindow:
         """Compute the model's torques (n, K) at rows of the window."""
         return self.regressor.torques(rows.entries, self.values, len(self.fit.gains))
 
+    def along_run(self, time: np.ndarray) -> np.ndarray:
+        """Map instants in the window's run to -0.5 at its beginning, 0.5 at its end."""
+        begin, *_, end = self.fit.dataset.prepared[self.run].time[[0, -1]]
+        return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
+
     def decimated(self, torques: np.ndarray) -> CandidateColumns:
         """Decimate torques (m, n, N), made at every sample of the window, into candidate columns."""
         decimated = self.decimator.apply(torques)  # (m, n, outputs)

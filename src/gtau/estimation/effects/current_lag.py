@@ -1,0 +1,28 @@
+"""A low-pass filter of the current, or an elastic transmission: the second derivative of the torque, to first order.
+
+It is that of the model's torque: the measured current's is correlated with the noise of the current.
+"""
+
+from __future__ import annotations
+
+from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+from gtau.signals.preparation.filters import differentiate
+
+PLAUSIBLE = 1e-4  # s2: elastic at 16 Hz, or a filter of 14 ms (experience)
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    _, change = differentiate(at.torques_along(at.motion, at.values).T, at.window.run.rate)
+    return at.decimated(change.T[None])
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"a low-pass filter of the current of '{column.joint}', or an elastic transmission"
+    values = {"what": what, "action": "log the current before any filter, and move more slowly"}
+    return Finding(CURRENT_LAG.name, (column.joint,), values=values)
+
+
+CURRENT_LAG = Effect("current lag", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "s2")], _say)

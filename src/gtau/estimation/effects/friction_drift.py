@@ -1,0 +1,36 @@
+"""Viscous and Coulomb friction that change along a run, as joints warm up."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+from gtau.robots.parameter import Parameter
+
+PLAUSIBLE = 0.1  # relative change along a run: experience
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    terms, samples, joints = at.fit.system.terms, at.window.samples(), at.fit.dataset.model.actuated
+    # friction that depends on the temperature has a slope of its own for this
+    free = np.array([{Parameter("fvt", joint), Parameter("fst", joint)}.isdisjoint(terms) for joint in joints])
+    fv, fs = Levels(at.fit).friction
+    friction = np.stack([(free * fv * samples.qd).T, (free * fs * np.sign(samples.qd)).T])
+    return at.decimated(friction * at.along_run(samples.time))
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"{column.about} friction of '{column.joint}' changing along the runs"
+    action = "let the robot warm up before the runs, or split long runs"
+    return Finding(FRICTION_DRIFT.name, (column.joint,), values={"what": what, "action": action})
+
+
+FRICTION_DRIFT = Effect(
+    "friction drift",
+    _torques,
+    lambda fit: [EffectColumn(PLAUSIBLE, about="viscous"), EffectColumn(PLAUSIBLE, about="Coulomb")],
+    _say,
+)

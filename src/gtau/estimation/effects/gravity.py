@@ -1,0 +1,63 @@
+"""A tilt of the base, or another strength of gravity, which a wrong clock has the effect of.
+
+Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
+torques against those of gravity, whose strength on Earth is known to 0.3 %.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.plausibility import stated_rate
+from gtau.findings import Finding
+from gtau.findings.words import clock_advice
+
+TILT, STRENGTH = 1.0, 0.2  # degrees (experience); per cent: local gravity differs by 0.26 % from the standard at most
+STEEPEST = 12.0  # degrees: a Sawyer tilted by 4.0 degrees is found as 3.87 +- 0.18
+EARTH = 0.5  # per cent: beyond it another strength is no gravity, but a wrong clock or wrong lengths
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    model, n = at.fit.dataset.model, len(at.fit.dataset.model.actuated)
+    regressor = model.gravity_torques(at.fit.dataset.base.standard)
+    entries = regressor(model.layout, at.motion, at.values)
+    changes = gravity_changes(np.array(at.fit.dataset.robot.gravity))
+    return at.decimated(np.stack([regressor.torques(entries, change, n) for change in changes]))
+
+
+def gravity_changes(gravity: np.ndarray) -> np.ndarray:
+    """Compute changes (3, 3) of gravity: by a degree towards two directions across it, and by a per cent, m/s2."""
+    across = np.linalg.svd(gravity[None, :])[2][1:]
+    return np.vstack([across * float(np.linalg.norm(gravity)) * np.pi / 180, gravity / 100])
+
+
+def _columns(fit: Fit) -> list[EffectColumn]:
+    gravity = np.array(fit.dataset.robot.gravity)
+    if not gravity.any():
+        return []
+    towards = [
+        ", ".join(f"{x:.2g}" for x in change / np.linalg.norm(change)) for change in gravity_changes(gravity)[:2]
+    ]
+    return [
+        *(EffectColumn(TILT, "deg", about=direction, largest=STEEPEST) for direction in towards),
+        EffectColumn(STRENGTH, "%", about="strength"),
+    ]
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"gravity tilted towards ({column.about})"
+    loads = ", which runs carry the payload, and on which body" if fit.system.payloads else ""
+    action = f"check the direction of gravity, that the base is level, the sampling rate{loads}"
+    if column.about == "strength":
+        what = "a different magnitude of gravity"
+        if abs(size) > EARTH:
+            fast = "high, as accelerations are too large" if size > 0 else "low, as accelerations are too small"
+            what = f"a sampling rate that is too {fast} against gravity (or wrong lengths throughout the robot)"
+            action = f"{clock_advice(stated_rate(fit.dataset.runs[0]))}; then check the robot's lengths"
+    return Finding(GRAVITY.name, (), values={"what": what, "action": action})
+
+
+GRAVITY = Effect("gravity", _torques, _columns, _say, shared=True, description=True)

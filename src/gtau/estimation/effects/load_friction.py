@@ -1,0 +1,34 @@
+"""Friction that grows with the load of a joint.
+
+The load is the model's, without friction, as in the term ``fl``: the measured current is the friction itself where
+friction exceeds the load, so it would explain the noise of the current and any drive gain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.column_blocks import is_transmitted
+from gtau.findings import Finding
+from gtau.robots.parameter import Parameter
+
+PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave gears (UR10e pairs)
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    joints, terms, qd = at.fit.dataset.model.actuated, at.fit.system.terms, at.window.samples().qd
+    missing = np.array([Parameter("fl", joint) not in terms for joint in joints])
+    load = at.torques_along(at.motion, at.values * is_transmitted(at.fit.dataset.base.names)).T
+    return at.decimated((np.abs(load) * np.sign(qd) * missing).T[None])
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"load-dependent friction of '{column.joint}'"
+    action = "add runs at other speeds, or with other loads, to separate it from other effects"
+    return Finding(LOAD_FRICTION.name, (column.joint,), values={"what": what, "action": action})
+
+
+LOAD_FRICTION = Effect("load-dependent friction", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "of its load")], _say)

@@ -1,0 +1,38 @@
+"""A torque that repeats at the same positions in every run: motor ripple, cables, springs that the model lacks.
+
+Each joint is offered any function of its own position, piecewise linear over its range in all runs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.knots import hats
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+
+PLAUSIBLE = 0.01  # of the rms torque: ripple of 0.5 to 2 % (data sheets of servo motors), cables of a dVRK 5 %
+KNOTS = 24
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    windows = [window for _, window in at.fit.dataset.windows()]
+    low, high = np.min([w.q.min(axis=0) for w in windows], axis=0), np.max([w.q.max(axis=0) for w in windows], axis=0)
+    columns = hats(at.window.samples().q, np.linspace(low, high, KNOTS))
+    return at.decimated(columns * Levels(at.fit).torques[:, None])
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"a torque of '{column.joint}' that repeats at the same positions (motor ripple, cables or a spring)"
+    action = (
+        "use other paths in the loaded and unloaded runs; describe a spring or balancer in the robot file "
+        "('stiffness: true' of the joint, or a spring between two points)"
+    )
+    return Finding(POSITION.name, (column.joint,), values={"what": what, "action": action})
+
+
+POSITION = Effect(
+    "torque of position", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS, _say, function=True
+)

@@ -1,0 +1,33 @@
+"""Another scale of a joint's positions, with velocity and acceleration, as of a wrong gear ratio."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.positions import STEP, with_positions
+from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+
+PLAUSIBLE = 1.0  # per cent: 5 widened the intervals of an AIRBOT Play, whose positions are noisy, by 60 %
+LARGEST = 15.0  # per cent: positions of a Sawyer's joint 10 % large are found as 8.8 +- 0.44
+PER_CENT = 1e-2
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    joints = np.eye(len(at.fit.dataset.model.actuated))
+    return with_positions(at, 1 + STEP * PER_CENT * joints, 0 * joints)
+
+
+def _columns(fit: Fit) -> list[EffectColumn]:
+    return [EffectColumn(PLAUSIBLE, "%", joint, largest=LARGEST) for joint in fit.dataset.model.actuated]
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"another scale of the positions of '{column.joint}'"
+    action = "check the gear ratio, encoder resolution and unit of its positions"
+    return Finding(POSITION_SCALES.name, (column.joint,), values={"what": what, "action": action})
+
+
+POSITION_SCALES = Effect("position scales", _torques, _columns, _say, shared=True, description=True)

@@ -1,0 +1,203 @@
+"""Rows of a fit with the columns of all effects, as products, and their linearisation at any estimates.
+
+The rows hold the columns of the problem itself, from which residuals and Jacobian follow at any estimates: these are
+moved by the posterior and linearised again until they stay, without another pass over the logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.friction_of_run import NAME as FRICTION_OF_RUN
+from gtau.estimation.effects.friction_of_run import PLAUSIBLE as FRICTION_CHANGE
+from gtau.estimation.effects.linearisation import FitWindow, known_rows, on_channels, side_by_side, weights_of
+from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, lag_products
+from gtau.estimation.effects.registry import EFFECTS
+from gtau.estimation.effects.run_drift import difference_root, run_modes
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import split, to_gains
+from gtau.estimation.regression.factors import FIXED
+from gtau.estimation.regression.run_blocks import Windows
+
+LARGEST = 3.0  # plausible sizes: what contradicts a description may be larger than physics
+UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which nothing determines it
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Places of an effect's columns: among the own (``shared`` false) or the shared ones, one after the other.
+
+    ``columns`` are what they are; of an effect that drifts between runs each has ``modes`` places.
+    """
+
+    effect: Effect
+    columns: tuple[EffectColumn, ...]
+    start: int
+    modes: int = 1
+
+    @property
+    def places(self) -> slice:
+        """Places among the own or the shared columns."""
+        return slice(self.start, self.start + len(self.columns) * self.modes)
+
+
+@dataclass(frozen=True, eq=False)
+class EffectRows:
+    """Rows ``[own | problem | shared]`` of each channel as products, weighted by the standard deviations of the fit."""
+
+    fit: Fit
+    layouts: tuple[Layout, ...]
+    products: tuple[LagProducts, ...]
+    known: tuple[np.ndarray, np.ndarray]
+    own: int
+    shared: int
+
+    @property
+    def groups(self) -> list[str]:
+        """Names of the groups whose sizes are found."""
+        return [layout.effect.name for layout in self.layouts] + [FRICTION_OF_RUN]
+
+    @cached_property
+    def in_runs(self) -> tuple[list[int], np.ndarray]:
+        """Places of the friction of runs among the unknowns, (r,), and a root (r, r) of its prior covariance."""
+        names, runs = self.fit.system.problem.unknowns, len(self.fit.dataset.runs)
+        levels, joints = Levels(self.fit), self.fit.dataset.model.actuated
+        scale = {"fv": levels.friction_torques / levels.speeds, "fs": levels.friction_torques}
+        scale = {
+            kind: np.where(own > 0, own, scale[kind]) for kind, own in zip(("fv", "fs"), levels.friction, strict=True)
+        }
+        places = [k for k, name in enumerate(names) if name.run is not None]
+        root, L = np.zeros((len(places), len(places))), difference_root(runs) if places else np.zeros((0, 0))
+        for a, b in np.ndindex(root.shape):
+            one, other = names[places[a]], names[places[b]]
+            if (one.kind, one.body) == (other.kind, other.body):
+                root[a, b] = FRICTION_CHANGE * scale[one.kind][joints.index(one.body)] * L[one.run, other.run]
+        return places, root
+
+
+def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS) -> EffectRows:
+    """Evaluate the columns of all effects along windows of the runs, in one pass; raises GtauError at a singularity."""
+    offered = [(effect, columns) for effect in effects if (columns := tuple(effect.columns(fit)))]
+    modes, starts, layouts = run_modes(len(fit.dataset.runs)), {False: 0, True: 0}, []
+    for effect, columns in offered:
+        layout = Layout(effect, columns, starts[effect.shared], modes.shape[1] if effect.in_runs else 1)
+        starts[effect.shared] = layout.places.stop
+        layouts.append(layout)
+    offer = side_by_side([on_channels(effect.torques, effect.shared) for effect, _ in offered])
+    plausible = np.array([column.plausible for _, columns in offered for column in columns])
+    system, problem, warm = fit.system, fit.system.problem, fit.dataset.temperatures
+    unreduced = system.unreduced.columns_of(problem.parameters)
+    weights, gains = weights_of(fit), fit.solution.gains
+    driven = problem.unknown_gains  # a base that floats, or a sensor, has no drive of its own
+    products: list[LagProducts] | None = None
+    for run, window in windows:
+        at = FitWindow(fit, run, window)
+        A, keep = at.rows(offer)
+        above = None if warm is None else warm.between(run, window.time[0], window.time[-1])
+        maps = system.map(run, above)[..., unreduced]
+        equations = A[..., : maps.shape[1]] @ maps * weights[:, None, None]
+        columns = -A[..., A.shape[-1] - len(plausible) :] * plausible * (weights / gains)[:, None, None]
+        rows = np.concatenate([*_placed(layouts, columns, modes[run], driven, False), equations,
+                               *_placed(layouts, columns, modes[run], driven, True)], axis=-1)  # fmt: skip
+        parts = []
+        for of_channel, kept in zip(rows, keep, strict=True):
+            used = np.flatnonzero(kept)
+            parts.append(lag_products(of_channel[used], np.diff(used, prepend=-2) != 1))
+        products = parts if products is None else [a + b for a, b in zip(products, parts, strict=True)]
+    assert products is not None
+    return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows), starts[False], starts[True])
+
+
+def _placed(
+    layouts: Sequence[Layout], columns: np.ndarray, modes: np.ndarray, driven: np.ndarray, shared: bool
+) -> Iterator[np.ndarray]:
+    """Pick the own or the shared columns (c, K, .) of a window, those that drift between runs by their modes."""
+    at = 0
+    for layout in layouts:
+        part = columns[..., at : at + len(layout.columns)]
+        at += len(layout.columns)
+        if layout.effect.shared == shared:
+            part = part if shared else part * driven[:, None, None]
+            yield (part[..., None] * modes).reshape(*part.shape[:2], -1) if layout.effect.in_runs else part
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Rows linearised at some values: the mixed model, and ``slopes`` (k, .) of the values by its common columns."""
+
+    model: MixedModel
+    slopes: np.ndarray
+
+
+def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = None) -> Linear:
+    """Linearise the residuals at estimates (k,), with the noise of an earlier ``model``."""
+    fit, problem = rows.fit, rows.fit.system.problem
+    channels, size = len(problem.channels), problem.n_theta + FIXED
+    theta, gains, delays = split(values, channels)
+    T = to_gains(values, channels, fit.free_gains)
+    per_run, root = rows.in_runs
+    free = np.setdiff1d(np.arange(T.shape[1]), per_run)  # the parameters come first in both orders
+    maps = []
+    for j in range(channels):
+        M = np.zeros((size, T.shape[1] + 1))
+        M[: problem.n_theta, : problem.n_theta] = -np.eye(problem.n_theta) / gains[j]
+        if fit.free_gains and problem.unknown_gains[j]:
+            M[: problem.n_theta, problem.n_theta + j], M[problem.n_theta, problem.n_theta + j] = -theta, -1.0
+        if problem.longest_delays[j] > 0:
+            M[-2:, T.shape[1] - channels + j] = -1.0, delays[j]
+        M[: problem.n_theta, -1], M[problem.n_theta :, -1] = -theta / gains[j], (
+            -1 / gains[j], 1.0, -delays[j], delays[j] ** 2 / 2)  # fmt: skip
+        maps.append(M)
+    e_known, J_known = _known(rows, values)
+    square = J_known.T @ J_known
+    inside = slice(rows.own, rows.own + size)
+    for M, part in zip(maps, rows.products, strict=True):
+        plain = part.products[[0, 1, 4]].sum(axis=0)[inside, inside]
+        square += M[:, :-1].T @ plain @ M[:, :-1]
+    back = _whitening(square[np.ix_(free, free)])
+    unknowns = back.shape[1]
+    basis = np.zeros((T.shape[1], unknowns + len(per_run)))
+    basis[free, :unknowns], basis[np.ix_(per_run, range(unknowns, basis.shape[1]))] = back, root
+    linear = []
+    for M, part in zip(maps, rows.products, strict=True):
+        B = np.zeros((part.products.shape[1], rows.own + basis.shape[1] + rows.shared + 1))
+        B[: rows.own, : rows.own] = np.eye(rows.own)
+        B[inside, rows.own : rows.own + basis.shape[1]], B[inside, -1] = M[:, :-1] @ basis, M[:, -1]
+        B[inside.stop :, rows.own + basis.shape[1] : -1] = np.eye(rows.shared)
+        linear.append(LagProducts(B.T @ part.products @ B, part.counts))
+    known = np.column_stack([J_known[:, free] @ back, e_known])
+    # a change of friction between runs has no effect on known parameters
+    of_friction = np.full(len(per_run), len(rows.layouts))
+    own, shared = (_groups(rows.layouts, of_all) for of_all in (False, True))
+    largest = np.array([LARGEST if layout.effect.description else 1.0 for layout in rows.layouts] + [1.0])
+    noise = () if model is None else model.noise
+    made = MixedModel(tuple(linear), known.T @ known, own, np.append(of_friction, shared), largest, noise)
+    slopes = np.hstack([T @ basis, np.zeros((len(values), rows.shared))])
+    return Linear(made, slopes)
+
+
+def _groups(layouts: Sequence[Layout], shared: bool) -> np.ndarray:
+    """List the number of the effect of each own, or each ``shared`` column."""
+    sizes = [layout.places.stop - layout.start if layout.effect.shared == shared else 0 for layout in layouts]
+    return np.repeat(np.arange(len(layouts)), sizes)
+
+
+def _known(rows: EffectRows, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (q,) of known parameters at some values, and their Jacobian."""
+    errors, J = rows.known
+    n = rows.fit.system.problem.n_theta
+    return errors + J[:, :n] @ (values[:n] - rows.fit.solution.theta), J
+
+
+def _whitening(square: np.ndarray) -> np.ndarray:
+    """Make columns with products ``square`` (k, k) orthonormal: (k, r), without directions that nothing determines."""
+    norms = np.sqrt(np.diag(square))
+    inverse = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)[:, None]
+    values, vectors = np.linalg.eigh(square * inverse * inverse.T)
+    kept = values > UNDETERMINED * max(values[-1], 1e-300)
+    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) * inverse)

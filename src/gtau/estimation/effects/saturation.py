@@ -1,0 +1,42 @@
+"""A torque constant that falls with the current, ``tau abs(tau)``.
+
+Iron saturates, and some drives log currents before they limit them. A payload then scales the gain at the largest
+currents, and the other parameters absorb the rest so well that the size of the residuals hardly shows it: with a
+constant that falls by 10 per cent the gain is 12 per cent off. The shape of the residuals does show it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.rows import Rows
+from gtau.findings import Finding
+
+PLAUSIBLE = 0.03  # relative fall up to twice the rms current: 0 to 0.05 (data sheets of servo motors)
+LARGE = 2.0  # rms currents: where the fall is stated
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    scale = LARGE * Levels(at.fit).torques[:, None]
+
+    def columns(rows: Rows) -> np.ndarray:
+        tau = at.torques(rows)
+        return (np.abs(tau) * tau / scale)[:, :, None]
+
+    return columns
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"the torque constant of '{column.joint}' {'falling' if size > 0 else 'rising'} with its current"
+    action = (
+        "check that the log holds the actual current, and add runs with another payload or slower motions; friction "
+        "that grows with the load has the same effect"
+    )
+    return Finding(SATURATION.name, (column.joint,), values={"what": what, "action": action})
+
+
+UNIT = f"of itself up to {LARGE:g} times the rms current"
+SATURATION = Effect("saturation", _torques, lambda fit: [EffectColumn(PLAUSIBLE, UNIT)], _say)

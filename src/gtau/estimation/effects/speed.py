@@ -1,0 +1,39 @@
+"""Friction of any shape in speed: Stribeck's, cubic, or different in the two directions.
+
+Each joint is offered any function of its own speed, piecewise linear in ``atan(2 qd / rms qd)``: fine near rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.knots import hats
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+
+PLAUSIBLE = 0.1  # of the friction at the rms speed: experience
+KNOTS = 20
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    levels, n = Levels(at.fit), len(at.fit.gains)
+    bent = np.arctan(2 * at.window.samples().qd / levels.speeds) / (np.pi / 2)
+    columns = hats(bent, np.repeat(np.linspace(-1, 1, KNOTS)[:, None], n, axis=1))
+    return at.decimated(columns * levels.friction_torques[:, None])
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"friction of '{column.joint}' that is not viscous and Coulomb friction alone"
+    action = "add runs at other speeds to separate it from other effects"
+    return Finding(SPEED.name, (column.joint,), values={"what": what, "action": action})
+
+
+SPEED = Effect(
+    "friction of any shape",
+    _torques,
+    lambda fit: [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS,
+    _say,
+    function=True,
+)

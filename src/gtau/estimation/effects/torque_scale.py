@@ -1,0 +1,25 @@
+"""Torques of one joint in another scale: links that joints share would have another inertia at each."""
+
+from __future__ import annotations
+
+from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.findings import Finding
+
+PLAUSIBLE = 0.1  # relative error of one joint's torques, or of its given gain: experience
+
+
+def _torques(at: FitWindow) -> CandidateColumns:
+    return lambda rows: at.torques(rows)[:, :, None]
+
+
+def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"torques of '{column.joint}' in another scale than those of the other joints"
+    action = "check the gear ratio, the torque constant and the unit of its torques"
+    return Finding(TORQUE_SCALE.name, (column.joint,), values={"what": what, "action": action})
+
+
+TORQUE_SCALE = Effect(
+    "torque scale", _torques, lambda fit: [] if fit.free_gains else [EffectColumn(PLAUSIBLE)], _say, description=True
+)

@@ -1,0 +1,80 @@
+"""Errors of measured wrenches: an offset of a sensor that was not tared, and the point about which a moment is stated.
+
+An offset is constant along the sensor's own axes. A point of application is a lever, ``m = m_at + at x f``, so that one
+which is off adds a moment proportional to the force.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.rows import external_torques
+from gtau.findings import Finding
+from gtau.robots.placement import WRENCH
+
+OFFSET = 0.01  # of the rms force or moment: 0.1 to 1 % of the range of a tared six-axis sensor; 17 % not tared
+POINT = 2.0  # mm: experience; 20 for a plate or flange
+MILLIMETRE = 1e-3
+
+
+def _bodies(fit: Fit) -> list[str]:
+    return [frame.body for frame in fit.dataset.runs[0].wrenches]
+
+
+def _offsets(at: FitWindow) -> CandidateColumns:
+    unit = np.eye(len(WRENCH) * len(_bodies(at.fit)))
+    return _felt(at, np.broadcast_to(unit[:, :, None], (*unit.shape, len(at.window))))
+
+
+def _offset_columns(fit: Fit) -> Iterator[EffectColumn]:
+    if not (bodies := _bodies(fit)):
+        return
+    squares = [np.mean(run.command[:, run.given] ** 2, axis=0) for run in fit.dataset.runs]
+    levels = np.sqrt(np.mean(squares, axis=0).reshape(-1, 2, 3).sum(axis=2))
+    for body, of_body in zip(bodies, levels, strict=True):
+        for quantity, unit, level in zip(("moment", "force"), ("N m", "N"), of_body, strict=True):
+            yield from (
+                EffectColumn(float(OFFSET * level), unit, subject=body, about=f"{quantity} {axis}") for axis in "xyz"
+            )
+
+
+def _say_offset(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"an offset in the {column.about} of the wrench on '{column.subject}'"
+    action = "tare the unloaded force sensor before each run, or subtract its unloaded reading"
+    return Finding(WRENCH_OFFSETS.name, (), column.subject, {"what": what, "action": action})
+
+
+def _points(at: FitWindow) -> CandidateColumns:
+    bodies = np.arange(len(_bodies(at.fit)))
+    measured = at.window.samples().command.T[at.window.run.given]
+    force = measured.reshape(len(bodies), 2, 1, 3, -1)[:, 1]  # that acts 1 mm further back
+    errors = np.zeros((len(bodies), 3, len(bodies), 6, measured.shape[1]))
+    errors[bodies, :, bodies, :3] = -MILLIMETRE * np.cross(np.eye(3)[:, :, None], force, axis=-2)
+    return _felt(at, errors.reshape(3 * len(bodies), *measured.shape))
+
+
+def _point_columns(fit: Fit) -> list[EffectColumn]:
+    return [EffectColumn(POINT, "mm", subject=body, about=axis) for body in _bodies(fit) for axis in "xyz"]
+
+
+def _say_point(fit: Fit, column: EffectColumn, size: float) -> Finding:
+    what = f"the reference point of the moment on '{column.subject}', off in {column.about}"
+    action = "measure the position of the sensor, and correct 'at' of that wrench"
+    return Finding(WRENCH_POINTS.name, (), column.subject, {"what": what, "action": action})
+
+
+def _felt(at: FitWindow, errors: np.ndarray) -> CandidateColumns:
+    """Compute the joint torques that errors (m, 6 k, N) of the wrench readings cause."""
+    run = at.window.run
+    padded = np.zeros((len(errors), len(run.channels), errors.shape[-1]))
+    padded[:, run.given] = errors
+    return at.decimated(external_torques(at.fit.dataset.model, run, at.motion, padded))
+
+
+WRENCH_OFFSETS = Effect("wrench offsets", _offsets, _offset_columns, _say_offset, shared=True, description=True)
+WRENCH_POINTS = Effect("wrench points", _points, _point_columns, _say_point, shared=True, description=True)

@@ -1,0 +1,142 @@
+"""Effects put into logs are found with their sizes, alone, and healthy logs show none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+from stated_arm import plant, robot
+
+from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.effects.description import contradictions, estimated_effects
+from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.estimate import Mixed, estimate_effects
+from gtau.estimation.effects.registry import EFFECTS
+from gtau.estimation.effects.run_drift import difference_root, run_covariance, run_modes
+from gtau.estimation.estimators.maximum_likelihood import ML
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.model.home import load_robot
+from gtau.signals.reading.statements import Payload
+from gtau.signals.run import Run
+
+ROBOT = load_robot("five-bar")
+
+
+@pytest.fixture(scope="module")
+def runs() -> list[Run]:
+    plant, known = Plant(noise=0.01), Payload(name="steel", mass=STEEL["m"])
+    free, loaded = plant.run("free", 10.0, seed=1), plant.run("loaded", 10.0, STEEL, seed=2)
+    return [free, replace(loaded, payload=known)]
+
+
+def mixed(runs: list[Run]) -> Mixed:
+    result = estimate_effects(ML.fit(reduce_runs(ROBOT, runs).system(per_run=True)))
+    assert result is not None
+    return result
+
+
+def of_joint(runs: list[Run], name: str, joint: str) -> EstimatedEffect:
+    """The effect of a joint; raises StopIteration where it has no size."""
+    return next(each for each in estimated_effects(mixed(runs)) if (each.effect, each.cause.joint) == (name, joint))
+
+
+def currents(runs: list[Run], change: Callable[[Run], np.ndarray]) -> list[Run]:
+    return [replace(run, command=change(run)) for run in runs]
+
+
+def falling(runs: list[Run], fall: float) -> list[Run]:
+    """Currents of a torque constant of the left joint that falls up to twice the rms current."""
+    rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
+    return currents(runs, lambda run: run.command * (1 + fall * np.abs(run.command) / (2 * rms) * [1.0, 0.0]))
+
+
+def test_a_torque_constant_that_falls_has_its_size_and_its_gain_is_right(runs: list[Run]) -> None:
+    faulty = falling(runs, 0.02)
+    effect = of_joint(faulty, "saturation", "left")
+    assert effect.size == pytest.approx(0.02, rel=0.25)
+    assert effect.likelihood > 20
+    result = mixed(faulty)
+    (gain, _), plain = result.values[result.rows.fit.system.problem.gain_rows], result.rows.fit.gains[0]
+    assert abs(gain / GAINS[0] - 1) < 0.4 * abs(plain / GAINS[0] - 1)
+
+
+def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run]) -> None:
+    def warmer(run: Run) -> np.ndarray:
+        along = np.linspace(-0.5, 0.5, len(run.time))[:, None]
+        return run.command * (1 + 0.02 * along * [1.0, 0.0])
+
+    assert of_joint(currents(runs, warmer), "gain drift", "left").size == pytest.approx(0.02, rel=0.2)
+
+
+def test_an_encoder_zero_is_the_first_cause_with_its_size(runs: list[Run]) -> None:
+    shifted = [replace(run, position=run.position + np.array([np.radians(1.0), 0.0])) for run in runs]
+    first, *_ = contradictions(mixed(shifted))
+    # the position is too large, so taking it off gives the right torques
+    assert (first.effect, first.cause.joint) == ("encoder zeros", "left")
+    assert first.size == pytest.approx(-1.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("joint", "scale"), [("j2", 1.05)])
+def test_a_wrong_gear_ratio_is_named(tmp_path: Path, joint: str, scale: float) -> None:
+    body = {"m": 1.5, "mx": 0.05, "mz": 0.1}
+    made = replace(plant(robot(tmp_path), noise=0.02), tool="j4", gains=(8.0, 9.0, 7.0, 5.0))
+    runs = [made.run(1), made.run(2, body, Payload(name="disc", mass=body["m"]))]
+    factor = np.where(np.array(made.model.actuated) == joint, scale, 1.0)
+    result = identify(robot(tmp_path), [replace(run, position=run.position * factor) for run in runs])
+    scales = [effect for effect in result.effects if effect.effect == "position scales"]
+    best = max(scales, key=lambda effect: effect.share)
+    assert best.cause.joints == (joint,)
+    assert best.size == pytest.approx(100 * (1 / scale - 1), rel=0.3)
+    assert Outcome.CONTRADICTORY in {gain.verdict.outcome for gain in result.drive_gains.values()}
+
+
+def test_healthy_logs_contradict_nothing(runs: list[Run]) -> None:
+    result = mixed(runs)
+    assert not contradictions(result)
+    assert max(effect.share for effect in estimated_effects(result)) < 0.02
+
+
+def test_intervals_hold_a_random_and_a_model_part(runs: list[Run]) -> None:
+    result = identify(ROBOT, falling(runs, 0.02))
+    for gain in result.drive_gains.values():
+        assert gain.std == pytest.approx(np.hypot(gain.random_std or 0.0, gain.model_std or 0.0))
+    assert all(set(effect.moves) == set(JOINTS) for effect in result.effects)
+
+
+@pytest.mark.parametrize("share", [0.05, pytest.param(0.2, marks=pytest.mark.slow)])
+def test_friction_that_falls_along_a_run_contradicts_nothing(share: float) -> None:
+    plant, known = Plant(noise=0.01), Payload(name="steel", mass=STEEL["m"])
+    logged = []
+    for name, payload, seed in (("free", None, 1), ("loaded", STEEL, 2)):
+        cold, warm = (
+            replace(plant, chi={k: v * (factor if k[:2] in ("fv", "fs") else 1) for k, v in plant.chi.items()}).run(
+                name, 10.0, payload, seed=seed
+            )
+            for factor in (1 + share / 2, 1 - share / 2)
+        )
+        along = np.linspace(0.0, 1.0, len(cold.time))[:, None]
+        logged.append(replace(cold, command=(1 - along) * cold.command + along * warm.command))
+    result = identify(ROBOT, [logged[0], replace(logged[1], payload=known)])
+    for joint, truth in zip(JOINTS, GAINS, strict=True):
+        gain = result.drive_gains[joint]
+        assert gain.verdict.outcome in (Outcome.GOOD, Outcome.WEAK), gain.verdict.sentence
+        low, high = gain.interval() or (0.0, 0.0)
+        assert low < truth < high
+
+
+def test_effects_have_names_of_their_own() -> None:
+    assert len({effect.name for effect in EFFECTS}) == len(EFFECTS)
+
+
+@pytest.mark.parametrize("count", [2, 5, 20])
+def test_modes_of_a_drift_and_its_differences_have_its_covariance(count: int) -> None:
+    expected, modes = run_covariance(count), run_modes(count)
+    np.testing.assert_allclose(modes @ modes.T, expected, atol=1e-9 if count <= 8 else 0.2)
+    centred = np.eye(count) - 1 / count
+    root = difference_root(count)
+    np.testing.assert_allclose(root @ root.T, (centred @ expected @ centred)[:-1, :-1], atol=1e-8)

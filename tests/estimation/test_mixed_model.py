@@ -1,0 +1,165 @@
+"""The mixed model against dense matrices: its likelihood, its posterior, and how often its intervals hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, toeplitz
+
+from gtau.estimation.effects.mixed_model import (
+    MixedModel,
+    Noise,
+    find_sizes,
+    fit_mixed,
+    lag_products,
+    posterior,
+)
+
+NOISE = (Noise(0.4, (0.7, -0.3)), Noise(1.3, (-0.2, 0.1)))
+ROWS, OWN, FREE, SHARED = 60, 3, 4, 2
+GROUPS = np.array([0, 0, 1]), np.array([2, 2])
+
+
+def autocovariance(noise: Noise, rows: int) -> np.ndarray:
+    """Covariance (rows, rows) of an autoregressive process, by its own recursion (Yule-Walker)."""
+    first, second = noise.partial
+    a = first * (1 - second), second
+    correlations = [1.0, first]
+    while len(correlations) < rows:
+        correlations.append(a[0] * correlations[-1] + a[1] * correlations[-2])
+    variance = noise.std**2 / ((1 - first**2) * (1 - second**2))
+    return variance * toeplitz(correlations[:rows])
+
+
+def stretches(rows: int) -> np.ndarray:
+    begins = np.zeros(rows, dtype=bool)
+    begins[[0, 25, 26, 28]] = True  # of 25, 1, 2 and the remaining rows
+    return begins
+
+
+def covariance(noise: Noise, begins: np.ndarray) -> np.ndarray:
+    lengths = np.diff([*np.flatnonzero(begins), len(begins)])
+    return block_diag(*(autocovariance(noise, int(length)) for length in lengths))
+
+
+@pytest.fixture
+def columns() -> list[np.ndarray]:
+    """Rows [own | J | shared | e] of two channels."""
+    rng = np.random.default_rng(4)
+    return [rng.standard_normal((ROWS, OWN + FREE + SHARED + 1)) for _ in NOISE]
+
+
+def model_of(columns: list[np.ndarray]) -> MixedModel:
+    products = tuple(lag_products(rows, stretches(len(rows))) for rows in columns)
+    return MixedModel(products, np.zeros((FREE + 1, FREE + 1)), *GROUPS, np.full(3, 1e9), NOISE)
+
+
+def dense(columns: list[np.ndarray], log_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Covariance of the errors, Jacobian, effects' columns at their sizes, and errors."""
+    sizes = np.exp(log_s)
+    V = block_diag(*(covariance(noise, stretches(ROWS)) for noise in NOISE))
+    own = block_diag(*(rows[:, :OWN] * sizes[GROUPS[0]] for rows in columns))
+    shared = np.vstack([rows[:, -1 - SHARED : -1] * sizes[GROUPS[1]] for rows in columns])
+    Z = np.hstack([own, shared])
+    J = np.vstack([rows[:, OWN : OWN + FREE] for rows in columns])
+    return V + Z @ Z.T, J, Z, np.concatenate([rows[:, -1] for rows in columns])
+
+
+def restricted_loss(columns: list[np.ndarray], log_s: np.ndarray) -> float:
+    V, J, _, e = dense(columns, log_s)
+    inverse = np.linalg.inv(V)
+    A = J.T @ inverse @ J
+    P = inverse - inverse @ J @ np.linalg.solve(A, J.T @ inverse)
+    return 0.5 * float(e @ P @ e + np.linalg.slogdet(V)[1] + np.linalg.slogdet(A)[1])
+
+
+LOG_S = np.array([-0.3, 0.5, 0.1])
+
+
+def test_the_loss_is_the_restricted_likelihood(columns: list[np.ndarray]) -> None:
+    model = model_of(columns)
+    grams = [noise.whitened(rows) for noise, rows in zip(NOISE, model.rows, strict=True)]
+    constant = 0.5 * sum(noise.log_determinant(rows.counts) for noise, rows in zip(NOISE, model.rows, strict=True))
+    for log_s in (LOG_S, LOG_S - 1.0):
+        found = posterior(model, grams, log_s)
+        assert found.loss + constant == pytest.approx(restricted_loss(columns, log_s), rel=1e-9)
+
+
+def test_the_slope_is_the_derivative_of_the_loss(columns: list[np.ndarray]) -> None:
+    model = replace(model_of(columns), largest=np.full(3, 0.7))
+    grams = [noise.whitened(rows) for noise, rows in zip(NOISE, model.rows, strict=True)]
+    slope = posterior(model, grams, LOG_S).slope
+    for k in range(3):
+        step = 1e-5 * np.eye(3)[k]
+        above, below = (posterior(model, grams, LOG_S + sign * step).loss for sign in (1, -1))
+        assert slope[k] == pytest.approx((above - below) / 2e-5, rel=1e-5)
+
+
+def test_the_posterior_is_generalised_least_squares(columns: list[np.ndarray]) -> None:
+    model = model_of(columns)
+    grams = [noise.whitened(rows) for noise, rows in zip(NOISE, model.rows, strict=True)]
+    found = posterior(model, grams, LOG_S)
+    V, J, Z, e = dense(columns, LOG_S)
+    inverse = np.linalg.inv(V)
+    A = np.linalg.inv(J.T @ inverse @ J)
+    d = -A @ J.T @ inverse @ e
+    np.testing.assert_allclose(found.common[:FREE], d, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance[:FREE, :FREE], A, rtol=1e-9)
+    u = -Z.T @ inverse @ (e + J @ d)  # best linear unbiased prediction
+    np.testing.assert_allclose(np.concatenate([*found.own, found.common[FREE:]]), u, rtol=1e-8)
+    variance = np.eye(len(u)) - Z.T @ (inverse - inverse @ J @ A @ J.T @ inverse) @ Z
+    np.testing.assert_allclose([*found.variance(0), *found.variance(1)], np.diag(variance)[: 2 * OWN], rtol=1e-8)
+    value, spread = found.move(np.eye(1, FREE + SHARED), [np.eye(1, OWN), np.zeros((1, OWN))])
+    assert value[0] == pytest.approx(d[0] + u[0])
+    cross = -(A @ J.T @ inverse @ Z)[0, 0]
+    assert spread[0, 0] == pytest.approx(A[0, 0] + variance[0, 0] + 2 * cross, rel=1e-8)
+
+
+def simulated(rng: np.random.Generator, rows: int = 400) -> tuple[MixedModel, np.ndarray]:
+    """Two channels with effects of plausible sizes and correlated noise, and what d should be."""
+    truth, columns = rng.standard_normal(FREE), []
+    shared = rng.standard_normal(SHARED)
+    begins = np.zeros(rows, dtype=bool)
+    begins[::100] = True
+    for noise in NOISE:
+        X = rng.standard_normal((rows, OWN + FREE + SHARED))
+        X[:, :OWN] = np.cumsum(X[:, :OWN], axis=0) / 10
+        u = np.concatenate([rng.standard_normal(OWN), truth, shared])
+        e = -X @ u + np.linalg.cholesky(covariance(noise, begins)) @ rng.standard_normal(rows)
+        columns.append(lag_products(np.column_stack([X, e]), begins))
+    known = np.zeros((FREE + 1, FREE + 1))
+    return MixedModel(tuple(columns), known, *GROUPS, np.full(3, 3.0)), truth
+
+
+def test_intervals_hold_and_noise_is_found() -> None:
+    rng, z, noises = np.random.default_rng(11), [], []
+    for _ in range(40):
+        model, truth = simulated(rng)
+        fit = fit_mixed(model)
+        std = np.sqrt(np.diag(fit.at.covariance)[:FREE])
+        z.append((fit.at.common[:FREE] - truth) / std)
+        noises.append([(noise.std, *noise.partial) for noise in fit.model.noise])
+    assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
+    expected = [(noise.std, *noise.partial) for noise in NOISE]
+    np.testing.assert_allclose(np.mean(noises, axis=0), expected, atol=0.03)
+
+
+def test_the_evidence_for_an_effect_is_what_is_lost_without_it() -> None:
+    model, _ = simulated(np.random.default_rng(3))
+    fit = fit_mixed(model)
+    for group in range(3):
+        assert fit.lost_without([group]) > 20
+    without = find_sizes(fit.model, fit.grams, fit.log_s, [0])
+    assert np.exp(without[0]) < 1e-4
+    absent = replace(model, rows=tuple(replace(part, products=_without(part.products)) for part in model.rows))
+    assert fit_mixed(absent).lost_without([0]) < 3
+
+
+def _without(products: np.ndarray) -> np.ndarray:
+    """Products of the same rows, of whose errors the first group explains nothing: its columns are noise."""
+    made = products.copy()
+    made[:, :2, :], made[:, :, :2] = 0.0, 0.0
+    made[:, range(2), range(2)] = 1.0
+    return made
