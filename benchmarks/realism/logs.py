@@ -32,7 +32,7 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
         if loaded:
             carried = {f"{kind}_{model.robot.tool}": value for kind, value in plant.payload().items()}
             now |= {name: now[name] + value for name, value in carried.items() if name in model.parameter_names}
-        q, qd, tau, carried = _drive(model, now, motion, departure, rate)
+        q, qd, tau, carried = _drive(model, now, chi, motion, departure, rate)
         if departure.torque is not None:
             tau = tau + departure.torque(time, q, qd, tau, carried)
         v = (tau + NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)) / gains
@@ -46,19 +46,20 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
 def _drive(
     model: InverseDynamics,
     chi: dict[str, float],
+    empty: dict[str, float],
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     departure: Departure,
     rate: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Positions, velocities and torques of the motors, and the torques that the links take; (N, n) each.
 
-    Where the transmissions give way, the motors lead the links.
+    Where the transmissions give way, the motors lead the links; their stiffness is that for the ``empty`` robot.
     """
     of_motors = {f"{kind}_{joint}" for kind in DRIVE for joint in model.actuated}
     carried = model.torques(*motion, {name: value for name, value in chi.items() if name not in of_motors})
     q, qd, qdd = motion
     if departure.deflection is not None:
-        q = q + departure.deflection(carried, _inertias(model, chi, q), rate)
+        q = q + departure.deflection(carried, _inertias(model, empty, q), rate)
         qd = np.gradient(q, 1 / rate, axis=0)
         qdd = np.gradient(qd, 1 / rate, axis=0)
     ia, fv, fs, off = (np.array([chi.get(f"{kind}_{joint}", 0.0) for joint in model.actuated]) for kind in DRIVE)

@@ -123,7 +123,7 @@ def test_outliers_move_maximum_likelihood_and_not_huber(rng: np.random.Generator
     assert (fs(robust) < fs(plain) / 2).all()
     assert size(robust) < size(plain)
     for joint in JOINTS:
-        assert (robust.drive_gains[joint].std or 0.0) < 0.5 * (plain.drive_gains[joint].std or 0.0)
+        assert (robust.drive_gains[joint].std or 0.0) < 0.7 * (plain.drive_gains[joint].std or 0.0)
 
 
 def test_without_outliers_huber_is_nearly_maximum_likelihood(identified: Callable[[str], Result]) -> None:
@@ -133,7 +133,7 @@ def test_without_outliers_huber_is_nearly_maximum_likelihood(identified: Callabl
         assert abs((a.value or 0.0) - (b.value or 0.0)) < 0.7 * (a.std or 0.0)
         assert (b.std or 0.0) < 1.25 * (a.std or 0.0)
     for one, other in zip(plain.residuals, robust.residuals, strict=True):  # of all rows alike, not as weighted
-        assert one.rms == pytest.approx(other.rms, rel=0.01)
+        assert one.rms == pytest.approx(other.rms, rel=0.02)  # estimates beside effects leave slightly more
         assert one.signal == pytest.approx(other.signal, rel=0.01)
 
 

@@ -71,7 +71,7 @@ def test_gains_of_robots_that_rest_are_good_and_right(shared: Path, robot: str) 
     result, truth = identify(folder / "experiment.yaml"), json.loads((folder / "truth.json").read_text())["gains"]
     for joint, gain in result.drive_gains.items():
         assert gain.verdict.outcome == Outcome.GOOD
-        assert gain.interval(0.99)[0] < truth[joint] < gain.interval(0.99)[1]
+        assert gain.interval(0.999)[0] < truth[joint] < gain.interval(0.999)[1]
 
 
 def test_a_long_rest_widens_no_interval() -> None:

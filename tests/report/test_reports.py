@@ -38,7 +38,7 @@ COMMANDS = {
 }
 SECTIONS = {
     "identify": "verdict gains notes torques payloads residuals parameters friction correlation robot "
-    "logs alternatives provenance",
+    "logs effects provenance",
     "validate": "verdict torques gains robot logs provenance",
     "payload": "verdict controller payloads gains robot provenance",
     "compare": "verdict estimators gains provenance",

@@ -205,10 +205,11 @@ def estimate(
     progress("estimation", 0, 1)
     fit = estimator.fit(system, gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
-    moved = examined.moved(fit) if estimator.name == "ml" and not as_paper else None
-    if any(sensor_verdict(scale, accuracy).outcome == Outcome.CONTRADICTORY for scale in sensor_scales(fit)):
+    mixes = estimator.name == "ml" and not as_paper
+    moved = examined.moved(fit) if mixes else None
+    if moved and any(sensor_verdict(scale, accuracy).outcome == Outcome.CONTRADICTORY for scale in sensor_scales(fit)):
         moved = None  # what a sensor contradicts, effects would explain in part
-    estimates = estimates_of(fit, examined, not as_paper, moved is not None)
+    estimates = estimates_of(fit, examined, not as_paper, moved is not None, mixes)
     require_motion(fit, estimates)
     lack = lack_of_fit(fit.system.problem, fit.solution)
     plain, fit = fit, moved or fit
@@ -233,6 +234,7 @@ def estimate(
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
+        plain = fit
     findings = diagnose(plain, examined, estimates, payloads, options.gains, accuracy, audit)
     findings += () if lost is None else (lost,)
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
 
 import numpy as np
 
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.results.result import Result
-from gtau.report.chart import Axis, Chart, Panel, Series
+from gtau.report.chart import Axis, Chart, Panel, Series, intervals
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table, table_of
 
 STRONG = 0.9  # correlation from which on a pair is listed
 LISTED = 20
 PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
 SHOWN = 60  # estimates whose names fit beside a matrix
+DRAWN, VISIBLE = 12, 0.02  # effects in the chart, and the move of a gain, per cent, that is drawn
 
 
 def correlation_of(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
@@ -71,6 +72,17 @@ def singular_values_chart(values: np.ndarray) -> Chart:
     return Chart((Panel(Axis("number"), Axis("singular value", log=True), series, height=2.2),))
 
 
+def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
+    """Draw by how much the largest effects move the gain that each moves most, with 95 % intervals, per cent."""
+    drawn = [effect for effect in effects if effect.largest_move > VISIBLE and effect.size][:DRAWN]
+    if not drawn:
+        return None
+    moves = [max(effect.moves.values(), key=abs) for effect in drawn]
+    halves = [1.96 * abs(move * effect.std / effect.size) for move, effect in zip(moves, drawn, strict=True)]
+    labels = [f"{effect.effect} {effect.cause.joint}".strip() for effect in drawn]
+    return Chart((intervals(labels, moves, halves, "moves a gain by, %", zero=True),), "Effects")
+
+
 def effects_section(result: Result) -> Section | None:
     """Show the effects found beside the model, with their intervals, and by how much each moves the gains."""
     if not result.effects:
@@ -97,7 +109,7 @@ def effects_section(result: Result) -> Section | None:
     )
     every = section(f"All {len(ranked)} effects", listed, folded=True)
     drifting = _drift_text([effect.subject for effect in ranked], result)
-    return section("Effects beside the model", Text(words), drifting, every, id="effects")
+    return section("Effects beside the model", Text(words), drifting, effects_chart(ranked), every, id="effects")
 
 
 def _moved(joint: str, effect: EstimatedEffect) -> float | None:

@@ -138,7 +138,8 @@ def _estimated_gains(
     fit: Fit, examined: Examination, estimates: Estimates, accuracy: float, prior_gains: Mapping[str, float]
 ) -> Iterator[Finding]:
     """Check drive gains that were estimated by their own equations; see :func:`diagnose` for what it takes."""
-    problem, solution, gains, rows = fit.system.problem, fit.solution, fit.gains, fit.system.problem.gain_rows
+    problem, solution, rows = fit.system.problem, fit.solution, fit.system.problem.gain_rows
+    gains = estimates.values[rows]
     random, total = (np.sqrt(np.diag(part)[rows]) for part in (estimates.random, estimates.covariance))
     stds, halves = random / np.abs(gains), half_widths(fit, estimates)
     at_random = halves * random / total

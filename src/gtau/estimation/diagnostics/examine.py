@@ -69,11 +69,13 @@ class Examination:
     def moved(self, fit: Fit) -> Fit | None:
         """Move the estimates of a fit by all effects; None where that leaves the range in which they are small.
 
-        Nor where wrenches are measured, whose noise is common to all joints: the jackknife sees that; nor where the
-        description is wrong, of which the effects would explain a part.
+        Nor where wrenches are measured, whose noise is common to all joints, which the jackknife sees; where the
+        robot's file gives the scale, roughly; or where the description is wrong, which the effects explain in part.
         """
         problem = fit.system.problem
-        if self.mixed is None or problem.wrenches or problem.base or self.contradicting or self.findings_on_joints:
+        if self.mixed is None or fit.dataset.scaled_by_file or problem.wrenches or problem.base:
+            return None
+        if self.contradicting or self.findings_on_joints:
             return None
         if np.any(np.abs(self.mixed.values[problem.gain_rows] / fit.gains - 1) > LARGEST_MOVE):
             return None
@@ -158,11 +160,14 @@ def _gravity(
     return likeliest_gravity(fit, missing, turned, progress) if missing or turned else None
 
 
-def estimates_of(fit: Fit, examined: Examination, correlated: bool, moved: bool = False) -> Estimates:
+def estimates_of(
+    fit: Fit, examined: Examination, correlated: bool, moved: bool = False, mixes: bool = True
+) -> Estimates:
     """Collect the estimates of a fit with their covariance.
 
     ``moved`` by all effects the covariance is their posterior; otherwise it is that of the block jackknife, and what
-    the effects leave open; without ``correlated`` that of the method's formula, as the paper has it.
+    the effects leave open, and for a method that ``mixes`` by how much they would move an estimate; without
+    ``correlated`` that of the method's formula, as the paper has it.
     """
     problem, solution, mixed = fit.system.problem, fit.solution, examined.mixed
     of_scale = scale_uncertainty(fit.system, fit.solve)
@@ -176,5 +181,8 @@ def estimates_of(fit: Fit, examined: Examination, correlated: bool, moved: bool 
         parts = (mixed.random - of_file, of_scale * np.outer(ratio, ratio) + of_file, model)
         return Estimates(problem.unknowns, mixed.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
+    if mixed is not None and mixes:
+        shift = mixed.values - solution.values
+        model = model + np.outer(shift, shift)
     parts = (solution.jackknife - of_file, of_scale + of_file, model)
     return Estimates(problem.unknowns, solution.values, *parts, freedom)

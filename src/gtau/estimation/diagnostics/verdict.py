@@ -148,7 +148,7 @@ def half_widths(fit: Fit, estimates: Estimates) -> np.ndarray:
     from scipy.special import ndtri, stdtrit
 
     rows, freedom = fit.system.problem.gain_rows, estimates.effective_freedom
-    std = np.sqrt(np.diag(estimates.covariance)[rows]) / np.abs(fit.gains)
+    std = np.sqrt(np.diag(estimates.covariance)[rows]) / np.abs(estimates.values[rows])
     return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[rows], 0.975)))
 
 

@@ -1,4 +1,4 @@
-"""A low-pass filter of the current, or an elastic transmission: the second derivative of the torque, to first order.
+"""A low-pass filter of the current: the second derivative of the torque beside its delay, to first order.
 
 It is that of the model's torque: the measured current's is correlated with the noise of the current.
 """
@@ -11,7 +11,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.findings import Finding
 from gtau.signals.preparation.filters import differentiate
 
-PLAUSIBLE = 1e-4  # s2: elastic at 16 Hz, or a filter of 14 ms (experience)
+PLAUSIBLE = 1e-4  # s2: a filter of 14 ms (experience)
 
 
 def _torques(at: FitWindow) -> CandidateColumns:
@@ -20,7 +20,7 @@ def _torques(at: FitWindow) -> CandidateColumns:
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
-    what = f"a low-pass filter of the current of '{column.joint}', or an elastic transmission"
+    what = f"a low-pass filter of the current of '{column.joint}'"
     values = {"what": what, "action": "log the current before any filter, and move more slowly"}
     return Finding(CURRENT_LAG.name, (column.joint,), values=values)
 

@@ -16,8 +16,8 @@ SI = {"deg": np.pi / 180, "mm": 1e-3}
 
 
 def _torques(at: FitWindow) -> CandidateColumns:
-    steps = np.diag([STEP * SI[unit] for unit in position_units(at.fit)])
-    return with_positions(at, np.ones_like(steps), steps)
+    window, steps = at.window, np.diag([STEP * SI[unit] for unit in position_units(at.fit)])
+    return with_positions(at, ((window.q + step, window.qd, window.qdd) for step in steps))
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:

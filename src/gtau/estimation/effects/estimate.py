@@ -16,6 +16,10 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import finish
 from gtau.estimation.regression.run_blocks import WINDOWS
 
+# The posterior takes the sizes of effects and noise for known, and robots have effects that are not on the list. Of 237
+# gains of seven robots with ten departures 86 % of intervals hold as they are (rms z 1.41), and 95 % (1.00) with both.
+WIDER = 1.15  # of all standard deviations
+FLOOR = 5e-4  # of a gain
 STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
 
 
@@ -34,9 +38,9 @@ class Mixed:
     random: np.ndarray
 
     def applied(self, fit: Fit) -> Fit:
-        """Move the estimates of a fit, whose covariance is the posterior."""
+        """Move the estimates of a fit, whose scatter is that of the noise."""
         solution = finish(fit.system.problem, self.values, weights_of(fit), fit.free_gains)
-        values, vectors = np.linalg.eigh(self.covariance)
+        values, vectors = np.linalg.eigh(self.random)
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         # as many replicates on either side, whose jackknife is this covariance
         replicates = np.concatenate([root, -root]) * np.sqrt(len(root) / (2 * len(root) - 1))
@@ -66,7 +70,8 @@ def estimate_effects(fit: Fit, effects: Sequence[Effect] = EFFECTS) -> Mixed | N
     # the delay of a model without the effects is that of the plain fit: a lag stands for a part of it
     delays = fit.system.problem.unknowns.delays
     values = np.concatenate([values[: delays.start], fit.solution.values[delays]])
-    random = _random(mixed, linear)
+    random, covariance = _random(mixed, linear), WIDER**2 * covariance
+    covariance[gain_rows, gain_rows] += np.diag((FLOOR * values[gain_rows]) ** 2)
     part = np.sqrt(np.minimum(np.diag(covariance) / np.maximum(np.diag(random), 1e-300), 1.0))  # but for rounding
     return Mixed(rows, mixed, linear, values, covariance, random * part[:, None] * part)
 

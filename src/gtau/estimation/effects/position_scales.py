@@ -16,8 +16,9 @@ PER_CENT = 1e-2
 
 
 def _torques(at: FitWindow) -> CandidateColumns:
-    joints = np.eye(len(at.fit.dataset.model.actuated))
-    return with_positions(at, 1 + STEP * PER_CENT * joints, 0 * joints)
+    window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
+    factors = 1 + STEP * PER_CENT * joints
+    return with_positions(at, ((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors))
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gtau.estimation.effects.current_lag import CURRENT_LAG
 from gtau.estimation.effects.effect import Effect
+from gtau.estimation.effects.elasticity import ELASTICITY
 from gtau.estimation.effects.encoder_zeros import ENCODER_ZEROS
 from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
 from gtau.estimation.effects.gain_drift import GAIN_DRIFT
@@ -26,6 +27,7 @@ EFFECTS: tuple[Effect, ...] = (
     GAIN_OF_RUN,
     SATURATION,
     CURRENT_LAG,
+    ELASTICITY,
     ENCODER_ZEROS,
     POSITION_SCALES,
     GRAVITY,

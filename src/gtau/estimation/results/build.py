@@ -169,7 +169,7 @@ def _estimate(
     judged = verdict or parameter_verdict(value, std)
     if name.kind == "delay" and judged.outcome == Outcome.NOT_IDENTIFIABLE:
         std = None
-    model_std = None if std is None else min(float(np.sqrt(vector.model[k, k])), std)
+    model_std = None if std is None else min(float(np.sqrt(max(vector.model[k, k], 0.0))), std)  # but for rounding
     return Estimate(called or name, value, std, unit, verdict=judged, freedom=freedom, model_std=model_std)
 
 
