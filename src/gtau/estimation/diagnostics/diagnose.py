@@ -50,6 +50,7 @@ from gtau.estimation.thresholds.refutation import (
     BEYOND_GEARS,
     FRICTIONLESS,
     GEARED,
+    IMPOSSIBLE_SHARE,
     MODEL_RESIDUAL,
     OTHER_SCALE,
 )
@@ -227,12 +228,20 @@ def _impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     for name, terms in regrouped(dataset.base, dataset.model.parameter_names).items():
         if name in places:
             value, std = estimates[name], float(stds[places[name]])
-            if judge_parameter(value, std, terms).outcome == Outcome.CONTRADICTORY:
+            felt = _felt(fit, places[name], value) > IMPOSSIBLE_SHARE
+            if felt and judge_parameter(value, std, terms).outcome == Outcome.CONTRADICTORY:
                 unit = unit_of(name.kind, dataset.robot, name.body)
                 listed.setdefault(name.body, []).append([name, value, std, unit])
     for body, parameters in listed.items():
         joints = (body,) if body in motors(fit) else motors(fit)
         yield Finding(F.IMPOSSIBLE_PARAMETERS, joints, values={"parameters": parameters}, size=len(parameters))
+
+
+def _felt(fit: Fit, place: int, value: float) -> float:
+    """Compute the largest share of a channel's signal, rms, that a parameter has with a ``value``."""
+    problem = fit.system.problem
+    columns = np.array([np.linalg.norm(R[:, place]) for R in problem.triangles]) / np.sqrt(problem.total_rows)
+    return float(np.max(abs(value) * columns / np.maximum(problem.balance(fit.solution.theta), 1e-300)))
 
 
 def _wrench_contradictions(fit: Fit) -> Iterator[Finding]:

@@ -94,17 +94,20 @@ class Examination:
         """
         if self.refits:
             return self.refits
+        beyond_physics = [effect for effect in self.effects if effect.effect not in DESCRIPTIONS]
         found = [
-            effect
-            for effect in (*self.causes, *self.effects)
+            # of one effect on several joints, all of which change where one does, the largest
+            max((other for other in beyond_physics if other.effect == effect.effect), key=lambda other: abs(other.size))
+            if effect in beyond_physics
+            else effect
+            for effect in (*self.causes, *beyond_physics)
             if effect.description
-            and (effect in self.causes or effect.effect not in DESCRIPTIONS)
             and effect.likelihood > CONTRADICTED
             and effect.share > HARMLESS_SHARE
             and not effect.beyond
             and abs(effect.size) > REFUTED_STD * effect.std
         ]
-        return tuple(sorted(found, key=lambda effect: -effect.share))
+        return tuple(sorted(dict.fromkeys(found), key=lambda effect: -effect.share))
 
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:

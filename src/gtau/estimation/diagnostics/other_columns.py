@@ -2,7 +2,7 @@
 
 - Joints share the parameters of their links, so that one reversed torque contradicts the others. Each is reversed in
   turn, the best first, as long as that explains much more. All reversed together explain the same, with negative
-  masses: the inertias of the robot's file tell these two apart.
+  masses: the inertias of the robot's file decide between the two.
 - A parallelogram holds the angle of a joint against the link before the preceding one, and its motor stands there:
   Fanuc, ABB and palletisers log ``J2 + J3`` as J3. The motor becomes a joint of its own, coupled to both.
 """

@@ -18,7 +18,7 @@ from gtau.estimation.regression.run_blocks import WINDOWS
 
 # The posterior takes the sizes of effects and noise for known, and robots have effects that are not on the list. Of 237
 # gains of seven robots with ten departures 86 % of intervals hold as they are (rms z 1.41), and 95 % (1.00) with both.
-WIDER = 1.15  # of all standard deviations
+WIDER = 1.15  # of a gain's standard deviation
 FLOOR = 5e-4  # of a gain
 STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
 
@@ -70,8 +70,13 @@ def estimate_effects(fit: Fit, effects: Sequence[Effect] = EFFECTS) -> Mixed | N
     # the delay of a model without the effects is that of the plain fit: a lag stands for a part of it
     delays = fit.system.problem.unknowns.delays
     values = np.concatenate([values[: delays.start], fit.solution.values[delays]])
-    random, covariance = _random(mixed, linear), WIDER**2 * covariance
-    covariance[gain_rows, gain_rows] += np.diag((FLOOR * values[gain_rows]) ** 2)
+    random = _random(mixed, linear)
+    if fit.free_gains:
+        wider = np.ones(len(values))
+        wider[gain_rows] = WIDER
+        covariance = covariance * np.outer(wider, wider)
+        known = np.diag(covariance)[gain_rows] == 0
+        covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * values[gain_rows]) ** 2))
     part = np.sqrt(np.minimum(np.diag(covariance) / np.maximum(np.diag(random), 1e-300), 1.0))  # but for rounding
     return Mixed(rows, mixed, linear, values, covariance, random * part[:, None] * part)
 

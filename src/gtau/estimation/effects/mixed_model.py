@@ -23,7 +23,8 @@ import numpy as np
 
 BOUNDS = (-7.0, 4.0)  # of log s: an effect from a thousandth to fifty times its plausible size
 START = -1.2  # of log s: all effects at a third of their plausible sizes
-PASSES, SETTLED = 5, 0.03  # of noise and effects in turn, until no deviation of the noise changes by more
+ROUNDING = 1e-9  # of the squares of a column, which products of rows without noise may lack
+PASSES, SETTLED = 5, 0.03  # of noise and effects in turn, until no standard deviation of the noise changes by more
 LARGEST_CORRELATION = 0.98  # partial autocorrelation that is believed
 LEAST_STD = 1e-3  # of the noise, in standard deviations of the fit: a channel without a signal has none
 LEAST_FREEDOM = 0.2  # share of the rows, at least, that count for the noise
@@ -182,6 +183,7 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     for gram in grams:
         A = gram[:m, :m] * own[:, None] * own
         A[range(m), range(m)] += 1.0
+        A[range(m), range(m)] *= 1 + ROUNDING
         L = cholesky(A, lower=True, check_finite=False)
         V = solve_triangular(L, gram[:m, m:] * own[:, None] * border, lower=True, check_finite=False)
         S += gram[m:, m:] * border[:, None] * border - V.T @ V

@@ -208,6 +208,13 @@ MODEL_RESIDUAL = Threshold(
     faulty="0.006 (target moments of a UR10e), 0.01 (simulated)",
     evidence="zoo, benchmarks/effort.py",
 )
+IMPOSSIBLE_SHARE = Threshold(
+    0.02,
+    "share of a joint's torque, rms, that a parameter with an impossible sign has, below which it is an effect's",
+    healthy="0.007 (friction of a passive joint of a 3-RRR with nine effects at once)",
+    faulty="0.1 and more (tests/estimation/test_unit_checks.py)",
+    evidence="benchmarks/calibration.py",
+)
 GEARED = Threshold(
     5.0,
     "least torque scale of the joints, from which torques are those of motors before their gears",
