@@ -70,7 +70,7 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
     F = np.array([common for _, _, common, _ in listed])
     own = [np.array([parts[j] for *_, parts in listed]) for j in range(len(mixed.model.rows))]
     mean, covariance = at.move(F / plausible[:, None], [part / plausible[:, None] for part in own])
-    precision = np.linalg.inv(covariance)
+    precision = np.linalg.pinv(covariance, rcond=SPANNED, hermitian=True)
     information, score = precision - np.eye(len(listed)), precision @ mean
     explained, chosen, found = Explained(result), list[int](), list[EstimatedEffect]()
     while len(chosen) < len(listed):
