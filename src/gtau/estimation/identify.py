@@ -21,6 +21,7 @@ from gtau.estimation.diagnostics.log_checks import (
     require_payload_excitation,
     smoothed_commands,
 )
+from gtau.estimation.diagnostics.other_columns import angle_of_parallelogram
 from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
 from gtau.estimation.diagnostics.stated_constants import sensor_scales, sensor_verdict, weigh_known
 from gtau.estimation.diagnostics.verdict import Outcome
@@ -155,6 +156,11 @@ def _identified(subject: Subject, dataset: Dataset, system: System, progress: Pr
             result = estimate(dataset, estimator, gains, options, progress)
         except GtauError:
             require_payload_excitation(system)
+            if gains is None and (angle := angle_of_parallelogram(system, progress)):
+                what, action = angle.sentence
+                raise GtauError(
+                    f"the robot as described gives no drive gains; {what} explains the logs: {action}."
+                ) from None
             raise
         if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
             require_payload_excitation(system)

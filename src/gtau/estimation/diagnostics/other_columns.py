@@ -19,8 +19,8 @@ from gtau.estimation.diagnostics.refits import described_otherwise, residual_rat
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
-from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
+from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
 from gtau.estimation.thresholds.refutation import REVERSED_LEFT, TURNED_LEFT
 from gtau.findings import Finding
@@ -74,7 +74,8 @@ def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | N
             continue
         if (ratio := residual_ratio(other, own)) < remains:
             remains, best = ratio, other
-            what = f"an angle of '{joint}' that is measured from the link before '{before}' (a parallelogram)"
+            beside = fit.dataset.robot.joint(before).antecedent
+            what = f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,"
             action = (
                 "log the angle between the links, or describe the parallelogram in the robot file, as the catalog's "
                 f"'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link"
@@ -82,6 +83,15 @@ def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | N
             cause = Finding(COLUMNS, (joint,), values={"what": what, "action": action, "remains": ratio})
     progress("angles from other links", len(described), len(described))
     return None if cause is None else described_otherwise(fit, COLUMNS, cause, best, own)
+
+
+def angle_of_parallelogram(system: System, progress: Progress) -> Finding | None:
+    """Say which angle makes the iteration of the gains diverge, if one does."""
+    try:
+        angle = angle_from_another_link(fit_by(likeliest, system, free_gains=True), progress)
+    except GtauError:
+        return None
+    return None if angle is None else angle.cause
 
 
 def _with_parallelogram(robot: Robot) -> Iterator[tuple[str, str, Robot]]:

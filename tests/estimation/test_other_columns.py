@@ -1,0 +1,60 @@
+"""Torques that are reversed, and angles that a parallelogram measures from another link, are named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gravity_logs import logged
+
+from gtau.estimation.diagnostics.other_columns import _with_parallelogram, angle_of_parallelogram
+from gtau.estimation.identify import identify
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.results.result import Result
+from gtau.model.home import load_robot
+from gtau.progress import silent
+from gtau.robots.robot import Robot
+
+UR10E = load_robot("ur10e")
+
+
+def causes(result: Result) -> dict[str, tuple[str, ...]]:
+    """Causes of the verdicts, with the joints that they are of."""
+    found = [gain.verdict.finding for gain in result.drive_gains.values() if gain.verdict.finding]
+    return {cause.what: cause.joints for finding in found for cause in finding.causes}
+
+
+def parallelogram(robot: Robot) -> tuple[str, Robot]:
+    joint, _, other = next(iter(_with_parallelogram(robot)))
+    return joint, other
+
+
+@pytest.mark.parametrize("joint", ["shoulder_lift_joint", "wrist_1_joint"])
+def test_one_reversed_torque_is_named(joint: str) -> None:
+    signs = np.where(np.array(UR10E.actuated) == joint, -1.0, 1.0)
+    runs = [replace(run, command=np.asarray(run.command) * signs) for run in logged(UR10E, UR10E.gravity, False)]
+    result = identify(UR10E, runs)
+    ((what, joints),) = causes(result).items()
+    assert (what, joints) == (f"reversed torques of '{joint}'", (joint,))
+    assert not result.accepted
+
+
+def test_torques_as_they_are_reverse_nothing() -> None:
+    assert identify(UR10E, logged(UR10E, UR10E.gravity, False)).accepted
+
+
+def test_an_angle_of_a_parallelogram_is_named() -> None:
+    joint, other = parallelogram(UR10E)
+    result = identify(UR10E, logged(other, other.gravity, False))
+    ((what, joints),) = causes(result).items()
+    assert "as with a parallelogram" in what
+    assert joints == (joint,)
+
+
+@pytest.mark.parametrize("wrong", [True, False])
+def test_gains_that_are_not_found_are_explained(wrong: bool) -> None:
+    robot = parallelogram(UR10E)[1] if wrong else UR10E
+    system = reduce_runs(UR10E, logged(robot, robot.gravity, True)).system(per_run=True)
+    angle = angle_of_parallelogram(system, silent)
+    assert (angle is not None) == wrong
