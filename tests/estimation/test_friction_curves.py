@@ -71,7 +71,7 @@ def test_terms_and_parameters_are_found(result: gtau.Result) -> None:
     assert {name for name in found if name.body in result.curves} == set(truth)
     for name in truth:
         estimate = found[name]
-        low, high = estimate.interval(0.999)
+        low, high = estimate.interval(0.9999)
         assert low <= truth[name] <= high, estimate
 
 
