@@ -14,12 +14,12 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
+from gtau.estimation.diagnostics.linearisation import FitWindow, weights_of
 from random_part import NOISE, QUIET, RATE, Case, make_case, spoilt
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.diagnostics.linearisation import FitWindow, weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.newton import to_gains
