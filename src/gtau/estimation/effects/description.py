@@ -26,7 +26,7 @@ def estimated_effects(result: Mixed) -> tuple[EstimatedEffect, ...]:
 
 def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
     """List the effects: each column that all joints share, and of each drive the largest one."""
-    mixed, explained = result.mixed, Explained(result)
+    mixed, explained = result.mixed, Influence(result)
     for number, layout in enumerate(result.rows.layouts):
         if mixed.sizes[number] < SEEN:
             continue
@@ -72,7 +72,7 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
     mean, covariance = at.move(F / plausible[:, None], [part / plausible[:, None] for part in own])
     precision = np.linalg.pinv(covariance, rcond=SPANNED, hermitian=True)
     information, score = precision - np.eye(len(listed)), precision @ mean
-    explained, chosen, found = Explained(result), list[int](), list[EstimatedEffect]()
+    explained, chosen, found = Influence(result), list[int](), list[EstimatedEffect]()
     while len(chosen) < len(listed):
         # what is left of each once those chosen are fitted
         held = information[np.ix_(chosen, chosen)]
@@ -133,7 +133,7 @@ def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[Effec
         yield replace(layout.columns[k], joint=joint, about=about or layout.columns[k].about), common, own
 
 
-class Explained:
+class Influence:
     """What columns of some size explain of the residuals of plain least squares, and by how much they move gains."""
 
     def __init__(self, result: Mixed) -> None:
