@@ -24,7 +24,8 @@ STAYS, MOVED = 0.1, 0.02
 # one, or where it stays ALONE times as long as at any other time. Zeros, which may be the dead band of a sensor that
 # reversals pass again and again, must be of all moving joints or ALONE times as long as other zeros, too.
 ALONE = 4.0
-# Noise of motors that are off, over the largest command of each joint; all moving joints must then be off together. In
+# Noise of motors that are off, over the largest command of each joint; all moving joints must then be off together, and
+# log finer steps than that: coarse ones are zero about each reversal. In
 # 25 healthy shared logs of ten robots all are for 0.05 s at most (Orthoglide, at rest).
 OFF = 0.02
 # Steps in the range of a coarse command: 30 and more in those logs (the last joint of an xMate 7). Its plateaus are
@@ -88,8 +89,9 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
         return spell.value != 0 or together or all(ALONE * other.samples < spell.samples for other in zeros)
 
     held = [spell for own in spells.values() for spell in own if at_fault(spell)]
-    off = [spell for spell in _spells(samples, OFF * np.maximum(-ends[0], ends[1])) if in_motion(spell)]
-    off = [spell for spell in off if spell.value == 0]
+    noise = OFF * np.maximum(-ends[0], ends[1])
+    off = [spell for spell in _spells(samples, noise) if in_motion(spell)]
+    off = [spell for spell in off if spell.value == 0 and noise[spell.channel] > quanta[spell.channel]]
     if len(moving) > 1:
         held += [one for one in off if all(any(one.beside(k) for k in off if k.channel == j) for j in moving)]
     if not held:
@@ -191,7 +193,7 @@ def whole_numbers(command: np.ndarray, joints: int) -> float:
 # 0.39; 13 sets as they are, where neighbours are positive, -0.18 (Aliengo) and -0.09 (others) at the least.
 AVERAGED, TWICE = -0.35, 0.1
 SHORTEST, LONGEST, FEWEST = 0.05, 2.0, 8  # s, s, samples: shorter ones take little of a motion, or are a noise's colour
-USED = 1 << 17  # samples
+USED = 1 << 16  # samples
 
 
 def window_of_commands(command: np.ndarray, rate: float) -> float | None:
