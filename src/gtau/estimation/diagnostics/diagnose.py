@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.estimation.diagnostics.effort import stated_meaning
-from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
 from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
@@ -85,7 +85,7 @@ def diagnose(
         *(_wrench_contradictions(fit) if robot.floating else ()),
         *_impossible_parameters(fit, estimates),
         *unlike_legs(fit, estimates),
-        *_wrong_priors(fit, estimates, accuracy),
+        *_wrong_priors(fit, examined, estimates, accuracy),
         *units_and_signs(fit, estimates, prior_gains, audit),
     ]
     if audit is not None:
@@ -277,10 +277,13 @@ def base_misfit(fit: Fit) -> dict[str, float]:
     }
 
 
-def _wrong_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
+def _wrong_priors(fit: Fit, examined: Examination, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
     """Find contradictory priors; one on the mass of a floating robot is against all gains."""
     dataset = fit.dataset
     mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
+    mixed = examined.mixed
+    if mixed is not None and len(mixed.values) == len(estimates.values):  # not the paper's essential ones
+        estimates = estimates_of(fit, examined, correlated=True, mixes=False)  # effects explain part of a wrong prior
     for finding in prior_contradictions(fit, estimates.covariance, accuracy):
         yield finding
         if finding.subject == mass:
