@@ -115,7 +115,7 @@ def _form(value: float, spec: str) -> str:
 
 
 def _percent(share: float, spec: str) -> str:
-    """Write a share per cent; above ten times the whole it says no more than that."""
+    """Write a share in per cent, or "more than 1000 %" above ten times the whole."""
     return f"{_form(100 * share, spec)} %" if abs(share) <= MOST_PERCENT / 100 else f"more than {MOST_PERCENT:g} %"
 
 

@@ -1,4 +1,4 @@
-"""Let MuJoCo read a foreign file first in a process of its own, which may die, hang or ask for all memory."""
+"""Let MuJoCo load an untrusted file in a separate process first: it may crash, hang or exhaust the memory."""
 
 from __future__ import annotations
 

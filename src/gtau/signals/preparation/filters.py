@@ -54,7 +54,7 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
 
 
 def cutoff_at_ends(seconds: float) -> float:
-    """Return the least cut-off (Hz) whose ends take no more than ``LARGEST_ENDS`` of a log of so many ``seconds``."""
+    """Return the lowest cut-off (Hz) that discards at most ``LARGEST_ENDS`` of a log of this length (``seconds``)."""
     return 2 * EDGE / (LARGEST_ENDS * seconds)
 
 
