@@ -43,6 +43,8 @@ class Finding:
         Instant in the log, s.
     share : float, optional
         Share of the samples that it concerns.
+    text, advice : str
+        What was found, and what to do about it; empty where the templates have the words.
     """
 
     kind: str
@@ -54,6 +56,8 @@ class Finding:
     source: str = ""
     time: float | None = None
     share: float | None = None
+    text: str = ""
+    advice: str = ""
 
     def __str__(self) -> str:
         """Compose the sentence."""
@@ -89,6 +93,8 @@ class Finding:
     @property
     def sentence(self) -> Sentence:
         """What was found and what to do about it, wrenches first where they may be the cause and none of them is."""
+        if self.text:
+            return self.text, self.advice
         if "what" in self.values:
             return self.values["what"], self.values.get("action", "")
         first, last = (self.joints[0], self.joints[-1]) if self.joints else ("", "")
