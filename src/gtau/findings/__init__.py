@@ -4,5 +4,6 @@ from __future__ import annotations
 
 from gtau.findings.finding import Finding as Finding
 from gtau.findings.kind import FindingKind as FindingKind
+from gtau.findings.kind import Grade as Grade
 from gtau.findings.kind import Outcome as Outcome
 from gtau.findings.kind import Severity as Severity

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from gtau.findings.kind import FindingKind as F
-from gtau.findings.kind import Severity
+from gtau.findings.kind import Grade, Severity
 from gtau.findings.words import Sentence, clock_advice, filled, phrase, write_limits
 
 COSTLY_REPAIR = 0.02
@@ -44,7 +44,14 @@ class Finding:
     share : float, optional
         Share of the samples that it concerns.
     text, advice : str
-        What was found, and what to do about it; empty where the templates have the words.
+        What was found, and what to do about it; empty where the templates have the words. ``{own}`` in the text stands
+        for what differs from joint to joint.
+    own : str
+        What stands for ``{own}`` in the text of this joint, such as ``+-5.3 %``.
+    grade : Grade, optional
+        How much it matters; None where the kind tells.
+    shown_as : str
+        What files show as its kind, where several kinds share it; the kind itself otherwise.
     """
 
     kind: str
@@ -58,6 +65,9 @@ class Finding:
     share: float | None = None
     text: str = ""
     advice: str = ""
+    own: str = ""
+    grade: Grade | None = None
+    shown_as: str = ""
 
     def __str__(self) -> str:
         """Compose the sentence."""
@@ -82,11 +92,15 @@ class Finding:
     @property
     def topic(self) -> str:
         """What files show as its kind: the same for kinds that matter alike."""
+        if self.text:
+            return self.shown_as or self.kind
         return F(self.kind).topic
 
     @property
     def severity(self) -> Severity:
         """How much it matters, of repairs by the share of samples lost."""
+        if self.grade is not None:
+            return Severity(self.grade)
         costly = self.topic == F.REPAIR and (self.share or 0.0) > COSTLY_REPAIR
         return Severity.WARNING if costly else F(self.kind).severity
 
@@ -94,7 +108,8 @@ class Finding:
     def sentence(self) -> Sentence:
         """What was found and what to do about it, wrenches first where they may be the cause and none of them is."""
         if self.text:
-            return self.text, self.advice
+            log = f"{self.values['log']}: " if "log" in self.values else ""
+            return log + self.text.replace("{own}", self.own), self.advice
         if "what" in self.values:
             return self.values["what"], self.values.get("action", "")
         first, last = (self.joints[0], self.joints[-1]) if self.joints else ("", "")

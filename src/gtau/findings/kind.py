@@ -5,6 +5,24 @@ from __future__ import annotations
 from enum import StrEnum
 
 
+class Grade(StrEnum):
+    """How much a finding matters: for a log, information, a warning or an error; for an estimate, the other values."""
+
+    GIVEN = "given"
+    GOOD = "good"
+    INFORMATION = "information"
+    WARNING = "warning"
+    WEAK = "weak"
+    NOT_IDENTIFIABLE = "not identifiable"
+    CONTRADICTORY = "contradictory"
+    ERROR = "error"
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of ``gtau check`` where this is the worst finding."""
+        return {Grade.ERROR: 2, Grade.WARNING: 3}.get(self, 0)
+
+
 class Outcome(StrEnum):
     """Outcomes of judging an estimate, the best first."""
 

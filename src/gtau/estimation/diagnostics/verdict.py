@@ -52,7 +52,7 @@ ALONE = frozenset({F.NEGATIVE_GAIN, F.GAINS_APART, F.LARGE_CURRENT})
 
 def verdict_of(finding: Finding) -> Verdict:
     """Judge an estimate by one finding."""
-    return Verdict(OUTCOMES[finding.kind], finding)
+    return Verdict(OUTCOMES[finding.kind] if finding.grade is None else Outcome(finding.grade), finding)
 
 
 def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict = GOOD) -> dict[str, Verdict]:
