@@ -27,15 +27,16 @@ from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.diagnose import GEARED
 from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
+from gtau.estimation.diagnostics.unit_checks import BEYOND_GEARS
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.results.conclusions import findings
-from gtau.estimation.thresholds.refutation import BEYOND_GEARS, GEARED
 from gtau.findings import FindingKind as F
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Limits, Mdh, Robot

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 import gtau.estimation.regression.dataset
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.identify import identify
-from gtau.estimation.thresholds.estimates import INFLATED
+from gtau.estimation.results.conclusions import INFLATED
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -18,8 +18,8 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.other_robots import OTHER_GRAVITY
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.identify import identify
+from gtau.estimation.results.conclusions import INFLATED
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import INFLATED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters

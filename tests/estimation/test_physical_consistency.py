@@ -17,7 +17,9 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.standard_parameters import (
     BASIS,
+    LAST_OVERHANG,
     MARGIN,
+    OVERHANG,
     Body,
     ball_row,
     constrained_least_squares,
@@ -26,7 +28,6 @@ from gtau.estimation.estimators.standard_parameters import (
 )
 from gtau.estimation.identify import identify
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.robots.geometry import extent, longest_placement

@@ -30,14 +30,13 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators import maximum_likelihood
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.estimators.maximum_likelihood import ML, ml, own_share
+from gtau.estimation.estimators.maximum_likelihood import HIDDEN_KNOWN, ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.identify import identify
 from gtau.estimation.preconditions import refuse_repeated
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import HIDDEN_KNOWN
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics

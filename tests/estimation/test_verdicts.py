@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import gtau.estimation.diagnostics.diagnose
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.diagnose import _estimated_gains, base_misfit
+from gtau.estimation.diagnostics.diagnose import BASE_MISFIT, _estimated_gains, base_misfit
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.verdict import (
     GOOD,
@@ -38,10 +38,9 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS
-from gtau.estimation.results.conclusions import Reason, headline, reasons
+from gtau.estimation.results.conclusions import INFLATED, Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import BASE_MISFIT, INFLATED
 from gtau.findings import Finding, Severity
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity

@@ -16,13 +16,14 @@ from gtau.campaigns.folder import WARM_UP, Round
 from gtau.documents.files import write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import APART
+from gtau.estimation.effects.description import CONTRADICTED
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
 from gtau.estimation.effects.gain_drift import GAIN_DRIFT
 from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.refutation import APART, CONTRADICTED
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Outcome
 from gtau.findings.words import to_width

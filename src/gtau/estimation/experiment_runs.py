@@ -12,7 +12,6 @@ from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.assembly import inertia_priors
-from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -26,6 +25,8 @@ from gtau.signals.run import Run, read_parts
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.geometry import GeometryTest
+
+ACCURACY = 0.03  # half the relative width of a gain's 95 % interval
 
 OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_run."
 

@@ -28,7 +28,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.registry import estimator_of
-from gtau.estimation.experiment_runs import Options, Subject, geometry_of, options_of, read, read_validation
+from gtau.estimation.experiment_runs import ACCURACY, Options, Subject, geometry_of, options_of, read, read_validation
 from gtau.estimation.preconditions import given_gains, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
@@ -36,7 +36,6 @@ from gtau.estimation.results.build import evidence, fit_record, model_estimates,
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.friction_curves import friction_step
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.interpreter.program import single_threaded_blas

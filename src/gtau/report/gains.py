@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.experiment_runs import ACCURACY
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.estimates import ACCURACY
 from gtau.findings.words import percent_text, to_width
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals

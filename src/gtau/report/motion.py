@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 
 from gtau.estimation.diagnostics.geometry import GeometryTest, percent
+from gtau.estimation.results.conclusions import NEAR_SINGULAR
 from gtau.estimation.results.estimate import NearestPose
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.logs import NEAR_SINGULAR, POSE_DELAY_STD
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table_of
@@ -18,6 +18,8 @@ from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
 from gtau.signals.storage import rows_at
+
+POSE_DELAY_STD = 0.02  # standard deviation of the delay of a pose, s, above which it is not shown
 
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 """Names of the types of singularities."""

@@ -24,11 +24,18 @@ import numpy as np
 from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.stated_constants import prior_contradictions, sensor_contradictions, sensor_scales
-from gtau.estimation.diagnostics.unit_checks import units_and_signs, unlike_legs
+from gtau.estimation.diagnostics.stated_constants import (
+    MISFIT_GIVEN,
+    prior_contradictions,
+    sensor_contradictions,
+    sensor_scales,
+)
+from gtau.estimation.diagnostics.unit_checks import BEYOND_GEARS, units_and_signs, unlike_legs
 from gtau.estimation.diagnostics.verdict import (
+    APART,
     GIVEN,
     GOOD,
+    NEGATIVE_STD,
     OUTCOMES,
     Outcome,
     Verdict,
@@ -42,18 +49,8 @@ from gtau.estimation.diagnostics.verdict import (
 from gtau.estimation.effects.effect import Levels
 from gtau.estimation.effects.torque_scale import TORQUE_SCALE
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.problem import Estimates
-from gtau.estimation.thresholds.estimates import BASE_MISFIT, LOST_GAIN, MISFIT, MISFIT_GIVEN, NAMED_SHARE, NEGATIVE_STD
-from gtau.estimation.thresholds.refutation import (
-    ALIKE,
-    APART,
-    BEYOND_GEARS,
-    FRICTIONLESS,
-    GEARED,
-    IMPOSSIBLE_SHARE,
-    MODEL_RESIDUAL,
-    OTHER_SCALE,
-)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped, whole_mass
@@ -61,6 +58,16 @@ from gtau.robots.parameter import Parameter, unit_of
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
+LOST_GAIN = 0.5  # relative random standard deviation of a gain
+NAMED_SHARE = 0.5  # share of the model part in a gain's variance from which its cause is named
+BASE_MISFIT = 0.15  # share of the forces, or of the moments, on a floating base that is unexplained
+OTHER_SCALE = 0.2  # other scale of one joint's torques, beyond three standard deviations, that contradicts them
+ALIKE = 0.05  # probability that the torque scales of joints which share one differ by as much
+FRICTIONLESS = 0.02  # friction over torque, rms, of the joint with most of it: below, torques are those of a model
+MODEL_RESIDUAL = 0.02  # unexplained share of the joint with most of it, below which torques are those of a model
+IMPOSSIBLE_SHARE = 0.02  # share of a joint's rms torque with an impossible sign, below which an effect explains it
+GEARED = 5.0  # least torque scale of the joints, from which torques are those of motors before their gears
 
 WIDTH = 1.96  # standard deviations in half a 95 % interval
 

@@ -26,26 +26,26 @@ import numpy as np
 
 from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, beside, joint_rows, unexplained
 from gtau.estimation.effects.linearisation import least_squares_step
+from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.thresholds.estimates import MISFIT
-from gtau.estimation.thresholds.logs import LATE, LATE_STEADY
-from gtau.estimation.thresholds.refutation import (
-    AS_WELL,
-    GRAVITY_MISFIT,
-    HARDLY_NEGATIVE,
-    LIKELY_SHARES,
-    MEANING_CLOSE,
-    NO_GRAVITY,
-    RETRIED,
-    SIGN_STD,
-    SWAPPED,
-    TINY,
-    WITH_GRAVITY,
-)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import of_drive
+
+LATE = 0.5  # unexplained share of a joint's current, shifted by more than a delay can be, over that as logged
+LATE_STEADY = 0.6  # unexplained share of the shifted current over the share that terms without acceleration leave
+GRAVITY_MISFIT = 0.1  # unexplained share of a joint's signal, from which gravity along other axes is tried
+SWAPPED = 0.5  # unexplained share with the other joint's current over that with its own
+LIKELY_SHARES = 1.92  # log likelihood below the largest that bounds a 95 % interval of one unknown
+SIGN_STD = 2.0  # size of a coefficient in standard deviations, above which it has a sign
+RETRIED = 2.0  # share that a joint's columns leave over that of its own parameters: more is tried with other columns
+HARDLY_NEGATIVE = 0.05  # most negative value over the largest of a column of magnitudes behind a filter
+TINY = 1e-9  # share of a torque that is rounding
+NO_GRAVITY = 0.1  # coefficient of gravity beside inertia, down to which its interval reaches if torques may have none
+WITH_GRAVITY = 0.75  # coefficient of gravity that the interval excludes if torques have none
+MEANING_CLOSE = 3.0  # log likelihood by which a meaning of effort is likelier, up to which the other is said too
+AS_WELL = 1.1  # residual variance without gravity over with it, up to which compensation explains torques as well
 
 AS_STATED, NONE = "as stated", "none of these"
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried

@@ -7,14 +7,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import UNRANKED, effort_findings, rank_meanings, stated_meaning
+from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, UNRANKED, effort_findings, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_columns import angle_from_another_link, reversed_torques
-from gtau.estimation.diagnostics.other_robots import likeliest_gravity, other_body, other_loads
-from gtau.estimation.diagnostics.position_noise import position_noise
+from gtau.estimation.diagnostics.other_robots import (
+    REFUTED_SHARE,
+    REFUTED_STD,
+    likeliest_gravity,
+    other_body,
+    other_loads,
+)
+from gtau.estimation.diagnostics.position_noise import FEWEST_FOR_TESTS, position_noise
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.diagnostics.verdict import OUTCOMES, unexplained_shares
-from gtau.estimation.effects.description import contradictions, estimated_effects
+from gtau.estimation.effects.description import CONTRADICTED, contradictions, estimated_effects
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import Mixed, estimate_effects
 from gtau.estimation.effects.registry import EFFECTS
@@ -22,18 +28,13 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS, LACKING
-from gtau.estimation.thresholds.refutation import (
-    CONTRADICTED,
-    GRAVITY_MISFIT,
-    HARMLESS_SHARE,
-    LARGEST_MOVE,
-    REFUTED_SHARE,
-    REFUTED_STD,
-)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.progress import Progress, silent
+
+LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
+LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
+HARMLESS_SHARE = 0.3  # share of the residual variance that an effect explains, up to which it is information
 
 DESCRIPTIONS = {effect.name for effect in EFFECTS if effect.description}
 

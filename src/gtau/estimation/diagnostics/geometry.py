@@ -26,15 +26,6 @@ from gtau.estimation.diagnostics.pose_fit import (
     unfitted,
 )
 from gtau.estimation.regression.rows import instants
-from gtau.estimation.thresholds.logs import (
-    GEOMETRY_ALIKE,
-    GEOMETRY_CHANGE,
-    GEOMETRY_FREE,
-    GEOMETRY_LIKELY,
-    GEOMETRY_RMS,
-    GEOMETRY_SHARE,
-    GEOMETRY_STD,
-)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -44,6 +35,14 @@ from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
 from gtau.signals.reading.body_columns import PoseColumns
 from gtau.signals.reading.side_signals import LoggedPoses
+
+GEOMETRY_SHARE = 0.5  # share of the remaining variance of the pose residuals that a length or an encoder zero explains
+GEOMETRY_STD = 6.0  # change of a length or zero that explains the pose, in standard deviations
+GEOMETRY_CHANGE = 0.005  # change of that constant, of its length, of the robot's mean length (zeros in m), or in rad
+GEOMETRY_RMS = 0.01  # rms distance of logged and computed positions, of the mean length: with more, not confirmed
+GEOMETRY_LIKELY = 0.5  # share explained to first order, over GEOMETRY_SHARE, from which a constant is fitted for good
+GEOMETRY_ALIKE = 1.5  # squares of the residuals with another constant over those with the best: with less, as likely
+GEOMETRY_FREE = 0.001  # rms effect of a constant on the pose that other free constants leave, over its whole effect
 
 SAMPLES = 400  # of all runs together: residuals are smooth, so that more hardly add anything
 STRETCHES = 8  # of a run, whose residuals are taken for independent of each other

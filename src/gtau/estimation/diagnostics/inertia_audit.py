@@ -19,11 +19,13 @@ from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stack
 from gtau.estimation.regression.assembly import file_sums, inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.regression.problem import Estimates
-from gtau.estimation.thresholds.estimates import INERTIA_CHANCE, INERTIA_EXPLAINED
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import INERTIAL
+
+INERTIA_CHANCE = 0.05  # chance that a correct file has any base parameter contradicted, all tests together
+INERTIA_EXPLAINED = 0.95  # share of the torque variance added by the file: links that explain it suffice
 
 ROTORS = "the rotor inertias"
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]

@@ -21,26 +21,11 @@ from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.effects.effect import Levels
 from gtau.estimation.effects.linearisation import window_motion
 from gtau.estimation.estimators.estimator import Fit, Solution
+from gtau.estimation.estimators.maximum_likelihood import MISFIT
+from gtau.estimation.estimators.newton import DELAY_MOTION
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.estimation.thresholds.estimates import DETERMINED, MISFIT
-from gtau.estimation.thresholds.logs import (
-    DELAY_MOTION,
-    GRAVITY_FELT,
-    LAG_JOINTS,
-    LAG_LEAST,
-    LAG_LOSS,
-    LAG_SAMPLES,
-    LAG_STD,
-    LIMIT_SHARE,
-    STEPS,
-    UNFELT,
-    UNSEEN_MISFIT,
-    UNSEEN_RATIO,
-    WHOLE,
-)
-from gtau.estimation.thresholds.refutation import UNFELT_PAYLOAD
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.robots.robot import INERTIAL, Robot
@@ -48,6 +33,21 @@ from gtau.signals.preparation.bandwidth import end_of_commands
 from gtau.signals.reading.samples import extremes
 from gtau.signals.repair.commands import whole_numbers, window_of_commands
 from gtau.signals.run import Run
+
+DETERMINED = 2.0  # standard deviations of an inertial parameter: logs with a large residual say nothing with all below
+LAG_STD = 4.0  # lag of all commands together behind the motion, in standard errors
+LAG_JOINTS = 2  # joints whose acceleration shows the lag, or all of the robot: friction of one alone may look like it
+LAG_SAMPLES = 1.0  # lag of all commands together behind the motion, samples
+LAG_LEAST = 0.003  # lag of all commands together behind the motion, s
+LAG_LOSS = 0.01  # share of a command that a low-pass of the lag takes away at the bandwidth
+GRAVITY_FELT = 0.06  # torque of gravity over the whole, rms, of the joint that feels it most: below, no test of gravity
+UNFELT = 1e-6  # torque of gravity over the whole, rms, below which no motion changes the torque of gravity
+LIMIT_SHARE = 0.02  # largest torque over its limit of effort, all joints: below, torques are those of motors
+STEPS = 3.0  # largest whole number of commands that are all whole, from which they are shares or counts
+WHOLE = 0.9  # share of commands that are whole numbers, from which all were
+UNSEEN_RATIO = 4.0  # unexplained share of a joint where another's position is frozen, over its share where that moves
+UNSEEN_MISFIT = 0.1  # unexplained share of a joint's current in the run with the frozen position
+UNFELT_PAYLOAD = 1.1  # residual of the currents without the payload over that with it
 
 
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:

@@ -22,11 +22,13 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
 from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
-from gtau.estimation.thresholds.refutation import REVERSED_LEFT, TURNED_LEFT
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.progress import Progress
 from gtau.robots.robot import Coupling, Robot
+
+REVERSED_LEFT = 0.7  # part of the residual variance, geometric mean of all joints, left with one torque reversed
+TURNED_LEFT = 0.5  # part of the residual variance, geometric mean of all joints, left with an angle from another link
 
 COLUMNS = "columns"
 

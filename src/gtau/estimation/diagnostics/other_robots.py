@@ -30,22 +30,21 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.estimation.thresholds.refutation import (
-    GRAVITY_ALIKE,
-    GRAVITY_LEAST,
-    GRAVITY_SHARE,
-    LOAD_ALIKE,
-    LOAD_LEFT,
-    MASS_ABSENT,
-    REFUTED_SHARE,
-    REFUTED_STD,
-)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter, payload_label
 from gtau.signals.reading.statements import Payload
+
+REFUTED_STD = 6.0  # size of a description alternative in standard deviations
+REFUTED_SHARE = 0.05  # share of the residual variance that a description alternative explains
+GRAVITY_SHARE = 0.5  # share of the residual variance that gravity along another axis takes away
+GRAVITY_LEAST = 5.0  # angle from the stated gravity, degrees, below which the linear test of a tilt speaks
+GRAVITY_ALIKE = 1.05  # residual variance over that of the best axis, below which another one explains as much
+LOAD_LEFT = 0.5  # part of the residual variance that is left with another load of a run, or payloads on another body
+MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
+LOAD_ALIKE = 1.01  # residual variance with another load of one run over the least of all runs: below, as likely
 
 
 def other_body(fit: Fit) -> EstimatedEffect | None:

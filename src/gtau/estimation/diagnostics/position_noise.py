@@ -28,12 +28,14 @@ from gtau.estimation.regression.run_blocks import (
     usable_rows,
     window_clusters,
 )
-from gtau.estimation.thresholds.estimates import FEWEST_FOR_TESTS
-from gtau.estimation.thresholds.refutation import DIFFERENT_STD, NOISE_STD
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
+
+FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, alternatives fit the noise and are not tried
+NOISE_STD = 4.0  # Hausman's statistic of instrumental variables, from which noise of the positions is named
+DIFFERENT_STD = 3.0  # difference of another estimator's parameter, standard deviations, that makes it an alternative
 
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
 # and at most that of the position filter times this: instruments above would share more than 3 % of the noise of the

@@ -16,7 +16,15 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.estimation.diagnostics.refits import refitted, residual_ratio
-from gtau.estimation.diagnostics.verdict import GOOD, Outcome, Verdict, known_verdict, unexplained_shares, verdict_of
+from gtau.estimation.diagnostics.verdict import (
+    APART,
+    GOOD,
+    Outcome,
+    Verdict,
+    known_verdict,
+    unexplained_shares,
+    verdict_of,
+)
 from gtau.estimation.effects.linearisation import slopes_of, weighted, weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
@@ -31,14 +39,17 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import FIXED, KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import IN_METRES, LEAST_OTHERS, MISFIT_GIVEN, PAYLOAD_MOVES
-from gtau.estimation.thresholds.refutation import APART
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+
+MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
+PAYLOAD_MOVES = 0.01  # relative move of the gains when a known payload parameter is estimated instead
+IN_METRES = 4.0  # times that a moment must be nearer to mass times the stated value, which is then in m
+LEAST_OTHERS = 0.001  # share of all else in an estimate that has a prior, below which it is the prior
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,32 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import half_widths, motors
+from gtau.estimation.diagnostics.verdict import NEGATIVE_STD, half_widths, motors
 from gtau.estimation.effects.effect import Levels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
-from gtau.estimation.thresholds.estimates import (
-    EFFORT_FACTOR,
-    FILE_ALIKE,
-    FILE_FACTOR,
-    FILE_SHARE,
-    GAINS_APART,
-    LEG_DIFFERENCE,
-    LEG_DIFFERENCE_STD,
-    LEG_PROBABILITY,
-    NEGATIVE_STD,
-    OTHER_UNIT,
-    PRIOR_FACTOR,
-)
-from gtau.estimation.thresholds.logs import (
-    CURRENTS_APART,
-    GRAVITY_RANGE,
-    LARGEST_CURRENT,
-    LARGEST_VOLTAGE,
-    PAYLOAD_DENSITY,
-    SMALLEST_CURRENT,
-)
-from gtau.estimation.thresholds.refutation import BEYOND_GEARS
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped
@@ -54,6 +32,24 @@ from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
+PRIOR_FACTOR = 2.0  # gain over its prior, or the inverse
+GAINS_APART = 15.0  # gain of a joint over the next smaller one, turning joints and slides each among themselves
+FILE_FACTOR = 2.0  # rms of the identified first moments over that of the robot's file, or the inverse
+FILE_ALIKE = 1.5  # factor of a moment over that of all, or the inverse, within which it has that factor
+FILE_SHARE = 2 / 3  # share of the moments within FILE_ALIKE, from which a factor is one of all
+OTHER_UNIT = 10.0  # factor from which a unit is wrong
+EFFORT_FACTOR = 2.0  # rms torque over the joint's limit of effort
+LEG_PROBABILITY = 0.001  # probability that legs which are alike differ by as much
+LEG_DIFFERENCE = 20.0  # difference of a parameter between like legs, per cent
+LEG_DIFFERENCE_STD = 5.0  # difference of a parameter between like legs, standard deviations
+LARGEST_CURRENT = 100.0  # rms current of a joint, A, from which it is rather in mA
+SMALLEST_CURRENT = 0.02  # largest rms current of all joints, A, below which a current stated in mA is rather in A
+LARGEST_VOLTAGE = 1500.0  # rms speed of a joint times its gain, V: what its motor induces, from which a unit is wrong
+GRAVITY_RANGE = 0.04  # strength of gravity from 9.80 m/s2, or 1.62 on the moon, beyond which it is of no place
+PAYLOAD_DENSITY = 100.0  # mass of a payload over the cube of the arm's reach, kg/m3, from which it is rather in g
+CURRENTS_APART = 30.0  # rms current of a joint over the next smaller one, from which units may differ between joints
+BEYOND_GEARS = 1000.0  # largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes
 
 PLACES = (9.80, 1.62)  # m/s2, on earth and on the moon
 

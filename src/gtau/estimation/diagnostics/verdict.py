@@ -10,13 +10,15 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.estimation.thresholds.estimates import NEGATIVE_STD, WEAK_PARAMETER
-from gtau.estimation.thresholds.logs import DELAY_STD
-from gtau.estimation.thresholds.refutation import APART
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings import Outcome as Outcome  # which verdicts have
 from gtau.robots.parameter import Parameter
+
+WEAK_PARAMETER = 0.2  # relative standard deviation of a parameter
+NEGATIVE_STD = 4.0  # standard deviations below zero of a parameter that cannot be negative
+DELAY_STD = 0.25  # relative standard deviation of a delay longer than a sample that is believed
+APART = 3.5  # standard deviations between a declared value of a payload and what all else gives
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,9 @@ from gtau.estimation.effects.linearisation import weights_of
 from gtau.estimation.effects.mixed_model import posterior
 from gtau.estimation.effects.rows import Layout
 from gtau.estimation.effects.run_drift import run_modes
-from gtau.estimation.thresholds.refutation import CLOSE, CONTRADICTED
+
+CONTRADICTED = 8.0  # log-likelihood that is lost without an effect that contradicts the description
+CLOSE = 3.0  # log-likelihood by which a cause is likelier, up to which the other is said too
 
 SPANNED = 1e-6  # information on a column beside others, in plausible sizes: less, and they span it
 SEEN = 0.02  # of its plausible size: an effect below is not listed

@@ -13,9 +13,11 @@ from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import TERMS
-from gtau.estimation.thresholds.estimates import FRICTION_TERM_GAIN, FRICTION_TERM_STD
 from gtau.progress import Progress
 from gtau.robots.parameter import Parameter
+
+FRICTION_TERM_GAIN = 0.02  # share of a joint's residual that a friction term takes away
+FRICTION_TERM_STD = 1 / 3  # relative standard deviation of a friction term
 
 LOAD_PASSES = 6  # at most, over the logs, for load-dependent friction
 LOAD_CONVERGED = 1e-4  # relative change of the gains at convergence

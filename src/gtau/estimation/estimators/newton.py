@@ -14,7 +14,9 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.factors import FIXED, MODEL, SIGNAL, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.logs import DELAY_MOTION, MIRRORED
+
+DELAY_MOTION = 4.0  # standard errors of the share of motion in the current's rate of change
+MIRRORED = 0.05  # share of a joint's error by which that at the negative delay must be larger for the delay to be real
 
 STEPS = 200
 CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration

@@ -17,12 +17,14 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import LAST_OVERHANG, OVERHANG
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import Prior
+
+OVERHANG = 0.5  # reach of a body's mass beyond the ball around its joints, in lengths of the robot's longest link
+LAST_OVERHANG = 1.2  # the same reach of a body that no other follows, in lengths of the longest link
 
 ROOT2 = np.sqrt(2.0)
 MARGIN = 1e-6

@@ -8,7 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, FrictionGroup, FrictionJoint
-from gtau.estimation.thresholds.estimates import POSSIBLE, TERM_SHARE, TERM_T
+
+TERM_T = 2.5  # standard errors, over blocks left out, by which friction with a term is better
+POSSIBLE = 3.0  # friction at rest beyond that of sliding, in rms torques of the motor, from which it is not taken
+TERM_SHARE = 0.05  # share of the squared error of blocks left out that a term of friction takes away
 
 FEWEST_BLOCKS = 6
 KINDS = ("width", "speed", "load", "warm")

@@ -10,16 +10,6 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.estimation.thresholds.logs import (
-    BEYOND_LIMITS,
-    FAR_BEYOND_LIMITS,
-    FARTHEST_SLIDE,
-    FARTHEST_TURN,
-    FASTEST_SLIDE,
-    FASTEST_TURN,
-    LEAST_SLIDE,
-    LEAST_TURN,
-)
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.words import clock_advice, write_limits
@@ -30,6 +20,15 @@ from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, prep
 from gtau.signals.reading.columns import SampleRate
 from gtau.signals.reading.samples import extremes
 from gtau.signals.run import Run
+
+BEYOND_LIMITS = 0.02  # motion outside a joint's limits, of their range, from which a note says so
+FAR_BEYOND_LIMITS = 1.0  # motion outside a joint's limits, of their range, from which the log is refused
+FASTEST_TURN = 30.0  # rms speed of a joint, rad/s, from which the clock or unit is wrong
+FASTEST_SLIDE = 10.0  # rms speed of a joint, m/s, from which the clock or unit is wrong
+FARTHEST_TURN = 40.0  # range of a joint's positions, rad, from which they are rather in deg
+FARTHEST_SLIDE = 30.0  # range of a joint's positions, in lengths of the robot, from which they are rather in mm
+LEAST_TURN = 0.06  # range of the joint that turns most, rad, below which positions said to be in deg are rather in rad
+LEAST_SLIDE = 0.003  # range of the joint that slides most, in lengths of the robot, below which mm are rather m
 
 FASTEST = {"revolute": FASTEST_TURN, "prismatic": FASTEST_SLIDE}
 FARTHEST = {"revolute": FARTHEST_TURN, "prismatic": FARTHEST_SLIDE}

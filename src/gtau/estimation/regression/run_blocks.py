@@ -16,10 +16,12 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.thresholds.logs import REPEATED, REPEATED_PART
 from gtau.signals.preparation.filters import STENCIL
 from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow, joined
 from gtau.signals.storage import rows_at
+
+REPEATED = 0.1  # rms difference of the positions of two shifted runs over the rms of the motion, mean of the joints
+REPEATED_PART = 0.7  # part of the longer of two runs in which both have the motion
 
 BLOCKS = 20  # of a run, which the jackknife leaves out in turn
 ASLEEP = 1e-6  # weight of a sample in a rest

@@ -10,10 +10,12 @@ from gtau.errors import GtauError
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import KNOWN, MODEL, SIGNAL
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.thresholds.estimates import ANSWERED, OWN_BODY
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
+
+OWN_BODY = 0.1  # share of the torque of measured wrenches that no parameter explains: below, a tool may cause it
+ANSWERED = 0.1  # share of the squares of the rest to which the currents answer: below, the rest is noise
 
 
 def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | None], method: str) -> None:

@@ -11,14 +11,15 @@ from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.groups import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
-from gtau.estimation.thresholds.estimates import INFLATED
-from gtau.estimation.thresholds.logs import NEAR_SINGULAR
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import named_causes
 from gtau.findings.words import percent_text
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import FIRST_MOMENTS
+
+INFLATED = 1.8  # ratio of jackknife to white-noise standard errors, from which the summary says so
+NEAR_SINGULAR = 0.05  # distance to a singularity of type 2, below which errors of the model are magnified
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
 NUMBERED = {F.REFUTED, F.WIDE_SCALE, F.WIDE_CAUSE, F.WIDE_RANDOM}

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import yaml
 
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.verdict import APART, Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.thresholds.refutation import APART
 from gtau.findings import FindingKind as F
 from gtau.findings.words import percent_text
 
