@@ -26,6 +26,7 @@ from gtau.estimation.diagnostics.unit_checks import (
     doubtful_payloads,
     units_and_signs,
 )
+from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
@@ -205,7 +206,8 @@ def check_logs(
     notes += few_rows(for_use)
     if not any(note.severity == Severity.ERROR for note in notes):
         subject, known = replace(subject, runs=[log.run for log in for_use]), {note.kind for note in notes}
-        together = _together(subject, reduced(subject, estimator_for(options, used), progress, preparation))
+        estimator = estimator_for(options, used)
+        together = _together(subject, estimator, reduced(subject, estimator, progress, preparation))
         notes += [note for note in together if F(note.kind).outcome is None or note.kind not in known]
     return ExperimentCheck(robot, preparation, tuple(checked), tuple(notes), geometry)
 
@@ -251,25 +253,25 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
             yield Finding(F.ROWS, (of_joint[0].joint,), values={"rows": rows})
 
 
-def _together(subject: Subject, dataset: Dataset) -> list[Finding]:
+def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[Finding]:
     """List findings that need all runs: the scale of the gains, units, the payload's effect, inseparable parameters."""
     system = dataset.system()
     notes, planned = [*command_lag(dataset, system), *not_separated(system.unexcited)], None
     payloads = [run.payload for run in dataset.runs if run.payload is not None]
     if payloads and not system.problem.scaled and all(payload.mass is None for payload in payloads):
         with suppress(GtauError):
-            planned = plan(subject, dataset, system)
+            planned, *_ = plan(subject, estimator, dataset, system)
         if planned is None:
             return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
     else:
         with _noted(notes, F.SCALE):
-            planned = plan(subject, dataset, system)
-    if planned is not None and planned[1] is None:  # gains that are estimated
+            planned, *_ = plan(subject, estimator, dataset, system)
+    if planned is not None and planned.gains is None:  # gains that are estimated
         with _noted(notes, F.MODEL):
             require_payload_excitation(system)
     if planned is not None:
         with suppress(GtauError):  # of equations that only the friction selected for them can solve
-            notes += _units(subject, system, planned[1])
+            notes += _units(subject, system, planned.gains)
     return notes
 
 

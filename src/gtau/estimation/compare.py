@@ -113,9 +113,9 @@ def compare(
         start, by_method = perf_counter(), replace(subject, options=replace(subject.options, method=method))
         try:
             estimator = require_inputs(by_method)
-            planned = plan(by_method, dataset, system)
+            (planned,) = plan(by_method, estimator, dataset, system)
             usable = dataset if estimator.takes_priors else replace(dataset, priors={})
-            result = estimate(usable, *planned, by_method.options, said)
+            result = estimate(usable, estimator, planned.gains, by_method.options, said)
         except GtauError as refusal:
             return MethodRow(method, refusal=str(refusal))
         seconds, gains = perf_counter() - start, result.drive_gains.values()
@@ -131,8 +131,7 @@ def compare(
     with single_threaded_blas():
         dataset = reduced(subject, estimator_of("ml"), progress)
         system = dataset.system()
-        plan(subject, dataset, system)  # refuses runs that do not fix the scale
-        rows = []
+        plan(subject, estimator_of("ml"), dataset, system)  # refuses runs that do not fix the scale
         rows = [row(name) for name in NAMES]
     robot, kind = subject.robot, dataset.runs[0].kind
     units = tuple(gain_unit(robot, joint, kind) for joint in robot.motors)

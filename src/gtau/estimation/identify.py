@@ -27,9 +27,8 @@ from gtau.estimation.diagnostics.stated_constants import sensor_scales, sensor_v
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
-from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.experiment_runs import ACCURACY, Options, Subject, geometry_of, options_of, read, read_validation
-from gtau.estimation.preconditions import given_gains, plan, reduced, require_inputs
+from gtau.estimation.preconditions import Attempt, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
@@ -134,7 +133,7 @@ def identify(
     with single_threaded_blas():
         dataset = reduced(subject, estimator, progress)
         system = dataset.system()
-        result = _identified(subject, dataset, system, progress)
+        result = _identified(subject, estimator, dataset, system, progress)
         geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
         beside = [*([geometry.note] if geometry else []), *smoothed_commands(dataset.runs)]
         beside += command_lag(dataset, system)
@@ -146,46 +145,42 @@ def identify(
         return result.replaced(requirements=tuple(_requirements(result, experiment, progress)))
 
 
-def _identified(subject: Subject, dataset: Dataset, system: System, progress: Progress) -> Result:
-    """Estimate as planned, and again by given gains where the runs turn out not to show the scale of torques."""
-
-    def estimated(estimator: Estimator, gains: np.ndarray | None) -> Result:
-        """Estimate, and refuse a payload that the currents never felt where no gain can be believed."""
+def _identified(subject: Subject, estimator: Estimator, dataset: Dataset, system: System, progress: Progress) -> Result:
+    """Make the planned attempts in turn, until one finds the gains or none is left."""
+    *attempts, last = plan(subject, estimator, dataset, system)
+    untested: tuple[Finding, ...] = ()
+    if last.untested:
+        untested = (Finding(F.SCALE_UNTESTED, (), dataset.robot.tool, {"payloads": list(last.untested)}),)
+    for attempt in attempts:
         try:
-            result = estimate(dataset, estimator, gains, options, progress)
-        except GtauError:
-            require_payload_excitation(system)
-            if gains is None and (angle := angle_of_parallelogram(system, progress)):
-                what, action = angle.sentence
-                raise GtauError(
-                    f"the robot as described gives no drive gains; {what} explains the logs: {action}."
-                ) from None
-            raise
-        if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
-            require_payload_excitation(system)
-        return result
-
-    options = subject.options
-    estimator, gains = plan(subject, dataset, system)
-    if options.method is not None or gains is not None or dataset.runs[0].kind == "current":
-        result = estimated(estimator, gains)
-        known = [carried for carried in system.payloads if carried.payload.mass is not None]
-        hidden = list(dict.fromkeys(carried.payload.name for carried in known if not carried.shown))
-        if options.method is not None or not hidden:
-            return result
-        untested = Finding(F.SCALE_UNTESTED, (), dataset.robot.tool, {"payloads": hidden})
-        return result.replaced(notes=(untested, *result.notes))
-    try:
-        result = estimated(estimator, None)
+            result = _attempted(attempt, subject, dataset, system, progress)
+        except GtauError as refusal:
+            untested = (Finding(F.SCALE_UNTESTED, values={"why": str(refusal).rstrip(".")}),)
+            continue
         first, *_ = result.drive_gains.values()
         lost = first.verdict.finding
         if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
             return result
-        untested = Finding(F.SCALE_UNTESTED, values={"joint": first.name}, causes=(lost,))
-    except GtauError as refusal:
-        untested = Finding(F.SCALE_UNTESTED, values={"why": str(refusal).rstrip(".")})
-    result = estimated(estimator_of("wls"), given_gains(dataset.robot, dataset.runs, options.gains, "wls"))
-    return result.replaced(notes=(untested, *result.notes))
+        untested = (Finding(F.SCALE_UNTESTED, values={"joint": first.name}, causes=(lost,)),)
+    result = _attempted(last, subject, dataset, system, progress)
+    return result.replaced(notes=(*untested, *result.notes))
+
+
+def _attempted(attempt: Attempt, subject: Subject, dataset: Dataset, system: System, progress: Progress) -> Result:
+    """Estimate, and refuse a payload that the currents never felt where no gain can be believed."""
+    try:
+        result = estimate(dataset, attempt.estimator, attempt.gains, subject.options, progress)
+    except GtauError:
+        require_payload_excitation(system)
+        if attempt.gains is None and (angle := angle_of_parallelogram(system, progress)):
+            what, action = angle.sentence
+            raise GtauError(
+                f"the robot as described gives no drive gains; {what} explains the logs: {action}."
+            ) from None
+        raise
+    if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
+        require_payload_excitation(system)
+    return result
 
 
 def estimate(

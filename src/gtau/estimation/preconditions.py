@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import combinations
 
@@ -79,27 +79,54 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
             )
 
 
-def plan(subject: Subject, dataset: Dataset, system: System) -> tuple[Estimator, np.ndarray | None]:
-    """Plan an identification: its estimator, and the gains (n,) that it is given; None where it estimates them.
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """An estimator with the gains that it is given.
+
+    Attributes
+    ----------
+    estimator : Estimator
+        The estimator.
+    gains : ndarray, optional
+        Given gains (n,), N m/A or N per A; None where the estimator finds them.
+    untested : tuple of str
+        Payloads of known mass that no torque shows, so that the scale of the torques is assumed.
+    """
+
+    estimator: Estimator
+    gains: np.ndarray | None
+    untested: tuple[str, ...] = ()
+
+
+def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: System) -> tuple[Attempt, ...]:
+    """Plan an identification: what is tried in turn, each where the one before it found no gains.
 
     Where nothing tests the scale of logged torques it is set to 1, except by an estimator of gains that was asked for;
     data sheets, friction and the file's inertias test it only for the latter, as they may be rough. Raises GtauError if
-    nothing fixes the scale of the currents, or the estimator asked for lacks an input.
+    nothing fixes the scale of the currents, or the ``estimator`` lacks an input.
     """
-    options, runs = subject.options, dataset.runs
-    estimator, named = estimator_for(options, runs), options.method is not None
+    runs, named, torques = dataset.runs, subject.options.method is not None, dataset.runs[0].kind == "torque"
+    tested = False
     if estimator.gains != Gains.GIVEN:
-        demanded = runs[0].kind == "current" or (named and estimator.gains == Gains.ESTIMATED)
+        demanded = not torques or (named and estimator.gains == Gains.ESTIMATED)
         try:
             require_scale(dataset.robot, system, [run.payload for run in runs], estimator.name)
         except GtauError:
             if demanded:
                 raise
         else:
-            if demanded or tests_torques(system, subject.stated):
-                return estimator, None
-        estimator = estimator if named else estimator_of("wls")
-    return estimator, given_gains(dataset.robot, runs, options.gains, estimator.name)
+            if demanded:
+                return (Attempt(estimator, None),)
+            tested = tests_torques(system, subject.stated)
+    if tested and named:
+        return (Attempt(estimator, None),)
+    given = estimator if named else estimator_of("wls")
+    gains = given_gains(dataset.robot, runs, subject.options.gains, given.name)
+    if tested:
+        return Attempt(estimator, None), Attempt(given, gains)
+    known = [carried for carried in system.payloads if carried.payload.mass is not None]
+    hidden = dict.fromkeys(carried.payload.name for carried in known if not carried.shown)
+    return (Attempt(given, gains, () if named else tuple(hidden)),)
 
 
 def tests_torques(system: System, stated: Mapping[str, Prior]) -> bool:
