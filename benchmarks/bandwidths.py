@@ -27,13 +27,12 @@ from zoo import ENTRIES
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.regression.factors import SIGNAL, equations
 from gtau.estimation.regression.plausibility import sensors_of
 from gtau.estimation.regression.rows import stream_rows
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.filters import Decimator, filter_edge, low_pass
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun

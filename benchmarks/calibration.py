@@ -30,8 +30,8 @@ from scipy.special import stdtrit
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
+from gtau.result import identify
 
 REAL = "real"
 

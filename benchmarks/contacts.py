@@ -23,8 +23,7 @@ sys.path.append(str(Path(__file__).parent))
 from zoo import ENTRIES
 
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
+from gtau.result import Result, identify
 from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import Pose
 from gtau.signals.reading.experiment import read_experiment

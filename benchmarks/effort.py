@@ -34,10 +34,10 @@ from gtau.estimation.diagnostics.unit_checks import BEYOND_GEARS
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.results.conclusions import findings
 from gtau.findings import FindingKind as F
+from gtau.result import identify
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Limits, Mdh, Robot
 from gtau.signals.run import Run, read_run

@@ -40,7 +40,7 @@ def make(folder: Path) -> None:
     from test_control import described
     from zoo import ENTRIES
 
-    from gtau.simulation.experiment_files import simulate_experiment
+    from gtau.simulation.experiment_files import simulate
 
     def new(name: str) -> Path:
         (folder / name).mkdir(parents=True, exist_ok=True)
@@ -53,7 +53,7 @@ def make(folder: Path) -> None:
         )
         document["robot"] = limited(name, out)
         (out / "simulation.yaml").write_text(json.dumps(document), encoding="utf-8")
-        simulate_experiment(out / "simulation.yaml", out, lambda *_: None)
+        simulate(out / "simulation.yaml", out, lambda *_: None)
     write_experiment(new("five-bar"), Plant(noise=0.02))
     warm(new("temperature"))
     posed(new("poses"))
@@ -145,7 +145,7 @@ def numbers(folder: Path) -> dict[str, object]:
     """Identify an experiment, and return what comes out by name: numbers, verdicts, or the sentence of a refusal."""
     from gtau.errors import GtauError
     from gtau.estimation.experiment_runs import read_runs
-    from gtau.estimation.identify import identify
+    from gtau.result import identify
     from gtau.signals.reading.experiment import read_experiment
 
     named = folder / "method.txt"

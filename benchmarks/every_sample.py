@@ -31,9 +31,8 @@ from zoo import ENTRIES
 
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.excitation.design import check, design
+from gtau.excitation.design import check, excite
 from gtau.excitation.design_file import read_design
 from gtau.excitation.forecast import forecast
 from gtau.excitation.nlp import Programme, random_start
@@ -49,7 +49,7 @@ def main() -> None:
     task, assumed = read_design(sys.argv[1])
     print(*assumed, sep="\n")
     rng, began = np.random.default_rng(1), time.perf_counter()
-    best = design(task, "gains", starts=3)
+    best = excite(task, "gains", starts=3)
     print(
         f"design for the gains: {rms(task, best.x):.4f} % ({time.perf_counter() - began:.0f} s for 3 starts)",
         flush=True,
@@ -75,7 +75,7 @@ def main() -> None:
         ("the gains, each run with its own motion", replace(task, one_motion=False), "gains"),
     ):
         began = time.perf_counter()
-        x = design(other, criterion, starts=3).x
+        x = excite(other, criterion, starts=3).x
         print(f"design for {what}: {rms(other, x):.4f} % ({time.perf_counter() - began:.0f} s)", flush=True)
 
 

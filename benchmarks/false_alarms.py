@@ -28,10 +28,9 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import findings
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
+from gtau.result import Result, identify
 
 SECONDS = 6.0
 # Of what stands in a log as it was recorded nothing is said that is wrong: clipped, filtered and held signals, rests.

@@ -19,7 +19,7 @@ from effort import airbot
 from zoo import aliengo, kuka, panda, panda_rosbag2, ur10e, xmate7p
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
+from gtau.result import identify
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 STD = 0.3

@@ -36,11 +36,10 @@ from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
 from gtau.estimation.friction.selection import Candidate, choose
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.friction_curves import group_estimates
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.reading.experiment import read_experiment

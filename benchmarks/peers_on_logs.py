@@ -34,9 +34,8 @@ from table import write_csv
 from zoo import ENTRIES, Entry, experiment_file, line, update
 
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
-from gtau.estimation.results.groups import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.payload_body import PayloadEstimate
+from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run

@@ -31,10 +31,9 @@ from scipy.signal import butter, sosfiltfilt
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from stated_arm import chi, plant, robot
 
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.export.exported import export_model
 from gtau.export.samples import Samples, draw
+from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run

@@ -13,8 +13,8 @@ from time import perf_counter
 import numpy as np
 from test_control import described
 
-from gtau.estimation.identify import identify
-from gtau.simulation.experiment_files import simulate_experiment
+from gtau.result import identify
+from gtau.simulation.experiment_files import simulate
 
 # A payload known in full fixes the gains of joints that gravity does not load.
 BLOCK = {"mx": 0.2, "my": 0.1, "mz": 0.5, "xx": 0.15, "yy": 0.17, "zz": 0.08, "xy": 0.0, "xz": 0.0, "yz": 0.0}
@@ -41,7 +41,7 @@ def main() -> None:
             document, chi, gains = described(name, 5, 10.0, share, {"parameters": payload})
             (out / "simulation.yaml").write_text(json.dumps(document), encoding="utf-8")
             start = perf_counter()
-            simulate_experiment(out / "simulation.yaml", out, lambda *_: None)
+            simulate(out / "simulation.yaml", out, lambda *_: None)
             middle = perf_counter()
             result = identify(out / "experiment.yaml")
             end = perf_counter()

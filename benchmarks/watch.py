@@ -30,8 +30,7 @@ from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
+from gtau.result import Result, identify
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run

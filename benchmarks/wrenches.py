@@ -23,7 +23,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, ON_PLATE, POSE, experiment, simulated
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
+from gtau.result import identify
 
 
 def experiments(folder: Path, seed: int) -> Iterator[tuple[str, Path]]:

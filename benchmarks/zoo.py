@@ -24,8 +24,7 @@ from table import write_csv
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
+from gtau.result import Result, identify
 from gtau.signals.reading.experiment import Experiment, read_experiment
 
 MARKS = "<!-- zoo: begin -->", "<!-- zoo: end -->"

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS))
 
 from gtau import __version__  # noqa: E402
+from gtau.ipython import SHOWN, html  # noqa: E402
+
+for _name, _module in SHOWN.items():  # the gallery shows what IPython shows
+    getattr(import_module(_module), _name)._repr_html_ = html
 
 project = "gtau"
 author = "The gtau developers"

@@ -15,8 +15,6 @@ from sphinx.application import Sphinx
 from sphinx.ext.napoleon import Config, NumpyDocstring
 from sphinx_gallery.scrapers import figure_rst
 
-from gtau.estimation.results.result import Forwarded
-
 NUMPY_STYLE = Config(
     napoleon_use_param=False, napoleon_use_rtype=False, napoleon_custom_sections=[("Attributes", "params_style")]
 )
@@ -63,24 +61,12 @@ def read_docstring(app: Sphinx, what: str, name: str, obj: Any, options: Any, li
     """
     if what == "class" and "Attributes" not in lines:  # those that it inherits
         inherited = (getdoc(each) or "" for each in obj.__mro__[1:] if each.__module__.startswith("gtau."))
-        lines += next((f"{ATTRIBUTES}{_attributes(text)}" for text in inherited if ATTRIBUTES in text), "").split("\n")
-    if what == "class":
-        groups = dict.fromkeys(member.group for member in vars(obj).values() if isinstance(member, Forwarded))
-        classes = (getattr(import_module(obj.__module__), obj.__annotations__[group]) for group in groups)
-        text = re.sub(LAST_SENTENCE, r"\2\n\n\1", "\n".join(lines).strip())  # a sentence is no attribute
-        lines[:] = "\n".join([text, *(_attributes(getdoc(each)) for each in classes)]).split("\n")
+        lines += next(
+            (f"{ATTRIBUTES}{text.split(ATTRIBUTES)[1]}" for text in inherited if ATTRIBUTES in text), ""
+        ).split("\n")
     what = "method" if what == "property" else what
     found = NumpyDocstring(lines, NUMPY_STYLE, app, what, name, obj, options).lines()
     lines[:] = [re.sub(r"docs/(\S+)\.md", r":doc:`/\1`", line.replace(" -- ", " – ")) for line in found]
-
-
-def _attributes(docstring: str) -> str:
-    return docstring.split(ATTRIBUTES)[1]
-
-
-def leave_out_forwarded(app: Sphinx, what: str, name: str, obj: Any, skip: bool, options: Any) -> bool | None:
-    """Leave out fields of groups, which stand among the attributes of the class."""
-    return True if isinstance(obj, Forwarded) else None
 
 
 def show_defaults(app: Sphinx, what: str, name: str, obj: Any, options: Any, text: str, returns: str) -> Any:
@@ -164,7 +150,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("doctree-read", set_type)
     app.connect("autodoc-process-docstring", read_docstring)
     app.connect("autodoc-process-signature", show_defaults)
-    app.connect("autodoc-skip-member", leave_out_forwarded)
     app.connect("missing-reference", keep_names_without_page)
     app.connect("build-finished", write_llms)
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))

@@ -29,10 +29,8 @@ from gtau.demo.orthoglide import (
 from gtau.demo.run import CASES, make_experiment
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
-from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.report.chart import Chart, intervals
 from gtau.report.gains import NOT_SHOWN
@@ -40,6 +38,7 @@ from gtau.report.page import joint_label
 from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
 from gtau.report.torques import torques_chart
+from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.simulation_file import read_simulation

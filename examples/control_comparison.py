@@ -10,13 +10,12 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.column_blocks import known_values
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.progress import Progress
+from gtau.result import Result, identify
 from gtau.robots.floating import refuse_floating
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.experiment import check_robot, read_experiment

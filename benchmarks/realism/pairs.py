@@ -10,9 +10,8 @@ from pathlib import Path
 
 from zoo import experiment_file, numbered
 
-from gtau.estimation.identify import identify
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 
 UR10E = [f"{joint}_joint" for joint in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]

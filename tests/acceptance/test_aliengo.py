@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gtau.estimation.identify import identify
+from gtau.result import identify
 
 LEG = ("FL_hip_joint", "FL_thigh_joint", "FL_calf_joint")
 PACE = {"FL_hip_joint": 0.400, "FL_thigh_joint": 0.335, "FL_calf_joint": 0.429}

@@ -12,11 +12,11 @@ from threadpoolctl import threadpool_limits
 
 import gtau.estimation.regression.dataset
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import INFLATED
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, point_to_point, sines

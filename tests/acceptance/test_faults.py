@@ -17,14 +17,13 @@ from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.other_robots import OTHER_GRAVITY
 from gtau.estimation.diagnostics.verdict import Outcome, worst
-from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import INFLATED
-from gtau.estimation.results.result import Result
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant, five_bar
 
-from gtau.estimation.identify import identify
+from gtau.result import identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -13,10 +13,9 @@ from models_to_export import of_equations
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.report.uncertainty import PAPER
+from gtau.result import Result, identify
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run

@@ -11,9 +11,9 @@ from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved, delays_lost_in_noise
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

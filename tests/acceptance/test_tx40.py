@@ -9,10 +9,10 @@ import pytest
 from scipy.signal import butter, decimate, filtfilt
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 
 RATE = 5000.0
 MOTORS = [f"motor_{k}" for k in range(1, 7)]

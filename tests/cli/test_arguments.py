@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import contextlib
 import inspect
 import pickle
@@ -115,16 +114,6 @@ def test_a_type_error_names_the_function() -> None:
         for arguments in ({}, {"nonsense": 1}):
             with pytest.raises(TypeError, match=rf"{function.__qualname__}\S*\(\) (missing|got)"):
                 function(**arguments)
-
-
-def test_editors_find_the_public_names() -> None:
-    """They read the imports below TYPE_CHECKING, which jedi leaves out where that is False without a type."""
-    tree = ast.parse(Path(gtau.__file__).read_text(encoding="utf-8"))
-    (declared,) = (each for each in tree.body if isinstance(each, ast.AnnAssign))
-    (imports,) = (each.body for each in tree.body if isinstance(each, ast.If))
-    assert ast.unparse(declared) == "TYPE_CHECKING: bool = False"
-    found = {name.asname or name.name for each in imports for name in each.names}
-    assert found - {"Any"} == set(gtau.__all__)
 
 
 def test_types_of_public_signatures_can_be_imported_from_the_package() -> None:

@@ -159,7 +159,7 @@ def test_a_path_in_the_place_of_a_run(result: gtau.Result) -> None:
 @pytest.mark.slow
 def test_type_checkers_see_what_is_offered(tmp_path: Path) -> None:
     names = {
-        "identify": "results.result.Result",
+        "identify": "result.Result",
         "weigh": "PayloadEstimate",
         "compare": "EstimatorComparison",
         "excite": "design.Design",

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from energies import energy
 
-from gtau.estimation.identify import identify
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 from gtau.robots.readers.native import parse_native
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload

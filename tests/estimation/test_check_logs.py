@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
-from gtau.estimation.identify import identify
+from gtau.estimation.check_logs import check
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_document import NoteEntry
 from gtau.findings import Finding, Severity
@@ -23,6 +22,7 @@ from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity, note_document
 from gtau.report.check import expectation
 from gtau.report.findings import findings_table
+from gtau.result import identify
 
 EXPERIMENT = """
 robot: five-bar
@@ -90,7 +90,7 @@ def test_every_log_that_is_refused_is_a_finding_in_the_words_of_identify(folder:
     header, *rows = (folder / "loaded.csv").read_text().splitlines()
     (folder / "back.csv").write_text("\n".join([header, *rows[:1000], *rows[500:]]))
     path.write_text(path.read_text().replace("loaded.csv", "back.csv"))
-    checked = check_logs(path)
+    checked = check(path)
     with pytest.raises(GtauError) as refused:
         identify(path)
     stops = by_severity(checked.notes)[Severity.ERROR]
@@ -113,11 +113,11 @@ def test_what_is_wrong_with_all_logs_is_listed_once_with_their_names(folder: Pat
 
 def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(folder: Path) -> None:
     robot = (Path(gtau.__file__).parent / "robots/catalog/five-bar.yaml").read_text()
-    speeds = [joint.speed_rms for log in check_logs(folder / "good.yaml").logs for joint in log.joints]
+    speeds = [joint.speed_rms for log in check(folder / "good.yaml").logs for joint in log.joints]
     for limit in (f"{0.9 * min(speeds):.4f}", f"{0.1 * min(speeds):.4f}"):
         (folder / "limited.yaml").write_text(robot.replace("velocity: 6", f"velocity: {limit}"))
         path = damaged(folder, "fast", "five-bar", "limited.yaml")
-        checked = check_logs(path)
+        checked = check(path)
         assert checked.worst == Severity.WARNING
         limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in str(note)]
         assert len(limits) >= 2
@@ -126,16 +126,16 @@ def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(fold
 
 def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Path) -> None:
     path = damaged(folder, "scale", ", payload: {name: steel, mass: 1.2}", "")
-    (note,) = check_logs(path).notes
+    (note,) = check(path).notes
     with pytest.raises(GtauError) as refused:
         identify(path)
     assert (note.kind, f"{note}.") == (F.SCALE, str(refused.value))
     path.write_text(path.read_text() + "prior_gains: {left: 2.5, right: 4}\n")
-    (same,) = check_logs(path).notes
+    (same,) = check(path).notes
     assert same == note
     assert "use --method wls with prior_gains" in same.action
-    assert check_logs(path, method="wls").notes == ()
-    (unknown,) = check_logs(damaged(folder, "unknown", ", mass: 1.2", "")).notes
+    assert check(path, method="wls").notes == ()
+    (unknown,) = check(damaged(folder, "unknown", ", mass: 1.2", "")).notes
     assert unknown.severity == Severity.INFORMATION
     assert "gtau payload" in unknown.action
     assert expectation([unknown]) == "gtau payload can use these logs as they are."
@@ -176,7 +176,7 @@ def test_the_exit_code_follows_the_worst_grade_and_identify_repeats_the_findings
     assert code(folder / "good.yaml") == 0
     assert code(path) == 3
     assert code(damaged(folder, "missing", "free.csv", "missing.csv")) == 2
-    notes = check_logs(path).notes
+    notes = check(path).notes
     (note,) = (note for note in notes if note.kind == F.HELD)
     assert "every 10 samples" in note.what
     result = identify(path)

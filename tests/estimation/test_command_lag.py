@@ -10,11 +10,11 @@ from five_bar_logs import STEEL, Plant
 from scipy.signal import lfilter
 
 from gtau.estimation.diagnostics.log_checks import command_lag, command_lags
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.findings import FindingKind as F
 from gtau.findings import Severity
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -7,13 +7,13 @@ from dataclasses import replace
 import pytest
 from five_bar_logs import STEEL, Plant
 
-from gtau.estimation.check_logs import check_logs
+from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_gravity, doubtful_payloads
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.findings import FindingKind as F
 from gtau.findings import Severity
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.robots.floating import float_base
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -49,7 +49,7 @@ def test_doubtful_sizes_are_worth_mending(
 def test_check_doubts_the_units_that_identify_doubts(run: Run, mass: float, kinds: list[F]) -> None:
     loaded = replace(Plant(noise=0.01).run("loaded", 10.0, STEEL, seed=2), payload=Payload(name="steel", mass=mass))
     robot = load_robot("five-bar")
-    of_check = [note.kind for note in check_logs(robot, [run, loaded]).notes if F(note.kind).outcome]
+    of_check = [note.kind for note in check(robot, [run, loaded]).notes if F(note.kind).outcome]
     verdicts = [gain.verdict for gain in identify(robot, [run, loaded]).drive_gains.values()]
     assert sorted(of_check) == sorted(kinds)
     assert {verdict.finding.kind for verdict in verdicts if verdict.finding} == set(kinds[:1])
@@ -85,4 +85,4 @@ def test_gains_are_not_good_under_a_doubtful_gravity(run: Run) -> None:
     )
     verdicts = [gain.verdict for gain in identify(robot, [run, loaded]).drive_gains.values()]
     assert {verdict.outcome for verdict in verdicts} == {Outcome.CONTRADICTORY}
-    assert F.STRENGTH in {note.kind for note in check_logs(robot, [run, loaded]).notes}
+    assert F.STRENGTH in {note.kind for note in check(robot, [run, loaded]).notes}

@@ -18,9 +18,9 @@ from gtau.estimation.effects.estimate import Mixed, estimate_effects
 from gtau.estimation.effects.registry import EFFECTS
 from gtau.estimation.effects.run_drift import difference_root, run_covariance, run_modes
 from gtau.estimation.estimators.maximum_likelihood import ML
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -12,12 +12,11 @@ from five_bar_logs import CHI, JOINTS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
+from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 from gtau.signals.reading.drafting import draft_logs, write_draft
 from gtau.signals.reading.experiment import read_experiment
@@ -114,7 +113,7 @@ def test_shares_of_the_rated_torque_are_named_by_their_steps(full: float) -> Non
     (run,) = torques()
     run = replace(run, command=np.round(full * run.command / (0.7 * np.abs(run.command).max(axis=0))))
     assert named(identify(five_bar().robot, [run])) == {F.WHOLE_NUMBERS}
-    assert F.WHOLE_NUMBERS in {each.kind for each in check_logs(five_bar().robot, [run]).notes}
+    assert F.WHOLE_NUMBERS in {each.kind for each in check(five_bar().robot, [run]).notes}
 
 
 def test_torques_that_a_model_computed_are_named() -> None:

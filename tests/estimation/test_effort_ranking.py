@@ -13,11 +13,11 @@ from gravity_logs import logged
 
 from gtau.estimation.diagnostics.effort import AS_STATED, NONE, effort_findings, rank_meanings, stated_meaning
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run, read_run
 

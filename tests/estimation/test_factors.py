@@ -14,15 +14,14 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.total_least_squares import tls
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.column_blocks import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import Factors, reduce_run
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.regression.scale_source import require_scale
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.preparation.prepared_run import prepare

@@ -10,10 +10,9 @@ from floating_logs import AT_HOOK, AT_PLATE, GAINS, HOOK, POSE, Truth, deviation
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline, reasons
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
+from gtau.result import Result, identify
 from gtau.signals.run import read_run
 
 

@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 from gtau import identify, load_robot
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
+from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.geometry import GeometryTest, geometry_test, to_document
-from gtau.estimation.results.result import Result
 from gtau.findings import Severity
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
@@ -25,6 +24,7 @@ from gtau.model.lengths import variable_geometry
 from gtau.report.check import check_page
 from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
+from gtau.result import Result
 from gtau.robots.robot import GROUND, Joint, Mdh, Pose, Robot
 from gtau.signals.reading.body_columns import PoseColumns
 from gtau.signals.reading.columns import Signals
@@ -299,11 +299,11 @@ runs:
 
 def test_check_says_what_poses_say(folder: Path) -> None:
     """In the page, in its document, in the report and as a graded finding."""
-    confirmed = check_logs(described(folder, "right"))
+    confirmed = check(described(folder, "right"))
     assert confirmed.geometry is not None
     assert confirmed.geometry.outcome == "confirmed"
     assert confirmed.geometry.note.severity == Severity.INFORMATION
-    wrong = check_logs(described(folder, "wrong"))
+    wrong = check(described(folder, "wrong"))
     (change,) = wrong.geometry.explained_by
     assert change.name == "l2 at all 2 places"
     assert change.value + change.change == pytest.approx(0.35, abs=max(5 * change.std, 2e-6))

@@ -16,11 +16,11 @@ from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.robots.floating import float_base
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import STANDARD_GRAVITY as G

@@ -11,11 +11,10 @@ from stated_arm import MASSES, chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.inertia_audit import AuditedParameter
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.assembly import inertia_priors
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind
 from gtau.report.parameters import inertias_section
+from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 
 

@@ -8,11 +8,10 @@ import pytest
 from five_bar_logs import GAINS, STEEL, Plant
 
 from gtau.estimation.diagnostics.effort import AS_STATED, effort_findings, rank_meanings
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -22,12 +22,11 @@ from gtau.estimation.estimators.newton import one_step
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.estimators.standard_parameters import standard_unknowns
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.column_blocks import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.report.comparison import comparison_table
+from gtau.result import Result, identify
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run

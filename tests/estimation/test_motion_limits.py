@@ -11,11 +11,11 @@ from five_bar_logs import Plant, write_experiment
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.plausibility import prepare_runs
 from gtau.findings import FindingKind
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 from gtau.robots.robot import Limits, Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import PreparedRun

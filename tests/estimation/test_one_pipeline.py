@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.estimation.compare import compare
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.registry import NAMES, estimators
-from gtau.estimation.identify import identify
+from gtau.result import identify
 
 
 @pytest.fixture(scope="module")

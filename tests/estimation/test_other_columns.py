@@ -9,11 +9,10 @@ import pytest
 from gravity_logs import logged
 
 from gtau.estimation.diagnostics.other_columns import _with_parallelogram, angle_of_parallelogram
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.progress import silent
+from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 
 UR10E = load_robot("ur10e")

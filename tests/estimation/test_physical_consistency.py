@@ -26,10 +26,9 @@ from gtau.estimation.estimators.standard_parameters import (
     pseudo_inertia,
     unbounded,
 )
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.geometry import extent, longest_placement
 from gtau.robots.robot import INERTIAL
 from gtau.signals.reading.statements import Payload, Prior

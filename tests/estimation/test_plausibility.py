@@ -10,12 +10,12 @@ import pytest
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
-from gtau.estimation.identify import identify
+from gtau.estimation.check_logs import check
 from gtau.estimation.regression.plausibility import within_limits
 from gtau.findings import FindingKind as F
 from gtau.findings import Severity
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.robots.readers.read import CATALOG
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import prepare
@@ -102,7 +102,7 @@ def test_metres_and_radians_declared_as_mm_and_deg(folder: Path) -> None:
     (folder / "deg.yaml").write_text(text)
     with pytest.raises(GtauError, match=r"look like rad declared as deg; write rad under units\.position") as refused:
         identify(folder / "deg.yaml")
-    checked = check_logs(folder / "deg.yaml")
+    checked = check(folder / "deg.yaml")
     assert checked.worst == Severity.ERROR
     assert f"{checked.notes[0]}." == str(refused.value)  # the same finding in the same words
 

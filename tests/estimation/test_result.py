@@ -13,10 +13,9 @@ import pytest
 from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant, five_bar, path
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
 from gtau.estimation.results.model_file import to_document
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
 
 PLANT = Plant(delays=(1e-3, 2e-3), noise=0.01)

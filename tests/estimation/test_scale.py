@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from gtau import Result, read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
+from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.stated_constants import (
     estimate_slopes,
     scale_shares,
@@ -33,7 +33,6 @@ from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import HIDDEN_KNOWN, ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.estimators.registry import estimator_of, estimators
-from gtau.estimation.identify import identify
 from gtau.estimation.preconditions import refuse_repeated
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem
@@ -41,6 +40,7 @@ from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
+from gtau.result import identify
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Log, Run
@@ -500,7 +500,7 @@ def test_the_same_samples_are_refused_twice(tmp_path: Path) -> None:
     loaded = replace(run, name="loaded", payload=Payload(name="block", mass=1.0))
     with pytest.raises(GtauError, match="runs 'run 1' and 'loaded' hold the same samples, so it is declared with two"):
         identify(arm, [run, loaded])
-    notes = check_logs(arm, [run, replace(run, name="again")]).notes
+    notes = check(arm, [run, replace(run, name="again")]).notes
     assert any("hold the same samples, so it would count twice" in str(note) for note in notes)
 
 

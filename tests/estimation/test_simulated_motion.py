@@ -15,22 +15,21 @@ from gtau.estimation.estimators.didim import along_simulated_motion
 from gtau.estimation.estimators.instrumental_variables import Pair, instrumental, paired, with_instruments
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.simulated_motion import POLE, reference_cutoff, resimulated
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.results.result import Result
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
+from gtau.result import Result, identify
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator, position_filter
 from gtau.signals.preparation.prepared_run import Preparation, prepare
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation import plant
-from gtau.simulation.closed_loop import Controller, JointHardware, Reference, hardware, simulate
+from gtau.simulation.closed_loop import Controller, JointHardware, Reference, close_loop, hardware
 
 FIVE_BAR = load_robot("five-bar")
 KNOWN = Payload(name="steel", mass=STEEL["m"])
@@ -84,7 +83,7 @@ def test_the_loop_is_that_of_the_integrated_plant(source: str, chi: Mapping[str,
     reference = Reference(time, q, qd, qdd)
     law = Controller(reference, M, np.einsum("tij,tj->ti", M, qdd), np.ones(len(model.actuated)), 1.0, pole)
     drives = hardware(model.actuated, {joint: JointHardware(gain=1.0) for joint in model.actuated})
-    stepped = simulate(
+    stepped = close_loop(
         "run", plant.Plant(model, chi), law, drives, np.random.default_rng(0), joints=model.actuated
     ).error
     run = Run("run", model.actuated, time, q, np.zeros_like(q))

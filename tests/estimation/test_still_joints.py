@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from stated_arm import plant, robot
 
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
+from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -11,10 +11,10 @@ import pytest
 from gtau.estimation.diagnostics.effort import rank_meanings
 from gtau.estimation.diagnostics.effort_rows import joint_rows
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

@@ -13,7 +13,7 @@ from gtau import identify, load_robot, read_run
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import without_temperature
-from gtau.estimation.results.result import Result
+from gtau.result import Result
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.side_signals import Temperature
 from gtau.signals.reading.statements import Payload

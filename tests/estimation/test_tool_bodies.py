@@ -13,11 +13,10 @@ from gtau.estimation.diagnostics.other_robots import other_loads
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.maximum_likelihood import ML
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

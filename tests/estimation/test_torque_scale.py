@@ -16,12 +16,11 @@ from gravity_logs import logged, scara
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.torque_scale import TORQUE_SCALE
-from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline
-from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.robot import STANDARD_GRAVITY
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run

@@ -13,11 +13,10 @@ from five_bar_logs import GAINS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline
-from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import torque_scales
 from gtau.findings import FindingKind as F
+from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

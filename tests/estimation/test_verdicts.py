@@ -35,17 +35,16 @@ from gtau.estimation.diagnostics.verdict import (
 )
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.maximum_likelihood import ML
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.results.conclusions import INFLATED, Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
 from gtau.findings import Finding, Severity
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity
 from gtau.findings.words import percent_text
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.parameter import parameter_of
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

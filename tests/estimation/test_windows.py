@@ -14,11 +14,11 @@ from gtau.estimation.diagnostics.examine import examine
 from gtau.estimation.diagnostics.position_noise import FEWEST_FOR_TESTS
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ML
-from gtau.estimation.identify import identify
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, block_edges, block_of, usable_rows
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -11,9 +11,8 @@ from floating_logs import AT_HOOK, AT_SOLE, GAINS, HOOK, POSE, SOLE, Truth, expe
 
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
+from gtau.result import Result, identify
 
 BASE = f"{{body: trunk, {POSE}}}"
 

@@ -10,11 +10,10 @@ import pytest
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, ON_PLATE, POSE, Truth, deviations, experiment, simulated
 
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
+from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
+from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 
@@ -70,7 +69,7 @@ def test_a_tool_in_every_run_gives_no_scale(tmp_path: Path) -> None:
         GtauError, match="the wrench on 3 moves as one of the robot's own bodies in every run, so"
     ) as no:
         identify(path)
-    assert [f"{note}." for note in check_logs(path).notes if note.kind == F.SCALE] == [str(no.value)]
+    assert [f"{note}." for note in check(path).notes if note.kind == F.SCALE] == [str(no.value)]
 
 
 def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> None:
@@ -88,7 +87,7 @@ def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> N
         again.predict(carrying)
 
 
-def check(result: Result, z: np.ndarray, count: int) -> None:
+def check_errors(result: Result, z: np.ndarray, count: int) -> None:
     """The errors ``z`` of parameters and gains are as large as their standard deviations say."""
     for joint, gain in GAINS.items():
         assert result.drive_gains[joint].value == pytest.approx(gain, rel=0.1)
@@ -149,7 +148,7 @@ def test_check_shows_the_wrench(units: str, standing: Truth, tmp_path: Path) -> 
         thousandths = {name: 1e-3 * each if name.startswith("s") else each for name, each in standing.columns.items()}
         pl.DataFrame(thousandths).write_csv(tmp_path / "log.csv")
         path.write_text(path.read_text().replace("length: mm}", "length: mm}, wrenches: {force: kN, moment: kN m}"))
-    ((wrench,),) = (log.wrenches for log in check_logs(path).logs)
+    ((wrench,),) = (log.wrenches for log in check(path).logs)
     weight = 9.80665 * sum(value for name, value in standing.chi.items() if name.startswith("m_"))
     assert (wrench.body, wrench.axes) == ("3", "body")
     assert wrench.force_rms == pytest.approx(weight, rel=0.1)

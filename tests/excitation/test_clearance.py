@@ -9,7 +9,7 @@ import pytest
 
 from gtau.errors import GtauError
 from gtau.excitation.clearance import FLOOR, Clearance, Floor, capsule, clearance, hull
-from gtau.excitation.design import check, design
+from gtau.excitation.design import check, excite
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -132,12 +132,12 @@ def test_a_design_keeps_its_distance(tmp_path: Path) -> None:
     """Without shapes the forearm swings into the post; with them every sample of a run, approach included, is clear."""
     free, _ = read_design(written(tmp_path, "share: 1\n  floor: none\n  shapes: none"))
     task, _ = read_design(written(tmp_path, SHAPES))
-    touching = design(free, starts=1, seed=1)
+    touching = excite(free, starts=1, seed=1)
     pair = ("ground", "forearm")
     named = f"distance of '{pair[1]}' from '{pair[0]}'"
     (usage,) = (each for each in check(task, touching.x) if each.what == named)
     assert usage.reached < 0.05
-    clear = design(task, starts=1, seed=1)
+    clear = excite(task, starts=1, seed=1)
     (usage,) = (each for each in clear.constraint_usages if each.what == named)
     assert usage.reached >= 0.05
     assert usage.allowed == "at least 0.05 m"

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage
-from gtau.excitation.design import Design, Stopped, check, design
+from gtau.excitation.design import Design, Stopped, check, excite
 from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate, information
 from gtau.excitation.forecast import Expected, Outlook, Weak, forecast, sampled_motions, weak_unknowns
@@ -74,7 +74,7 @@ def search(tmp_path_factory) -> tuple[Design, list[tuple[str, int, int]]]:
     """A design and the progress of its search."""
     task, _ = read_design(write(tmp_path_factory.mktemp("design"), DESIGN))
     seen: list[tuple[str, int, int]] = []
-    return design(task, starts=1, progress=lambda *each: seen.append(each)), seen
+    return excite(task, starts=1, progress=lambda *each: seen.append(each)), seen
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +198,7 @@ def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
 @pytest.mark.slow
 def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path: Path) -> None:
     task, _ = read_design(write(tmp_path, ORTHOGLIDE))
-    found = design(task, starts=1)
+    found = excite(task, starts=1)
     programme, values = Programme(task, "gains", {load.what: 1.0 for load in found.constraint_usages}), []
     rng = np.random.default_rng(0)
     while len(values) < 200:
@@ -213,7 +213,7 @@ def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
     low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:") + "approach: false\n"
     task, _ = read_design(write(tmp_path, low))
     with pytest.raises(GtauError, match=r"the current of joint '(left|right)'.* must be at most 0.01 A") as refusal:
-        design(task, starts=1)
+        excite(task, starts=1)
     assert "no motion within the limits was found" in str(refusal.value)
 
 
@@ -228,7 +228,7 @@ def test_loops_that_cannot_be_closed_on_the_way_are_left_to_the_search(
     )
     runs = "runs: [{payload: none}, {payload: {name: disc, mass: 1}}]"
     task, _ = read_design(write(tmp_path, f"robot: wide.yaml\nrate: 100\nperiod: 3\nharmonics: 2\n{runs}\n"))
-    found = design(task, starts=1, seed=seed)
+    found = excite(task, starts=1, seed=seed)
     assert max(usage.excess for usage in check(task, found.x)) <= 1.0
     ((_, joints),) = sampled_motions(task, found.x)  # at the controller's rate
     assert np.isfinite(task.model.motion(*joints[:3]).c).all()
@@ -252,7 +252,7 @@ def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Pat
         steps.append(1)
         return len(steps) > asked
 
-    stopped = design(task, starts=50, keep=kept.append, stop=stop)
+    stopped = excite(task, starts=50, keep=kept.append, stop=stop)
     assert stopped.cut_short
     assert stopped.start == 0
     assert stopped.value == kept[-1].value == min(each.value for each in kept)
@@ -273,7 +273,7 @@ def test_a_search_stopped_before_it_has_found_anything_does_not_blame_the_limits
     low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:") + "approach: false\n"
     task, _ = read_design(write(tmp_path, low))
     with pytest.raises(Stopped, match="the search was stopped before it had found a motion within the limits"):
-        design(task, starts=3, stop=lambda: True)
+        excite(task, starts=3, stop=lambda: True)
 
 
 def test_all_weak_parameters_are_listed_with_the_figures_of_the_table(found: Design) -> None:
@@ -299,7 +299,7 @@ def test_bodies_without_parameters_are_listed(tmp_path: Path) -> None:
 )
 def test_an_unknown_criterion_is_refused_shortly(found: Design, name: str, advice: str) -> None:
     with pytest.raises(GtauError, match=f"there is no criterion or parameter '{name}'; {advice}") as refusal:
-        design(found.task, name)
+        excite(found.task, name)
     assert len(str(refusal.value)) < 200
 
 

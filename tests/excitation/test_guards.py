@@ -16,7 +16,7 @@ from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.clearance import FLOOR, Capsule, bounding_capsule
 from gtau.excitation.constraints import usages_of_motion
-from gtau.excitation.design import Design, check, design
+from gtau.excitation.design import Design, check, excite
 from gtau.excitation.design_file import read_design
 from gtau.excitation.evaluation import design_grid, evaluate
 from gtau.excitation.forecast import Outlook, sampled_motions
@@ -115,7 +115,7 @@ def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
     assert task.limits.velocity == pytest.approx([1.6, 1.6, 2.4, 2.4])  # 80 %
     assert task.limits.torque == pytest.approx([160, 160, 72, 24])
     assert any(FLOOR in pair for pair in task.limits.clearance.pairs)
-    found = design(task, starts=1)
+    found = excite(task, starts=1)
     assert least_distance(found, list(task.model.actuated)) >= task.limits.clearance.least - 1e-4
     assert Outlook(found, {}).tool[0] <= 1.5
     lines = plain(design_page(Outlook(found, {}))).splitlines()[:14]
@@ -298,7 +298,7 @@ def test_an_approach_is_as_slow_as_its_torques_ask_for(tmp_path: Path) -> None:
 
 def test_a_pose_at_rest_that_exceeds_a_limit_is_refused_before_a_search(tmp_path: Path) -> None:
     with pytest.raises(GtauError, match="torque of joint 'arm' with payload 'disc' must be at most 80 N m"):
-        design(level(tmp_path, 80), progress=lambda *_: pytest.fail("searched"))
+        excite(level(tmp_path, 80), progress=lambda *_: pytest.fail("searched"))
 
 
 HEAVY = """<inertial><origin xyz="0 0.05 %g" rpy="0.2 0 0.1"/><mass value="%g"/>

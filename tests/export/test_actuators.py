@@ -11,8 +11,8 @@ import yaml
 from models_to_export import model_of
 
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
 from gtau.export.exported import export_model
+from gtau.result import Result
 from gtau.robots.robot import Joint, Limits, Pose, Robot
 
 MJLAB = {  # fields of BuiltinMotorActuatorCfg and ActuatorCfg, mjlab.actuator

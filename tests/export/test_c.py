@@ -23,7 +23,7 @@ from scipy.integrate import solve_ivp
 
 from gtau.export.c import export
 from gtau.robots.robot import Joint, Mdh, Robot
-from gtau.simulation.closed_loop import JointHardware, Reference, hardware, simulate
+from gtau.simulation.closed_loop import JointHardware, Reference, close_loop, hardware
 from gtau.simulation.plant import Plant, PlantState
 from gtau.uses.identified import identified, torques_of
 
@@ -189,7 +189,7 @@ def test_the_controller_gives_the_currents_of_the_one_in_python(tmp_path: Path, 
     measured = reference.q + rng.normal(0.0, 1e-3, reference.q.shape)
     limits = {joint: JointHardware(gain=1.0, current_limit=20.0) for joint in c.model.joints}
     law = computed_torque(reference, result, bandwidth=80.0)
-    made = simulate("replayed", Replay(measured), law, hardware(c.model.joints, limits), rng, joints=c.model.joints)
+    made = close_loop("replayed", Replay(measured), law, hardware(c.model.joints, limits), rng, joints=c.model.joints)
     assert (np.abs(made.run.command) == 20.0).any()  # some at the limit
     assert (np.abs(made.run.command) < 20.0).any()
     controller = Controller(c, reference.q[0], bandwidth=80.0, limit=20.0, velocity=20.0, following=0.5)

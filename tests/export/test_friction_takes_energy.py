@@ -15,7 +15,6 @@ from propelling_models import COULOMB, CUBIC, LOGGED, VISCOUS, held, propelling,
 from robots_for_tests import ROBOTS, home, tree
 
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
 from gtau.export.c import c_files
 from gtau.export.exported import export_model
 from gtau.export.fmu import export as export_fmu
@@ -23,6 +22,7 @@ from gtau.export.matlab import matlab_files
 from gtau.export.mjcf import export as export_mjcf
 from gtau.export.urdf import export as export_urdf
 from gtau.model.home import load_robot
+from gtau.result import Result
 from gtau.robots.robot import Robot
 from gtau.simulation.simulation_file import Simulation
 from gtau.uses.identified import functions, identified

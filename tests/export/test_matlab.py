@@ -11,8 +11,8 @@ import pytest
 from models_to_export import model_of, sprung, torques
 from robots_for_tests import ROBOTS, random_samples
 
-from gtau.estimation.results.result import Result
 from gtau.export.matlab import export
+from gtau.result import Result
 from gtau.robots.robot import Robot
 from gtau.uses.identified import identified
 

@@ -12,12 +12,12 @@ from models_to_export import model_of, sprung
 from robots_for_tests import CLOSED, SERIAL
 
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
 from gtau.export import mjcf
 from gtau.export.mjcf import export
 from gtau.model.home import load_robot
 from gtau.model.loops import Motion
 from gtau.model.singularities import random_motion
+from gtau.result import Result
 from gtau.robots.robot import Coupling, Joint, Pose, Robot
 from gtau.simulation.mujoco_plant import platform_coordinates
 

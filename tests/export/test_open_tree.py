@@ -10,10 +10,10 @@ import pytest
 import yaml
 from models_to_export import model_of
 
-from gtau.estimation.results.result import Result
 from gtau.export.consistent import consistent_model, motor_inertias
 from gtau.export.exported import export_model
 from gtau.model.home import load_robot
+from gtau.result import Result
 
 
 @pytest.fixture(scope="module")

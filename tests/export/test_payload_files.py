@@ -18,10 +18,9 @@ import gtau
 from gtau.cli.models import CONTROLLERS, export_bodies
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.groups import PayloadBody
+from gtau.estimation.results.payload_body import QUANTITIES, UNITS, PayloadBody
 from gtau.export.payload import WRITERS
 from gtau.robots.parameter import RigidBody
-from gtau.uses.payload_body import QUANTITIES, UNITS
 
 TURN = Rotation.from_euler("ZYX", [0.7, -0.4, 0.2]).as_matrix()
 TENSOR = TURN @ np.diag([0.004, 0.011, 0.013]) @ TURN.T

@@ -14,11 +14,10 @@ from stated_arm import chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import pseudo_inertia
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.export.exported import export_model
 from gtau.export.samples import Draws, draw
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.robots.robot import INERTIAL
 
 COUNT = 200

@@ -11,10 +11,9 @@ import pytest
 from five_bar_logs import STEEL, Plant
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.export.thresholds import SPEEDS, Residual, export_thresholds, peaks, raised, residual_of, thresholds
 from gtau.model.home import load_robot
+from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
 
 

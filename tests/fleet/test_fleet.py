@@ -16,14 +16,13 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.fleet import fleet
 from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
 from gtau.fleet.gains import fleet_table
 from gtau.fleet.workers import serial_map
 from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
+from gtau.result import Result, identify
 
 ONE = EXPERIMENT.split("validation")[0]
 ROBOTS, SECONDS = 14, 4.0
@@ -118,7 +117,7 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
 def test_what_fails_in_the_middle_is_reported(
     cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, says: str
 ) -> None:
-    monkeypatch.setattr("gtau.estimation.identify.identify", Mock(side_effect=error))
+    monkeypatch.setattr("gtau.uses.identify.identify", Mock(side_effect=error))
     (report,) = identify_fleet(some(cells, 3), tmp_path, serial_map)
     assert says in report.sentence
     assert fleet_table([report]).refused[0][0] == report.member.name

@@ -5,7 +5,9 @@ from __future__ import annotations
 import subprocess
 import sys
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +15,10 @@ from five_bar_logs import JOINTS, Plant, write_experiment
 
 import gtau
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
+from gtau.estimation.check_logs import check
 from gtau.estimation.compare import EstimatorComparison, MethodRow
 from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.ipython import SHOWN, html, register
 from gtau.report.page import number as plain
 
 PRIOR = {"left": 2.4, "right": 4.1}
@@ -49,14 +52,24 @@ def test_results_show_themselves(result: gtau.Result, folder: Path) -> None:
     assert plain(result.drive_gains["left"].value or 0.0) in page
     assert "Payload &#39;steel&#39;" in page
     assert "uPlot=" not in page  # no chart, no script for charts
-    gains = Frame(result.drive_gains._repr_html_()).page
+    gains = Frame(html(result.drive_gains)).page
     assert gains.count("<tr>") == 3
-    prediction = Frame(result.predict(result.data[0])._repr_html_()).page
+    prediction = Frame(html(result.predict(result.data[0]))).page
     assert prediction.count('class="chart"') == 4  # torques and residuals
     assert "uPlot=" in prediction
-    assert "9.9" in Frame(check_logs(folder / "experiment.yaml")._repr_html_()).page  # s of every log
-    payload = Frame(result.payloads[0]._repr_html_()).page
+    assert "9.9" in Frame(html(check(folder / "experiment.yaml"))).page  # s of every log
+    payload = Frame(html(result.payloads[0])).page
     assert "Payload &#39;steel&#39;" in payload
+
+
+def test_ipython_shows_what_has_a_page() -> None:
+    shown: dict[tuple[str, str], object] = {}
+    formatter = SimpleNamespace(for_type_by_name=lambda module, name, show: shown.update({(module, name): show}))
+    register(SimpleNamespace(display_formatter=SimpleNamespace(formatters={"text/html": formatter})))
+    assert set(shown.values()) == {html}
+    for module, name in shown:
+        assert isinstance(getattr(import_module(module), name), type)
+    assert len(shown) == len(SHOWN)
 
 
 def test_a_comparison_shows_itself_and_is_a_table() -> None:
@@ -68,7 +81,7 @@ def test_a_comparison_shows_itself_and_is_a_table() -> None:
             MethodRow("iv", refusal="no motion can be simulated"),
         ),
     )
-    page = Frame(found._repr_html_()).page
+    page = Frame(html(found)).page
     assert "2.500 ± 0.020" in page
     assert "refused" in page
     frame = found.to_frame()

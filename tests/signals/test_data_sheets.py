@@ -9,10 +9,10 @@ import pytest
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.estimation.identify import identify
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Drive, check_drives
 

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
+from gtau.result import identify
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
 from gtau.signals.channel import SENSOR
 from gtau.signals.reading import logs

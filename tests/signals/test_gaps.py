@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from five_bar_logs import GAINS, Plant, write_experiment
+from typer.testing import CliRunner
 
+from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check_logs
+from gtau.estimation.check_logs import check
 from gtau.estimation.experiment_runs import read_runs, read_validation
-from gtau.estimation.identify import identify
 from gtau.findings import FindingKind as F
-from gtau.report.write import write_identification
+from gtau.result import identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
@@ -88,7 +89,7 @@ def test_parts_that_are_short_or_rest_are_left_out_and_said(change: Change) -> N
     assert (len(first.time), len(second.time)) == (1000, 2400)
     (note,) = (note for note in first.notes if note.kind == F.CUT)
     assert note.values["lost"] == 300 + 1000
-    checked = check_logs(path)
+    checked = check(path)
     assert [log.run.name for log in checked.logs][:2] == [first.name, second.name]
     assert note.of_source(first.name) in checked.notes
 
@@ -138,9 +139,8 @@ def test_a_log_for_validation_that_cannot_be_used_stops_nothing(change: Change, 
     path.write_text(path.read_text() + "require: {torque_error: 5 %}\n")
     result = identify(path)
     assert [requirement.found is None for requirement in result.requirements] == [False, True]
-    _, said = write_identification(result, path, tmp_path, 1.0)
-    assert note in said.notes
-    assert "is clipped at" in " ".join(said.summary().split())
+    done = CliRunner().invoke(app, ["identify", str(path), "--out", str(tmp_path / "out")])
+    assert "is clipped at" in " ".join(done.output.split())
 
 
 def test_a_part_too_short_for_the_tests_of_other_preparations_stops_nothing(folder: Path, tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ from five_bar_logs import GAINS, STEEL, Plant, write_log
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.estimation.identify import identify
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
+from gtau.result import identify
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import working_with
 

@@ -12,9 +12,9 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Joint, Limits, Robot
 from gtau.signals.reading.experiment import read_experiment
@@ -23,12 +23,12 @@ from gtau.simulation import experiment_files
 from gtau.simulation.closed_loop import (
     JointHardware,
     Reference,
+    close_loop,
     hardware,
     pid,
-    simulate,
     write_log,
 )
-from gtau.simulation.experiment_files import simulate_experiment
+from gtau.simulation.experiment_files import simulate
 from gtau.simulation.plant import Plant
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import Envelope, MotionEntry, envelope, make_trajectory, moves_through, sines
@@ -59,7 +59,7 @@ def step(length: float = 0.01, duration: float = 1.0) -> Reference:
 
 def run(plant, controller, seed=0, **of_joint):
     parts = hardware(("x",), {"x": JointHardware(gain=5.0, **of_joint)})
-    return simulate("r", plant, controller, parts, np.random.default_rng(seed), joints=("x",))
+    return close_loop("r", plant, controller, parts, np.random.default_rng(seed), joints=("x",))
 
 
 def test_the_loop_has_the_bandwidth_asked_for(slide):
@@ -216,7 +216,7 @@ def test_identification_finds_what_was_simulated(name, tmp_path):
     """Gains within 0.2 %, and the base parameters within their uncertainty; six seconds a run are little."""
     document, chi, gains = described(name, 5, 6.0)
     (tmp_path / "simulation.yaml").write_text(json.dumps(document), encoding="utf-8")
-    simulate_experiment(tmp_path / "simulation.yaml", tmp_path, silent)
+    simulate(tmp_path / "simulation.yaml", tmp_path, silent)
     result = identify(tmp_path / "experiment.yaml")
     for joint, gain in gains.items():
         assert result.drive_gains[joint].value == pytest.approx(gain, rel=2e-3)
@@ -265,7 +265,7 @@ def test_the_command_writes_what_identify_reads(tmp_path):
     light = [f"{k}{leg}" for leg in (1, 2, 3) for k in (1, 2, 3, 4, 5)]
     assert sorted(json.loads(done.stdout)["massless"]) == sorted(light)  # 'parameters' names rotors and the platform
     first = (tmp_path / "out" / "a.csv").read_bytes()
-    simulate_experiment(written(tmp_path), tmp_path / "out", silent)
+    simulate(written(tmp_path), tmp_path / "out", silent)
     assert (tmp_path / "out" / "a.csv").read_bytes() == first
 
 
@@ -345,7 +345,7 @@ def fourier(frequency: float, amplitude: float) -> dict:
 )
 def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
     with pytest.raises(GtauError) as refused:
-        simulate_experiment(written(tmp_path, **changes), tmp_path, silent)
+        simulate(written(tmp_path, **changes), tmp_path, silent)
     assert sentence in str(refused.value)
     assert [path.name for path in tmp_path.iterdir()] == ["simulation.yaml"]
 
@@ -354,7 +354,7 @@ def test_passive_joints_keep_to_their_limits_too(tmp_path):
     narrow = native_text(load_robot("orthoglide")).replace("31: {", "31: {limits: {position: [-0.1, 0.1]}, ", 1)
     (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")
     with pytest.raises(GtauError, match=r"run 'a': joint '31' is to move from -0\.\d+ to 0\.\d+, beyond its limits"):
-        simulate_experiment(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
+        simulate(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
 
 
 @pytest.mark.slow

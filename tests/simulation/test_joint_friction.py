@@ -23,7 +23,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Robot
 from gtau.simulation import mujoco_plant
-from gtau.simulation.experiment_files import simulate_experiment
+from gtau.simulation.experiment_files import simulate
 from gtau.simulation.joint_friction import WIDTH, JointFriction, of_model
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant, PlantState
@@ -168,7 +168,7 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     runs = [{"name": "moves", "trajectory": {"moves": {"duration": 4}}}]
     document = {"robot": "five-bar", "model": tmp_path / "model.json", "drives": HARDWARE, "runs": runs,
                 "friction_width": {"revolute": 1e-4}}  # fmt: skip
-    log, file = simulate_experiment(document, tmp_path / "logs")
+    log, file = simulate(document, tmp_path / "logs")
     assert "robot: five-bar" in file.read_text()
     signals = {"time": "t", "position": {j: f"q{j}" for j in HARDWARE}, "current": {j: f"v{j}" for j in HARDWARE}}
     run = gtau.read_run(log, signals)
@@ -180,7 +180,7 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     assert 2 * left.relative_all < of_equations(found).replaced(delays=held).validate(scaled)[0].relative_all
     assert right.relative < 0.5 < right.relative_all
     with pytest.raises(GtauError, match="identified of another robot than 'ur10e'"):
-        simulate_experiment(document | {"robot": "ur10e", "drives": {
+        simulate(document | {"robot": "ur10e", "drives": {
             joint: {"gain": 1.0} for joint in load_robot("ur10e").actuated}}, tmp_path / "other")  # fmt: skip
 
 
@@ -203,4 +203,4 @@ def test_friction_that_the_law_does_not_have_is_refused(change: dict, sentence: 
     runs = [{"name": "moves", "trajectory": {"moves": {"duration": 3}}}]
     document = {"robot": "five-bar", "drives": HARDWARE, "runs": runs} | change | {"parameters": parameters}
     with pytest.raises(GtauError, match=sentence):
-        simulate_experiment(document, tmp_path)
+        simulate(document, tmp_path)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gtau.estimation.results.result import Result
 from gtau.export.c import export
+from gtau.result import Result
 from gtau.uses.identified import functions, identified
 
 GCC = shutil.which("gcc")

@@ -16,7 +16,7 @@ from engines import random_parameters
 from free_flyer import free_flyer_model, free_state, pinocchio_state
 from scipy.spatial.transform import Rotation
 
-from gtau.estimation.results.result import Result
+from gtau.result import Result
 from gtau.robots.floating import float_base
 from gtau.robots.readers.native_text import write_native
 from gtau.robots.robot import INERTIAL, Joint, Mdh, Pose, Robot

@@ -11,10 +11,11 @@ from robots_for_tests import slider_crank
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
-from gtau.estimation.results.groups import FitRecord, ModelEstimates, PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.groups import FitRecord, ModelEstimates
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.model.base_parameters import base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import Result
 from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import SPRING, Attachment, Pose, Robot, Spring
 from gtau.signals.preparation.filters import Decimator

@@ -8,7 +8,7 @@ import numpy as np
 from models_to_export import model_of
 
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.result import Result
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Robot
 

@@ -14,16 +14,15 @@ from plausible_parameters import body_parameters, random_parameters
 from stated_arm import chi, plant, robot
 
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
 from gtau.estimation.results.conclusions import headline, remarks, sums_with_mass
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.groups import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.findings import FindingKind as F
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
 from gtau.report.render.terminal import plain
 from gtau.report.validation import weighing_page
+from gtau.result import Result, identify
 from gtau.robots.robot import Coupling, Joint, Limits, Mdh, Pose, Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload, as_payload

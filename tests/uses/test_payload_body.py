@@ -12,17 +12,16 @@ from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import pseudo_inertia
-from gtau.estimation.identify import identify
-from gtau.estimation.results.groups import PayloadBody, PayloadEstimate, Weighed
+from gtau.estimation.results.payload_body import QUANTITIES, PayloadBody, PayloadEstimate, Weighed, quantities
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.result import identify
 from gtau.robots.parameter import RigidBody, inertial_parameters, rigid_body
 from gtau.robots.readers.links import frame_on, links_on
 from gtau.robots.robot import INERTIAL, Pose
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.simulation.trajectories import envelope, sines
-from gtau.uses.payload_body import QUANTITIES, payload_body, quantities
 from gtau.uses.weigh import weigh
 
 FRAME = Pose((0.02, -0.01, 0.05), (0.3, -0.2, 0.5))
@@ -46,7 +45,7 @@ def exact(sums: np.ndarray, chi: np.ndarray, std: float = 1e-4) -> Weighed:
 
 
 def body(weighed: Weighed, frame: Pose) -> PayloadBody:
-    return payload_body(PayloadEstimate("x", "run", {}, frozenset(), weighed=weighed), frame)
+    return PayloadEstimate("x", "run", {}, frozenset(), weighed=weighed).in_frame(frame)
 
 
 def chi_of(masses: np.ndarray = MASSES, points: np.ndarray = POINTS) -> np.ndarray:

@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 from five_bar_logs import Plant, write_experiment, write_log
 
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
+from gtau.result import Result, identify
 from gtau.signals.run import Run
 from gtau.uses.runs import read_log
 from gtau.watch.follow import SETTLED, follow

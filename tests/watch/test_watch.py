@@ -21,10 +21,9 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.identify import identify
-from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.report.watch import alarm_words, state_of, verdict_text
+from gtau.result import Result, identify
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import power

@@ -46,7 +46,8 @@ from gtau.campaigns.rehearsal import Rehearsal, rehearse, write_motion
 from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
-from gtau.excitation.design import Design, design, never
+from gtau.estimation.results.model_file import save
+from gtau.excitation.design import Design, excite, never
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.progress import Progress, silent
 
@@ -159,7 +160,7 @@ def campaign(
     except GtauError as refusal:
         raise GtauError(f"{folder / DESIGN}: {refusal}") from None
     with searching() as stop:
-        designed = design(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
+        designed = excite(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
     rehearsal = rehearsed(designed, file, None, progress)
     write_motion(folder_of(place), file, *rehearsal, {"purpose": "first", "after": "", "warm_up": False})
     return _to_play(folder, settings.accuracy, read_rounds(folder))
@@ -243,7 +244,7 @@ def _decided(
     result = identified(write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
     if isinstance(result, Decision):
         return result
-    result.save(last.folder / MODEL_FILE)
+    save(result, last.folder / MODEL_FILE)
     alone = known = None
     if last.motion["purpose"] == CONFIRM and len(used) > 1:  # those before may be set aside
         alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
@@ -259,7 +260,7 @@ def _decided(
     task = next_task(file, result, model)
     try:
         with searching() as stop:
-            designed = design(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
+            designed = excite(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
     except GtauError as refusal:
         designed, note = played_again(task, used, refusal, progress)
         decision = replace(decision, notes=(*decision.notes, note))

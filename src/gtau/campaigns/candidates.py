@@ -23,6 +23,7 @@ from gtau.progress import silent
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
+from gtau.uses.prediction import torques
 
 # of 23 choices between eight motions of five-bars and Orthoglides fourteen were of the longer and six of a slower one,
 # none of one with 70 or 50 % of the amplitude or with the other load first, which are not tried any more
@@ -138,7 +139,7 @@ def _simulated(candidate: Candidate, result: Result, seed: int) -> Iterator[Run]
             carried = carried.model_copy(update={"parameters": moments | of_mount})
             unknown = {kind: value for kind, value in payload.parameters.items() if kind not in FIRST_MOMENTS}
             payload = payload.model_copy(update={"parameters": unknown})
-        current = result.currents(q, qd, qdd, carried)
+        current = torques(result, q, qd, qdd, carried) / result.gains
         noise = np.random.default_rng([seed, k]).standard_normal(current.shape)
         current = current + design.task.prior.sigma * noise
         yield Run(f"candidate{k + 1}", result.robot.actuated, time, q, current, payload=payload)

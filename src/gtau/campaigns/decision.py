@@ -21,7 +21,7 @@ from gtau.estimation.effects.description import CONTRADICTED
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
 from gtau.estimation.effects.gain_drift import GAIN_DRIFT
-from gtau.estimation.identify import identify
+from gtau.estimation.experiment_runs import options_of
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.excitation.design_file import DesignFile
@@ -29,6 +29,7 @@ from gtau.findings import Outcome
 from gtau.findings.words import to_width
 from gtau.progress import Progress
 from gtau.signals.reading.logs import read_log
+from gtau.uses.identify import identify
 
 ROUNDS = 5  # at which a campaign ends
 WORTH = 0.9  # of the widest interval: a motion is to bring it below this part, or the campaign ends
@@ -91,7 +92,7 @@ def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> P
 def identified(path: Path, accuracy: float, progress: Progress) -> Result | Decision:
     """Identify the rounds of an experiment file; where no result can be believed, say why and what to do."""
     try:
-        result = identify(path, accuracy=accuracy / 100, progress=progress)
+        result = identify(path, options=options_of(accuracy=accuracy / 100), progress=progress)
     except GtauError as refusal:
         return Decision(BLOCKED, f"no result: {str(refusal).rstrip('.')}")
     outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}

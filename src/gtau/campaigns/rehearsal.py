@@ -24,7 +24,7 @@ from gtau.report.design import trajectory_table
 from gtau.robots.parameter import torque_unit
 from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
-from gtau.simulation.experiment_files import simulate_experiment
+from gtau.simulation.experiment_files import simulate
 from gtau.simulation.trajectories import log_column
 
 NEAR = {True: 0.02, False: 0.002}  # rad and m, within which the robot stands at the start
@@ -104,7 +104,7 @@ def _under_control(
         drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
         rate = max(task.rate, 500.0)
         simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **known}
-        simulate_experiment(simulated, out / "logs", lambda _, done, total: progress("rehearsing", done, total))
+        simulate(simulated, out / "logs", lambda _, done, total: progress("rehearsing", done, total))
         columns = ("t", *(log_column(kind, joint) for kind in "qv" for joint in task.model.actuated))
         log = read_log(out / "logs" / "loaded.csv", columns).arrays()
     errors, torques = {}, {}

@@ -110,25 +110,22 @@ def identify(
     hold(out)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
     with said_if_refused(guessed), progress_bar() as progress:
-        from gtau.estimation.identify import identify as run
+        from gtau.estimation.experiment_runs import Options, read, read_validation
         from gtau.estimation.results.model_file import to_document
         from gtau.report.identification import full_page, summary_page
         from gtau.report.write import write_identification
+        from gtau.signals.reading.experiment import read_experiment
+        from gtau.uses.identify import identify_subject, with_requirements
 
-        result = run(
-            experiment,
-            method=method,
-            ratio=ratio,
-            as_paper=as_paper,
-            consistent=consistent,
-            accuracy=accuracy / 100,
-            progress=progress,
-            prior_inertias=prior_inertias,
-        )
-    result = result.replaced(notes=(*guessed, *result.notes))
+        described = read_experiment(experiment)
+        options = Options(method, as_paper, consistent, accuracy / 100, ratio, prior_inertias=prior_inertias)
+        result = identify_subject(read(described, None, options, progress), progress)
+        validation, unread = read_validation(described, progress)
+    result = result.replaced(notes=(*guessed, *result.notes, *unread))
+    result = with_requirements(result, described, (validation, unread))
     written = _write(result, out)
     with progress_bar() as progress:
-        report, result = write_identification(result, experiment, out, seconds(), progress)
+        report = write_identification(result, validation, experiment, described, out, seconds(), progress)
     written = [*([experiment] if guessed else []), report, *written]
     answer(json_, lambda: to_document(result), lambda: (full_page if verbose else summary_page)(result), written)
     if not result.accepted:
@@ -138,11 +135,13 @@ def identify(
 def _write(result: Result, out: Path) -> list[Path]:
     """Write a result to files, for people and other commands."""
     from gtau.estimation.results.estimate import write_distances
+    from gtau.estimation.results.model_file import save
     from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
+    from gtau.report.notebook import text
 
     written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
-    result.save(written[0])
-    write_atomically(written[1], result.summary(True) + "\n")
+    save(result, written[0])
+    write_atomically(written[1], text(result, verbose=True) + "\n")
     write_distances(zip(result.runs, result.distances, strict=True), written[2])
     if torque_scales(result) and result.believable:
         written.append(out / "torque_scale.yaml")

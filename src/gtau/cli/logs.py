@@ -190,11 +190,11 @@ def check(
     refuse_as_folder(figure)
     experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out or Path("result"))
     with said_if_refused(guessed), progress_bar() as progress:
-        from gtau.estimation.check_logs import check_logs
+        from gtau.estimation.check_logs import check
         from gtau.report.check import check_document, check_page, write_check, write_preparation
         from gtau.report.write import inputs_of, write_report
 
-        checked = check_logs(experiment, method=method, progress=progress)
+        checked = check(experiment, method=method, progress=progress)
     checked = replace(checked, notes=(*checked.notes, *guessed))
     page, written = check_page(checked), [experiment] if guessed else []
     if out is not None:

@@ -31,7 +31,7 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError, missing_extra
 
 if TYPE_CHECKING:
-    from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
+    from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
     from gtau.estimation.results.result import Result
     from gtau.export.exported import Exported
     from gtau.findings import Finding
@@ -61,13 +61,13 @@ def validate(
     with progress_bar() as progress:
         from gtau.estimation.experiment_runs import read_validation
         from gtau.estimation.results.conclusions import without_temperature
-        from gtau.estimation.results.result import Result
+        from gtau.estimation.results.model_file import load
         from gtau.report.evidence import predicted, settings_of
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
         from gtau.report.write import inputs_of, write_report
         from gtau.uses.runs import experiment_of as experiment_for
 
-        result = Result.load(model)
+        result = load(model)
         described = experiment_for(result, experiment)
         if not described.validation:
             raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
@@ -128,14 +128,14 @@ def payload(
     with progress_bar() as progress:
         from gtau.estimation.diagnostics.verdict import Outcome
         from gtau.estimation.results.model_document import payload_documents
-        from gtau.estimation.results.result import Result
+        from gtau.estimation.results.model_file import load
         from gtau.report.evidence import settings_of
         from gtau.report.validation import bodies_document, weighing_page
         from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh
 
-        result = Result.load(model)
+        result = load(model)
         experiment, guessed = _drafted(result, sources, robot, payload, out or Path("payload"))
         described = read_experiment(experiment)
         file = described.robot if isinstance(described.robot, str) else described.robot.file
@@ -246,11 +246,11 @@ def export(
         progress("export", 0, 1)
         if to == "thresholds" and experiment is not None:
             from gtau.estimation.experiment_runs import read_runs
-            from gtau.estimation.results.result import Result
+            from gtau.estimation.results.model_file import load
             from gtau.export.thresholds import export_thresholds
             from gtau.uses.runs import experiment_of as experiment_for
 
-            result = Result.load(model)
+            result = load(model)
             described = experiment_for(result, experiment)
             runs = read_runs(described, described.validation, progress)
             exported = export_thresholds(result, runs, out, hours, observer)
@@ -301,7 +301,7 @@ def use(
     names others. FILE gets motor, model and external torque of every sample, and the wrench at --frame.
     """
     from gtau.estimation.results.model_document import torque_error
-    from gtau.estimation.results.result import Result
+    from gtau.estimation.results.model_file import load
     from gtau.report.torques import external_page
     from gtau.uses.external_torques import torques_along_log, write_table
     from gtau.uses.runs import read_log
@@ -310,7 +310,7 @@ def use(
         raise GtauError(
             "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
         )
-    result = Result.load(model)
+    result = load(model)
     at = None if frame is None else _frame(result, frame, experiment)
     with progress_bar() as progress:
         progress("torques along the log", 0, 1)

@@ -131,7 +131,7 @@ def excite(
     hold(out)
     with progress_bar() as progress:
         from gtau.excitation.design import Design, Stopped
-        from gtau.excitation.design import design as run
+        from gtau.excitation.design import excite as run
         from gtau.excitation.design_file import read_design
         from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages
@@ -210,10 +210,10 @@ def simulate(
     with progress_bar() as progress:
         from gtau.model.home import load_robot
         from gtau.robots.geometry import massless
-        from gtau.simulation.experiment_files import simulate_experiment
+        from gtau.simulation.experiment_files import simulate
         from gtau.simulation.simulation_file import read_simulation
 
-        written = simulate_experiment(simulation, out, progress)
+        written = simulate(simulation, out, progress)
     described = read_simulation(simulation)
     light = massless(load_robot(described.robot), described.parameters) if described.model is None else ()
     answer(json_, lambda: {"files": [str(path) for path in written], "massless": light}, written=written)

@@ -60,7 +60,7 @@ def watch(
         _fleet(model, json_)
         return
     refuse_as_folder(out)
-    from gtau.estimation.results.result import Result
+    from gtau.estimation.results.model_file import load
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.runs import read_log
     from gtau.watch.follow import follow as blocks
@@ -74,7 +74,7 @@ def watch(
     if not (sources or any(done.values())):
         raise GtauError("there is no log to compare; give logs.")
     given = [] if follow else logs_of(sources)
-    result = Result.load(model)
+    result = load(model)
     tolerances = None if experiment is None else read_experiment(experiment).tolerances
     settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
     read = partial(read_log, result, experiment=experiment, payload=payload)

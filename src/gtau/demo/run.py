@@ -19,8 +19,9 @@ from gtau.demo.orthoglide import (
     simulation_text,
 )
 from gtau.documents.files import folder_of, write_atomically
-from gtau.estimation.identify import identify
+from gtau.estimation.experiment_runs import read_validation
 from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.model_file import save
 from gtau.estimation.results.result import Result
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -28,9 +29,11 @@ from gtau.progress import Progress
 from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
 from gtau.report.render.terminal import plain
 from gtau.report.write import write_identification
+from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import write_log
 from gtau.simulation.experiment_files import make_run
 from gtau.simulation.simulation_file import read_simulation
+from gtau.uses.identify import identify
 from gtau.uses.weigh import weigh
 
 CASES = {"prior": "case 1: manufacturer's gains", "identified": "case 2: identified gains"}
@@ -59,9 +62,12 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
     """
     begun = monotonic()
     make_experiment(out, duration, progress)
-    result = identify(out / "experiment.yaml", progress=progress)
-    result.save(out / "model.json")
-    write_identification(result, out / "experiment.yaml", out, monotonic() - begun, progress)
+    file = out / "experiment.yaml"
+    experiment = read_experiment(file)
+    result = identify(experiment, progress=progress)
+    save(result, out / "model.json")
+    validation, _ = read_validation(experiment, progress)
+    write_identification(result, validation, file, experiment, out, monotonic() - begun, progress)
     weighings = {}
     for case in CASES:
         (payload,) = weigh(result, out / "second_payload.yaml", gains=case, progress=progress)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
@@ -143,12 +142,10 @@ class ExperimentCheck:
         """The grade of the worst finding."""
         return next(iter(by_severity(self.notes)), Severity.INFORMATION)
 
-    _repr_html_ = display.html
-
 
 @takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER)
 @single_threaded_blas()
-def check_logs(
+def check(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
     method: str | None = None,

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau import display
 from gtau.documents.validation import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import Outcome, worst
@@ -83,8 +82,6 @@ class EstimatorComparison:
         ]
         types = dict.fromkeys(("method", "joint", "verdict", "refusal"), pl.String)
         return pl.DataFrame(rows, schema_overrides=types | dict.fromkeys(("gain", "std", "residual"), pl.Float64))
-
-    _repr_html_ = display.html
 
 
 @takes(progress=FUNCTION, prior_inertias=NUMBER)

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from gtau.display import late
-from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
@@ -27,122 +23,34 @@ from gtau.estimation.diagnostics.stated_constants import sensor_scales, sensor_v
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
-from gtau.estimation.experiment_runs import ACCURACY, Options, Subject, geometry_of, options_of, read, read_validation
+from gtau.estimation.experiment_runs import Options, Subject, geometry_of
 from gtau.estimation.preconditions import Attempt, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
-from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.friction_curves import friction_step
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
-from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import Robot
-from gtau.signals.reading.experiment import Experiment
-from gtau.signals.reading.statements import Drive, Prior, data_sheet_notes
-from gtau.signals.run import Run
+from gtau.signals.reading.statements import Drive, data_sheet_notes
 
 PAPER_RATIO = 10.0  # the paper's r_sigma for the essential parameters
 NO_GAIN = {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}
 
 
-@takes(
-    method=TEXT,
-    ratio=NUMBER,
-    prior_inertias=NUMBER,
-    as_paper=TRUTH,
-    consistent=TRUTH,
-    accuracy=NUMBER,
-    progress=FUNCTION,
-)
-def identify(
-    source: str | Path | Experiment | Robot,
-    runs: Sequence[Run] | None = None,
-    method: str | None = None,
-    prior_gains: Mapping[str, float] | None = None,
-    ratio: float | None = None,
-    as_paper: bool = False,
-    consistent: bool = False,
-    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
-    accuracy: float = ACCURACY,
-    progress: Progress = silent,
-    prior_inertias: float | None = None,
-) -> Result:
-    """Identify drive gains and dynamic parameters.
-
-    Parameters
-    ----------
-    source : path, Experiment or Robot
-        An experiment file or the experiment read from it; or a robot, together with ``runs``.
-    runs : sequence of Run, optional
-        From :func:`gtau.read_run`; only with a robot.
-    method : str, optional
-        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md describes each, and when
-        to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
-        torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
-        torques.
-    prior_gains : mapping, optional
-        Joint to gain, N m/A or N per A, of torques the factor that makes them true; the experiment file's if left out.
-    ratio : float, optional
-        The paper's r_sigma for the essential parameters; if left out, the Bayesian information criterion decides
-        which base parameters are cancelled.
-    as_paper : bool
-        Follow the paper step by step: its TLS (or WLS or OLS), its decimation filter, its friction, no delays,
-        standard errors by formula, and the essential parameters re-estimated together with the gains at ratio 10.
-        (Samples near reversals are left out all the same: with them TLS fails.)
-    consistent : bool
-        Also find standard parameters that rigid bodies can have (see
-        :mod:`gtau.estimation.estimators.physical_consistency`).
-    priors : mapping, optional
-        Priors on standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like those of
-        the experiment file (``{"value": 1.2, "std": 0.4}``); the experiment file's if left out.
-    accuracy : float
-        Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
-    progress : callable, optional
-        Called as the work goes on.
-    prior_inertias : float, optional
-        Take the inertias of the robot's file (URDF or MJCF) as priors with this relative standard deviation, 0.3 for
-        30 %; the experiment file's if left out. Where nothing else gives the scale of the gains, they give it, and
-        that alone.
-
-    Returns
-    -------
-    Result
-        Drive gains, parameters, payloads and verdicts; ``print(result.summary())`` shows them.
-
-    Raises
-    ------
-    GtauError
-        If a file is wrong, the data cannot be used, or they lack an input of the method.
-    """
-    options = options_of(
-        prior_gains,
-        priors,
-        method=method,
-        as_paper=as_paper,
-        consistent=consistent,
-        accuracy=accuracy,
-        ratio=ratio,
-        prior_inertias=prior_inertias,
-    )
-    subject = read(source, runs, options, progress)
+def identify_subject(subject: Subject, progress: Progress = silent) -> Result:
+    """Identify a robot from its runs; raises GtauError if the data cannot be used, or lack an input of the method."""
     estimator, experiment = require_inputs(subject), subject.experiment
-    with single_threaded_blas():
-        dataset = reduced(subject, estimator, progress)
-        system = dataset.system()
-        result = _identified(subject, estimator, dataset, system, progress)
-        geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
-        beside = [*([geometry.note] if geometry else []), *smoothed_commands(dataset.runs)]
-        beside += command_lag(dataset, system)
-        notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
-        result = result.replaced(geometry=geometry, notes=notes)
-        result = late("uses.prediction").with_prediction_cutoffs(result, dataset.runs)
-        if experiment is None:
-            return result
-        return result.replaced(requirements=tuple(_requirements(result, experiment, progress)))
+    dataset = reduced(subject, estimator, progress)
+    system = dataset.system()
+    result = _identified(subject, estimator, dataset, system, progress)
+    geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
+    beside = [*([geometry.note] if geometry else []), *smoothed_commands(dataset.runs)]
+    beside += command_lag(dataset, system)
+    notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
+    return result.replaced(geometry=geometry, notes=notes)
 
 
 def _identified(subject: Subject, estimator: Estimator, dataset: Dataset, system: System, progress: Progress) -> Result:
@@ -248,34 +156,6 @@ def estimate(
         fit_record(fit, estimator.name, errors, figures),
         replace(evidence(fit, estimates, examined, findings, curves), audit=audit),
     )
-
-
-def _requirements(result: Result, experiment: Experiment, progress: Progress) -> Iterator[Requirement]:
-    """Compare with the limits of an experiment, those of torque errors also on the runs kept for validation."""
-    require = experiment.require
-    if require.torque_error is not None:
-        yield _of_torques(require.torque_error, result.residuals)
-        runs, unread = read_validation(experiment, progress)
-        for note in unread:
-            yield Requirement("torque_error", require.torque_error, None, run=note.source or "validation")
-        for run in runs:
-            try:
-                errors = result.validate(run)
-            except GtauError:
-                errors = ()
-            yield _of_torques(require.torque_error, errors, run.name)
-    if require.gain_interval is not None:
-        widths = {joint: gain.half_width for joint, gain in result.drive_gains.items()}
-        unknown = [joint for joint, width in widths.items() if width is None]
-        joint = unknown[0] if unknown else max(widths, key=lambda name: widths[name] or 0.0)
-        yield Requirement("gain_interval", require.gain_interval, widths[joint], joint)
-
-
-def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
-    worst = max(errors, key=lambda error: error.relative, default=None)
-    if worst is None:
-        return Requirement("torque_error", limit, None, run=run)
-    return Requirement("torque_error", limit, worst.relative, worst.joint, run)
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Finding, ...]:

@@ -73,7 +73,7 @@ class Stopped(GtauError):
     stop=FUNCTION,
 )
 @single_threaded_blas()
-def design(
+def excite(
     task: DesignProblem,
     criterion: str = "gains",
     starts: int = 2,

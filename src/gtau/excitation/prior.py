@@ -13,6 +13,7 @@ from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, model_v
 from gtau.documents.files import beside
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
+from gtau.estimation.results.model_file import load
 from gtau.estimation.results.result import Result
 from gtau.findings import Outcome
 from gtau.model.base_parameters import BaseParameters
@@ -104,10 +105,10 @@ class PriorModel:
     ) -> np.ndarray:
         """Return the values of parameters by name: the ``known`` base parameters, centres of payloads, or zero."""
         moments: dict[str, float] = {}
-        for run, load in enumerate(payloads):
-            if load is not None:  # whose unknown parameters have the name of the run
+        for run, payload in enumerate(payloads):
+            if payload is not None:  # whose unknown parameters have the name of the run
                 label = payload_label(robot, run)
-                moments |= {Parameter(k, label): m for k, m in zip(FIRST_MOMENTS, self.moments(load), strict=True)}
+                moments |= {Parameter(k, label): m for k, m in zip(FIRST_MOMENTS, self.moments(payload), strict=True)}
         return np.array([moments.get(name, known.get(name, 0.0)) for name in names])
 
     def moments(self, load: Payload) -> np.ndarray:
@@ -238,7 +239,7 @@ def prior_of(
 ) -> PriorModel:
     """Determine base parameters, gains and noise."""
     if entry.model is not None:
-        result = Result.load(entry.model)
+        result = load(entry.model)
         if result.robot.actuated != model.actuated:
             raise GtauError(f"{entry.model} is the model of another robot; give one of '{model.robot.name}'.")
         known = identified_gains(result, entry.model)

@@ -19,6 +19,7 @@ import numpy as np
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
+from gtau.estimation.results.model_file import load
 from gtau.estimation.results.result import Result
 from gtau.extensions import find, homes, names
 from gtau.robots.floating import refuse_floating
@@ -143,7 +144,7 @@ def export_model(
     refuse_unknown(kind, names(*HOME))
     refuse_as_folder(out)
     export: Export = find(*HOME, kind, Export)
-    result = model if isinstance(model, Result) else Result.load(model)
+    result = model if isinstance(model, Result) else load(model)
     if not export.floating:
         refuse_floating(result.robot, f"export to '{kind}' is")
     if into is not None and export.into is None:

@@ -16,7 +16,7 @@ import yaml
 from gtau.documents.files import identifier
 from gtau.documents.validation import PATH, TEXT, takes
 from gtau.errors import GtauError
-from gtau.estimation.results.groups import PayloadBody
+from gtau.estimation.results.payload_body import PayloadBody
 from gtau.export.exported import Exported, refuse_unknown, written
 from gtau.findings.words import to_width
 from gtau.robots.parameter import RigidBody

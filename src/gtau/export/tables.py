@@ -17,7 +17,7 @@ from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.table import estimates_table
+from gtau.estimation.results.table import estimates_frame, estimates_table
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import wrapped
 from gtau.model.base_parameters import regrouped
@@ -54,7 +54,7 @@ LATEX_HEAD = r"""% Tables of '{robot}', written by 'gtau export'; \input this fi
 
 def export_csv(result: Result, out: Path) -> Exported:
     """Write ``NAME.csv`` into ``out``: one row per estimate, with value, std, 95 % interval and unit."""
-    return Exported(written(out, {f"{identifier(result.robot.name)}.csv": in_csv(result.to_frame())}))
+    return Exported(written(out, {f"{identifier(result.robot.name)}.csv": in_csv(estimates_frame(result))}))
 
 
 def export_yaml(result: Result, out: Path) -> Exported:

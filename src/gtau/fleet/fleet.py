@@ -144,13 +144,14 @@ def identify_fleet(
 
 def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
     """Identify a member: the key of its inputs and the text of its model, empty if the key is the known one."""
-    from gtau.estimation.identify import identify
+    from gtau.estimation.experiment_runs import options_of
+    from gtau.uses.identify import identify
 
     member, known = item
     try:
         experiment = read_experiment(member.experiment, member.logs)
         key = inputs_key(experiment, method)
-        return key, "" if key == known else model_text(identify(experiment, method=method))
+        return key, "" if key == known else model_text(identify(experiment, options=options_of(method=method)))
     except GtauError as error:
         return GtauError(str(error))
     except OSError as error:

@@ -10,7 +10,7 @@ from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import ACCURACY
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.groups import PayloadEstimate
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.findings.words import percent_text, to_width
 from gtau.model.base_parameters import whole_mass

@@ -1,4 +1,4 @@
-"""Views of results in notebooks, registered in :mod:`gtau.display`."""
+"""Pages of results in notebooks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gtau.documents.files import write_atomically
 from gtau.estimation.check_logs import ExperimentCheck
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
-from gtau.estimation.results.groups import PayloadEstimate
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.report.check import check_page
@@ -18,7 +18,6 @@ from gtau.report.evidence import gather, settings_of
 from gtau.report.gains import VALUE, gains_section, payloads_section, unknown_payloads, value_cells
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
 from gtau.report.page import Column, Kind, Page, Text, page, section, table
-from gtau.report.plots import Plots
 from gtau.report.render.html import frame
 from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
@@ -36,11 +35,6 @@ def html(shown: object) -> str:
 def text(result: Result, verbose: bool) -> str:
     """Write a result as text: all of it, or one screen."""
     return plain(full_page(result) if verbose else summary_page(result))
-
-
-def plots(result: Result) -> Plots:
-    """Return the figures of a result."""
-    return Plots(result)
 
 
 def write(result: Result, path: Path) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 from gtau.documents.files import write_table
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import headline as headline_of_model
-from gtau.estimation.results.groups import PayloadBody, PayloadEstimate
 from gtau.estimation.results.model_document import torque_error
+from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding, FindingKind
 from gtau.findings.words import percents, to_width

@@ -13,7 +13,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from gtau.documents.files import write_atomically
-from gtau.estimation.experiment_runs import read_validation
 from gtau.estimation.results.result import Result
 from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
@@ -21,6 +20,7 @@ from gtau.report.identification import report_page
 from gtau.report.page import Column, Facts, Kind, Page, Text, section, table
 from gtau.report.render.html import html
 from gtau.signals.reading.experiment import Experiment, read_experiment
+from gtau.signals.run import Run
 
 Inputs = tuple[tuple[str, Path], ...]
 """Files, by what they are for."""
@@ -40,18 +40,20 @@ def write_report(
 
 
 def write_identification(
-    result: Result, path: Path, folder: Path, seconds: float, progress: Progress = silent
-) -> tuple[Path, Result]:
-    """Write the report of an identification from the experiment file at ``path``, which took ``seconds``.
+    result: Result,
+    validation: Sequence[Run],
+    path: Path,
+    experiment: Experiment,
+    folder: Path,
+    seconds: float,
+    progress: Progress = silent,
+) -> Path:
+    """Write the report of an identification from the ``experiment`` of the file at ``path``, which took ``seconds``.
 
-    The runs kept for validation are read and predicted too; one that cannot be is listed with the reason. Returns the
-    file, and the result with notes on logs for validation that cannot be used.
+    The runs kept for ``validation`` are predicted too.
     """
-    experiment = read_experiment(path)
-    validation, unread = read_validation(experiment, progress)
-    result = result.replaced(notes=(*result.notes, *unread))
     page = report_page(result, gather(result, result.data, validation, progress), experiment.expected_gains)
-    return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result)), result
+    return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result))
 
 
 def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = True) -> Inputs:

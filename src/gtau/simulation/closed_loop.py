@@ -143,7 +143,7 @@ class Simulated:
     error: np.ndarray
 
 
-def simulate(
+def close_loop(
     name: str,
     engine: Engine,
     controller: Controller,

@@ -15,7 +15,7 @@ from gtau.documents.validation import FUNCTION, PATH, takes
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.model_file import load
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
@@ -24,7 +24,7 @@ from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
-from gtau.simulation.closed_loop import Engine, Hardware, Simulated, hardware, pid, sample, simulate, write_log
+from gtau.simulation.closed_loop import Engine, Hardware, Simulated, close_loop, hardware, pid, sample, write_log
 from gtau.simulation.joint_friction import TERMS, JointFriction, of_model
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
@@ -45,7 +45,7 @@ def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, flo
     """Return the standard parameters of the simulated robot, and its friction."""
     smoothing = simulation.friction_width.model_dump()
     if simulation.model is not None:
-        result = Result.load(simulation.model)
+        result = load(simulation.model)
         if native_text(result.robot) != native_text(model.robot):
             raise GtauError(
                 f"{simulation.model} was identified of another robot than '{simulation.robot}', or of one that its "
@@ -92,12 +92,12 @@ def make_run(
     inertia = np.stack([plant.mass_matrix(pose) for pose in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
     controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
-    made = simulate(described.name, engine, controller, parts, rng, model.actuated, progress)
+    made = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
     return replace(made, run=replace(made.run, payload=described.payload))
 
 
 @takes(out=PATH, progress=FUNCTION)
-def simulate_experiment(
+def simulate(
     source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress = silent
 ) -> tuple[Path, ...]:
     """Simulate the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.

@@ -109,7 +109,7 @@ def torques_along_log(
 
 def predict_under_load(result: Result, run: Run) -> Prediction:
     """Predict torques where friction that depends on the load feels the external torques too."""
-    prediction = result.predict(run)
+    prediction = predict(result, run)
     for _ in range(PASSES * any(name.kind == "fl" for name in result.friction_parameters)):
         behind = prediction.in_band
         prediction = predict(result, run, behind.predicted - behind.measured)

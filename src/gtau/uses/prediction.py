@@ -19,6 +19,7 @@ from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_va
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.rows import Law, instants, stream_torques
+from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
@@ -181,6 +182,13 @@ def torques(result: Result, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payl
     chi = loaded_parameters(result, payload, "the robot")
     q, qd, qdd = model.samples(q, qd, qdd)
     return torques_along(result, model.motion(q, qd, qdd), chi).T
+
+
+def validate(result: Result, run: Run) -> tuple[TorqueError, ...]:
+    """Compute torque errors of each joint on a run; see :meth:`gtau.Result.validate`."""
+    from gtau.estimation.results.predicted import torque_errors
+
+    return torque_errors(predict(result, run), result.robot, result.preparation.bandwidth)
 
 
 def require_all_parameters(result: Result) -> None:

@@ -28,7 +28,7 @@ from gtau.estimation.regression.reference import ReferenceModel
 from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.groups import PayloadEstimate
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F

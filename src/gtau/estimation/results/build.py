@@ -36,7 +36,8 @@ from gtau.estimation.results.estimate import (
     nearest_poses,
 )
 from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate, Weighed
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
+from gtau.estimation.results.payload_body import PayloadEstimate, Weighed
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped

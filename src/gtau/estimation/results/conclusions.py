@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
-from gtau.estimation.results.groups import PayloadEstimate
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.findings import Finding

@@ -11,7 +11,6 @@ from typing import Generic, Literal, TypeVar
 import numpy as np
 from pydantic import NonNegativeFloat
 
-from gtau import display
 from gtau.documents.files import write_table
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.diagnostics.verdict import GOOD, Verdict
@@ -113,8 +112,6 @@ class Named(dict[Key, Estimate], Generic[Key]):
         if isinstance(name, Integral) and str(name) in self:
             return self[str(name)]  # type: ignore[index]
         raise UnknownName(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
-
-    _repr_html_ = display.html
 
 
 @dataclass(frozen=True)

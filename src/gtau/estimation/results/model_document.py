@@ -42,7 +42,8 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
 from gtau.findings import Finding, FindingKind

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.display import html
 from gtau.estimation.results.estimate import BandError, TorqueError
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
@@ -107,8 +106,6 @@ class Prediction:
                 "valid": self.valid.reshape(-1),
             }
         )
-
-    _repr_html_ = html
 
 
 def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tuple[TorqueError, ...]:

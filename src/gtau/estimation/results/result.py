@@ -1,16 +1,14 @@
-"""Result of an identification: its four groups, and what is done with it."""
+"""Identified model of a robot: its four groups, and what follows from them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from gtau.display import html, late, views
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.friction.law import SHAPES, FrictionLaw
@@ -25,7 +23,8 @@ from gtau.estimation.results.estimate import (
     SensorEstimate,
     TorqueError,
 )
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates, PayloadEstimate
+from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.findings import Finding
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import BaseParameters
@@ -33,38 +32,19 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.statements import Payload, as_payload
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
-    import polars as pl
-
     from gtau.estimation.diagnostics.geometry import GeometryTest
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
     from gtau.estimation.estimators.physical_consistency import Consistency
-    from gtau.estimation.results.predicted import Prediction
 
-T = TypeVar("T")
-
-
-class Forwarded(Generic[T]):
-    """A field of one of the groups of a result, as a property of the result."""
-
-    def __init__(self, group: str) -> None:
-        self.group = group
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name, self.__doc__ = name, f"The field ``{name}`` of ``{self.group}``."
-
-    @overload
-    def __get__(self, result: None, owner: type) -> Self: ...
-    @overload
-    def __get__(self, result: Result, owner: type) -> T: ...
-    def __get__(self, result: Result | None, owner: type) -> Self | T:
-        if result is None:
-            return self
-        value: T = getattr(getattr(result, self.group), self.name)
-        return value
+GROUPS: Mapping[str, str] = {
+    field.name: group
+    for group, kind in (("estimates", ModelEstimates), ("fit", FitRecord), ("evidence", Evidence))
+    for field in fields(kind)
+}
+"""Group of a result that holds a field, by the name of the field."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -90,35 +70,150 @@ class Result:
     fit: FitRecord
     evidence: Evidence = field(default_factory=Evidence)
 
-    drive_gains = Forwarded[Named[str]]("estimates")
-    delays = Forwarded[Named[str]]("estimates")
-    parameters = Forwarded[Named[Parameter]]("estimates")
-    friction = Forwarded[Named[Parameter]]("estimates")
-    payloads = Forwarded[tuple[PayloadEstimate, ...]]("estimates")
-    sensors = Forwarded[tuple[SensorEstimate, ...]]("estimates")
-    covariance_names = Forwarded[tuple[Parameter, ...]]("estimates")
-    covariance = Forwarded[np.ndarray]("estimates")
-    temperatures = Forwarded[ReferenceTemperatures | None]("estimates")
-    consistency: ClassVar[Forwarded[Consistency | None]] = Forwarded("estimates")
-    method = Forwarded[str]("fit")
-    kind = Forwarded[str]("fit")
-    runs = Forwarded[tuple[str, ...]]("fit")
-    preparation = Forwarded[Preparation]("fit")
-    residuals = Forwarded[tuple[TorqueError, ...]]("fit")
-    logged_speeds = Forwarded[Mapping[str, float]]("fit")
-    statistics = Forwarded[Mapping[str, float]]("fit")
-    scale = Forwarded[Mapping[str, Mapping[str, float]]]("fit")
-    singular_values = Forwarded[tuple[float, ...]]("fit")
-    data = Forwarded[tuple[Run, ...]]("fit")
-    notes = Forwarded[tuple[Finding, ...]]("evidence")
-    effects = Forwarded[tuple[EstimatedEffect, ...]]("evidence")
-    curves = Forwarded[Mapping[str, FrictionCurve]]("evidence")
-    equation_friction = Forwarded[Named[Parameter]]("evidence")
-    geometry: ClassVar[Forwarded[GeometryTest | None]] = Forwarded("evidence")
-    audit: ClassVar[Forwarded[InertiaAudit | None]] = Forwarded("evidence")
-    requirements = Forwarded[tuple[Requirement, ...]]("evidence")
-    singularities = Forwarded[tuple[NearestPose, ...]]("evidence")
-    distances = Forwarded[tuple[np.ndarray, ...]]("evidence")
+    @property
+    def drive_gains(self) -> Named[str]:
+        """Drive gains by joint, N m/A or N per A; of logged torques the factors that make them true."""
+        return self.estimates.drive_gains
+
+    @property
+    def delays(self) -> Named[str]:
+        """Delays of the commands behind the positions by joint, s."""
+        return self.estimates.delays
+
+    @property
+    def parameters(self) -> Named[Parameter]:
+        """All base parameters by name."""
+        return self.estimates.parameters
+
+    @property
+    def friction(self) -> Named[Parameter]:
+        """Friction beyond that among the base parameters."""
+        return self.estimates.friction
+
+    @property
+    def payloads(self) -> tuple[PayloadEstimate, ...]:
+        """Payloads, one entry for each loaded run."""
+        return self.estimates.payloads
+
+    @property
+    def sensors(self) -> tuple[SensorEstimate, ...]:
+        """Torque sensors of joints, with what was estimated of each."""
+        return self.estimates.sensors
+
+    @property
+    def covariance_names(self) -> tuple[Parameter, ...]:
+        """Names of the rows of ``covariance``."""
+        return self.estimates.covariance_names
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Covariance of parameters, gains and delays."""
+        return self.estimates.covariance
+
+    @property
+    def temperatures(self) -> ReferenceTemperatures | None:
+        """Temperatures at which friction has these values, where temperatures were logged."""
+        return self.estimates.temperatures
+
+    @property
+    def consistency(self) -> Consistency | None:
+        """Physically consistent standard parameters, if requested."""
+        return self.estimates.consistency
+
+    @property
+    def method(self) -> str:
+        """Name of the estimator."""
+        return self.fit.method
+
+    @property
+    def kind(self) -> str:
+        """What the logs hold: ``current`` or ``torque``."""
+        return self.fit.kind
+
+    @property
+    def runs(self) -> tuple[str, ...]:
+        """Names of the runs."""
+        return self.fit.runs
+
+    @property
+    def preparation(self) -> Preparation:
+        """How the logs were filtered and decimated."""
+        return self.fit.preparation
+
+    @property
+    def residuals(self) -> tuple[TorqueError, ...]:
+        """Torque errors of each joint over the rows used."""
+        return self.fit.residuals
+
+    @property
+    def logged_speeds(self) -> Mapping[str, float]:
+        """Largest speed of each actuated joint among the rows used, rad/s or m/s."""
+        return self.fit.logged_speeds
+
+    @property
+    def statistics(self) -> Mapping[str, float]:
+        """Further figures of the method."""
+        return self.fit.statistics
+
+    @property
+    def scale(self) -> Mapping[str, Mapping[str, float]]:
+        """Shares of what the scale of each drive gain rests on, by joint."""
+        return self.fit.scale
+
+    @property
+    def singular_values(self) -> tuple[float, ...]:
+        """Singular values of ``W_tot`` (eq. 33), rows weighted and columns of unit length."""
+        return self.fit.singular_values
+
+    @property
+    def data(self) -> tuple[Run, ...]:
+        """The runs themselves; empty of a result read from a file."""
+        return self.fit.data
+
+    @property
+    def notes(self) -> tuple[Finding, ...]:
+        """Findings beside the verdicts."""
+        return self.evidence.notes
+
+    @property
+    def effects(self) -> tuple[EstimatedEffect, ...]:
+        """What model and description may lack, as the data show it."""
+        return self.evidence.effects
+
+    @property
+    def curves(self) -> Mapping[str, FrictionCurve]:
+        """What the data say of friction on all samples, by joint."""
+        return self.evidence.curves
+
+    @property
+    def equation_friction(self) -> Named[Parameter]:
+        """Friction in the equations that give gains and inertia."""
+        return self.evidence.equation_friction
+
+    @property
+    def geometry(self) -> GeometryTest | None:
+        """What logged poses say of the robot's geometry."""
+        return self.evidence.geometry
+
+    @property
+    def audit(self) -> InertiaAudit | None:
+        """What the data say of the inertias of the robot's file."""
+        return self.evidence.audit
+
+    @property
+    def requirements(self) -> tuple[Requirement, ...]:
+        """What the experiment file requires, and what was found."""
+        return self.evidence.requirements
+
+    @property
+    def singularities(self) -> tuple[NearestPose, ...]:
+        """Where each run comes nearest to singularities."""
+        return self.evidence.singularities
+
+    @property
+    def distances(self) -> tuple[np.ndarray, ...]:
+        """Distances to singularities along each run."""
+        return self.evidence.distances
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
@@ -128,11 +223,11 @@ class Result:
             "print(result.summary()) shows all)"
         )
 
-    def replaced(self, **values: Any) -> Result:
+    def replaced(self, **values: Any) -> Self:
         """Return the result with other values of fields of its groups, by name."""
         groups: dict[str, dict[str, Any]] = {}
         for name, value in values.items():
-            groups.setdefault(getattr(type(self), name).group, {})[name] = value
+            groups.setdefault(GROUPS[name], {})[name] = value
         return replace(self, **{group: replace(getattr(self, group), **fields) for group, fields in groups.items()})
 
     @cached_property
@@ -180,64 +275,6 @@ class Result:
                         values_of.setdefault(kind, []).append(estimate.value)
         return {kind: float(np.mean(values)) for kind, values in values_of.items()}
 
-    def summary(self, verbose: bool = True) -> str:
-        """Summarise the result as text: one screen, or with ``verbose`` all of it."""
-        text: str = views().text(self, verbose)
-        return text
-
-    def torques(
-        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None
-    ) -> np.ndarray:
-        """Compute torques of the identified model at given states, including all its friction.
-
-        Parameters
-        ----------
-        q, qd, qdd : ndarray
-            Positions, velocities and accelerations (N, n) of the actuated joints, or (n,) of one state, SI units. The
-            samples are taken as points of a path that starts at home.
-        payload : mapping, optional
-            As in an experiment file: ``{"name": "steel"}`` for one that was identified, or with its ``mass``, ...
-
-        Returns
-        -------
-        ndarray
-            (N, n) or (n,), N m or N.
-
-        Raises
-        ------
-        GtauError
-            Where the loops cannot be closed, a pose is too close to a singularity, or the payload's mass is unknown.
-        """
-        tau: np.ndarray = late("uses.prediction").torques(self, q, qd, qdd, as_payload(payload))
-        return tau
-
-    def currents(
-        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None
-    ) -> np.ndarray:
-        """Compute the currents (N, n), A, for the torques of :meth:`torques`: ``v = tau / g_tau``.
-
-        Delays are not applied: the current reference leads the motion by ``delays``. From logs of torques, whose gains
-        are 1, they are these torques, and so are the rows of a floating base.
-        """
-        return self.torques(q, qd, qdd, payload) / self.gains
-
-    def predict(self, run: Run) -> Prediction:
-        """Predict torques along ``run``, beside the raw measured ``v g_tau``.
-
-        Raises
-        ------
-        GtauError
-            Where the run does not suit the robot, or the model refuses a sample.
-        """
-        prediction: Prediction = late("uses.prediction").predict(self, run)
-        return prediction
-
-    def validate(self, run: Run) -> tuple[TorqueError, ...]:
-        """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
-        from gtau.estimation.results.predicted import torque_errors
-
-        return torque_errors(self.predict(run), self.robot, self.preparation.bandwidth)
-
     @property
     def believable(self) -> bool:
         """Whether some drive gain is good, weak or given, and nothing contradictory: no estimate, payload or sensor."""
@@ -252,32 +289,3 @@ class Result:
         """Whether the result is :attr:`believable`, has all that was asked for, and meets all requirements."""
         lacking = any(note.kind == F.NO_BODIES for note in self.notes)
         return self.believable and not lacking and all(requirement.met for requirement in self.requirements)
-
-    @property
-    def plot(self) -> Any:
-        """Plot the result, one figure per call: ``result.plot.torques("elbow_joint")``."""
-        return views().plots(self)
-
-    def report(self, path: str | Path) -> None:
-        """Write the report of the result and its runs as one self-contained HTML file."""
-        views().write(self, Path(path))
-
-    def to_frame(self) -> pl.DataFrame:
-        """Return all estimates as a Polars table, one row per estimate.
-
-        ``pandas.DataFrame(result.to_frame().to_dict(as_series=False))`` is the same table in pandas.
-        """
-        frame: pl.DataFrame = late("estimation.results.table").estimates_frame(self)
-        return frame
-
-    _repr_html_ = html
-
-    def save(self, path: str | Path) -> None:
-        """Write the result as JSON, atomically; see :mod:`gtau.estimation.results.model_file`."""
-        late("estimation.results.model_file").save(self, path)
-
-    @staticmethod
-    def load(path: str | Path) -> Result:
-        """Load a result written by :meth:`save`; raises GtauError if the file is not one."""
-        result: Result = late("estimation.results.model_file").load(path)
-        return result

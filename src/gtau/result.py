@@ -1,0 +1,224 @@
+"""What users hold: a result with its methods, and the call that makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
+from gtau.estimation.experiment_runs import ACCURACY, options_of
+from gtau.estimation.results import result as results
+from gtau.estimation.results.estimate import TorqueError
+from gtau.estimation.results.model_file import load, save
+from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.table import estimates_frame
+from gtau.progress import Progress, silent
+from gtau.robots.robot import Robot
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.statements import Payload, Prior, as_payload
+from gtau.signals.run import Run
+from gtau.uses import identify as uses
+from gtau.uses.prediction import predict, torques, validate
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from gtau.report.plots import Plots
+
+
+class Result(results.Result):
+    """Drive gains, parameters and payloads of a robot, identified from its logs.
+
+    Attributes
+    ----------
+    robot : Robot
+        The robot.
+    estimates : ModelEstimates
+        Estimates with which the model predicts.
+    fit : FitRecord
+        How they were fitted, and to what.
+    evidence : Evidence
+        What speaks for and against them.
+
+    All fields of these groups are properties of the result, too.
+    """
+
+    @classmethod
+    def of(cls, model: results.Result) -> Result:
+        """Give an identified model the methods of this class."""
+        return cls(model.robot, model.estimates, model.fit, model.evidence)
+
+    def summary(self, verbose: bool = True) -> str:
+        """Summarise the result as text: one screen, or with ``verbose`` all of it."""
+        from gtau.report.notebook import text
+
+        return text(self, verbose)
+
+    def torques(
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None
+    ) -> np.ndarray:
+        """Compute torques of the identified model at given states, including all its friction.
+
+        Parameters
+        ----------
+        q, qd, qdd : ndarray
+            Positions, velocities and accelerations (N, n) of the actuated joints, or (n,) of one state, SI units. The
+            samples are taken as points of a path that starts at home.
+        payload : mapping, optional
+            As in an experiment file: ``{"name": "steel"}`` for one that was identified, or with its ``mass``, ...
+
+        Returns
+        -------
+        ndarray
+            (N, n) or (n,), N m or N.
+
+        Raises
+        ------
+        GtauError
+            Where the loops cannot be closed, a pose is too close to a singularity, or the payload's mass is unknown.
+        """
+        tau: np.ndarray = torques(self, q, qd, qdd, as_payload(payload))
+        return tau
+
+    def currents(
+        self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None
+    ) -> np.ndarray:
+        """Compute the currents (N, n), A, for the torques of :meth:`torques`: ``v = tau / g_tau``.
+
+        Delays are not applied: the current reference leads the motion by ``delays``. From logs of torques, whose gains
+        are 1, they are these torques, and so are the rows of a floating base.
+        """
+        return self.torques(q, qd, qdd, payload) / self.gains
+
+    def predict(self, run: Run) -> Prediction:
+        """Predict torques along ``run``, beside the raw measured ``v g_tau``.
+
+        Raises
+        ------
+        GtauError
+            Where the run does not suit the robot, or the model refuses a sample.
+        """
+        return predict(self, run)
+
+    def validate(self, run: Run) -> tuple[TorqueError, ...]:
+        """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
+        return validate(self, run)
+
+    @property
+    def plot(self) -> Plots:
+        """Plot the result, one figure per call: ``result.plot.torques("elbow_joint")``."""
+        from gtau.report.plots import Plots
+
+        return Plots(self)
+
+    def report(self, path: str | Path) -> None:
+        """Write the report of the result and its runs as one self-contained HTML file."""
+        from gtau.report.notebook import write
+
+        write(self, Path(path))
+
+    def to_frame(self) -> pl.DataFrame:
+        """Return all estimates as a Polars table, one row per estimate.
+
+        ``pandas.DataFrame(result.to_frame().to_dict(as_series=False))`` is the same table in pandas.
+        """
+        return estimates_frame(self)
+
+    def _repr_html_(self) -> str:
+        from gtau.report.notebook import html
+
+        return html(self)
+
+    def save(self, path: str | Path) -> None:
+        """Write the result as JSON, atomically; see :mod:`gtau.estimation.results.model_file`."""
+        save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Result:
+        """Load a result written by :meth:`save`; raises GtauError if the file is not one."""
+        return cls.of(load(path))
+
+
+@takes(
+    method=TEXT,
+    ratio=NUMBER,
+    prior_inertias=NUMBER,
+    as_paper=TRUTH,
+    consistent=TRUTH,
+    accuracy=NUMBER,
+    progress=FUNCTION,
+)
+def identify(
+    source: str | Path | Experiment | Robot,
+    runs: Sequence[Run] | None = None,
+    method: str | None = None,
+    prior_gains: Mapping[str, float] | None = None,
+    ratio: float | None = None,
+    as_paper: bool = False,
+    consistent: bool = False,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    accuracy: float = ACCURACY,
+    progress: Progress = silent,
+    prior_inertias: float | None = None,
+) -> Result:
+    """Identify drive gains and dynamic parameters.
+
+    Parameters
+    ----------
+    source : path, Experiment or Robot
+        An experiment file or the experiment read from it; or a robot, together with ``runs``.
+    runs : sequence of Run, optional
+        From :func:`gtau.read_run`; only with a robot.
+    method : str, optional
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md describes each, and when
+        to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
+        torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
+        torques.
+    prior_gains : mapping, optional
+        Joint to gain, N m/A or N per A, of torques the factor that makes them true; the experiment file's if left out.
+    ratio : float, optional
+        The paper's r_sigma for the essential parameters; if left out, the Bayesian information criterion decides
+        which base parameters are cancelled.
+    as_paper : bool
+        Follow the paper step by step: its TLS (or WLS or OLS), its decimation filter, its friction, no delays,
+        standard errors by formula, and the essential parameters re-estimated together with the gains at ratio 10.
+        (Samples near reversals are left out all the same: with them TLS fails.)
+    consistent : bool
+        Also find standard parameters that rigid bodies can have (see
+        :mod:`gtau.estimation.estimators.physical_consistency`).
+    priors : mapping, optional
+        Priors on standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like those of
+        the experiment file (``{"value": 1.2, "std": 0.4}``); the experiment file's if left out.
+    accuracy : float
+        Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.
+    progress : callable, optional
+        Called as the work goes on.
+    prior_inertias : float, optional
+        Take the inertias of the robot's file (URDF or MJCF) as priors with this relative standard deviation, 0.3 for
+        30 %; the experiment file's if left out. Where nothing else gives the scale of the gains, they give it, and
+        that alone.
+
+    Returns
+    -------
+    Result
+        Drive gains, parameters, payloads and verdicts; ``print(result.summary())`` shows them.
+
+    Raises
+    ------
+    GtauError
+        If a file is wrong, the data cannot be used, or they lack an input of the method.
+    """
+    options = options_of(
+        prior_gains,
+        priors,
+        method=method,
+        as_paper=as_paper,
+        consistent=consistent,
+        accuracy=accuracy,
+        ratio=ratio,
+        prior_inertias=prior_inertias,
+    )
+    return Result.of(uses.identify(source, runs, options, progress))
