@@ -111,7 +111,7 @@ def test_identify_writes_to_result_without_being_told_where_and_prints_what_it_w
 
 def test_the_model_file_has_the_keys_that_are_promised(here: Path) -> None:
     written = json.loads((here / "model.json").read_text())
-    assert written["schema"] == "gtau-model/4"
+    assert written["schema"] == "gtau-model/5"
     assert written["robot"] == "five-bar"
     assert written["method"] == "ml"
     assert [gain["joint"] for gain in written["drive_gains"]] == list(JOINTS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -116,53 +115,11 @@ def test_plain_friction_stays_plain() -> None:
     assert found.friction == {}
 
 
-def test_a_model_file_holds_the_curves_and_older_ones_are_read(result: gtau.Result, tmp_path: Path) -> None:
+def test_a_model_file_holds_the_curves(result: gtau.Result, tmp_path: Path) -> None:
     result.save(tmp_path / "model.json")
     again = gtau.Result.load(tmp_path / "model.json")
     assert again.curves == dict(result.curves)
     assert again.friction_law.shapes == result.friction_law.shapes
-    document = json.loads((tmp_path / "model.json").read_text())
-    (tmp_path / "3.json").write_text(json.dumps(schema_3(document)))
-    third = gtau.Result.load(tmp_path / "3.json")
-    third.save(tmp_path / "again.json")
-    again = json.loads((tmp_path / "again.json").read_text())
-    for group in (again, document):
-        group["friction"].sort(key=lambda each: each["name"])
-    assert again == document
-    del document["curves"], document["equation_friction"]
-    (tmp_path / "2.json").write_text(json.dumps(document | {"schema": "gtau-model/2"}))
-    assert gtau.Result.load(tmp_path / "2.json").curves == {}
-
-
-def schema_3(document: dict) -> dict:
-    """The document as its older schema has it: the friction that predicts in the curves."""
-    predicted = {each["name"]: each for each in document["friction"]}
-    plain = {
-        each["name"]: each
-        for each in document["parameters"]
-        if each["name"] in {one["name"] for one in document["equation_friction"]}
-    }
-    equations = {each["name"]: each for each in document["equation_friction"]}
-    more = ("regrouping", "spread", "essential")
-    old = {"schema": "gtau-model/3", "friction": [each for name, each in equations.items() if name not in plain]}
-    old["parameters"] = [
-        equations[each["name"]] | {key: each[key] for key in more} if each["name"] in plain else each
-        for each in document["parameters"]
-    ]
-    old["curves"] = [
-        curve
-        | {
-            "parameters": [
-                {key: value for key, value in each.items() if key not in more}
-                for name, each in (plain | predicted).items()
-                if name.endswith(f"_{curve['joint']}") and not name.startswith(("width", "vs"))
-            ],
-            "width": predicted.get(f"width_{curve['joint']}"),
-            "speed": predicted.get(f"vs_{curve['joint']}"),
-        }
-        for curve in document["curves"]
-    ]
-    return {key: value for key, value in document.items() if key != "equation_friction"} | old
 
 
 def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Result, rng: np.random.Generator) -> None:

@@ -408,8 +408,8 @@ MODELS = [
     Case("deep JSON", "model.json is not a JSON file", _model(lambda text: "[" * 100000), VALIDATE),
     Case(
         "of tomorrow",
-        "model.json has the schema 'gtau-model/9', but this version reads 'gtau-model/4'",
-        _model(lambda text: text.replace("gtau-model/4", "gtau-model/9")),
+        "model.json has the schema 'gtau-model/9', but this version reads 'gtau-model/5'",
+        _model(lambda text: text.replace("gtau-model/5", "gtau-model/9")),
         VALIDATE,
     ),
     Case(

@@ -17,9 +17,7 @@ from gtau.estimation.results.model_document import ModelDocument, described
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import Parameter
 
-SCHEMA = "gtau-model/4"
-OLDER = ("gtau-model/2", "gtau-model/3")
-"""Schemas that are read too: 2 is without friction on all samples, and 3 has it apart from ``parameters``."""
+SCHEMA = "gtau-model/5"
 
 
 def to_document(result: Result) -> dict[str, Any]:
@@ -41,7 +39,7 @@ def save(result: Result, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> Result:
-    """Read a result; raises GtauError where the file cannot be read, or is no model of this schema."""
+    """Read a result; raises GtauError where the file cannot be read, or is not a model of this schema."""
     refuse_other_kind(path, MODEL)
     path = Path(path)
     with system_refusals(path, "give the model.json that 'gtau identify' wrote"):
@@ -53,38 +51,15 @@ def load(path: str | Path) -> Result:
             raise GtauError(f"{path} is not a JSON file; give the model.json that 'gtau identify' wrote.") from None
     if not isinstance(document, dict) or "schema" not in document:
         raise GtauError(f"{path} is not a model; give the model.json that 'gtau identify' wrote.")
-    if document["schema"] not in (SCHEMA, *OLDER):
+    if document["schema"] != SCHEMA:
         raise GtauError(
             f"{path} has the schema '{document['schema']}', but this version reads '{SCHEMA}'; identify again "
             "with this version."
         )
-    if document["schema"] == "gtau-model/3":
-        document = _one_friction(document)
     result = validate(ModelDocument, Document(path, document)).made(path)
     for problem in _problems(result):
         raise _damaged(path, problem)
     return result
-
-
-def _one_friction(document: dict[str, Any]) -> dict[str, Any]:
-    """Rewrite a document of schema 3, whose curves have the friction that predicts, as one of schema 4."""
-    try:
-        curves = document["curves"]
-        predicted = {entry["name"]: entry for curve in curves for entry in curve["parameters"]}
-        shapes = [curve[key] for curve in curves for key in ("width", "speed") if curve[key] is not None]
-        parameters = {entry["name"]: entry for entry in document["parameters"]}
-        of_base = {
-            name: name.removesuffix("R") if entry["regrouping"] not in ("", name) else name
-            for name, entry in parameters.items()
-        }
-        replaced = {name: predicted.pop(plain) for name, plain in of_base.items() if plain in predicted}
-    except (KeyError, TypeError, AttributeError):
-        return document  # which the schema then refuses
-    if not curves:
-        return document
-    equations = [*(parameters[name] for name in replaced), *document["friction"]]
-    kept = [parameters[name] | {k: v for k, v in replaced.get(name, {}).items() if k != "name"} for name in parameters]
-    return document | {"parameters": kept, "friction": [*predicted.values(), *shapes], "equation_friction": equations}
 
 
 def _damaged(path: Path, problem: str) -> GtauError:
