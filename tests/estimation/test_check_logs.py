@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,12 +18,12 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_document import NoteEntry
-from gtau.findings import Finding, Severity
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade, Severity
 from gtau.findings.finding import by_severity, note_document
 from gtau.report.check import expectation
 from gtau.report.findings import findings_table
 from gtau.result import identify
+from gtau.signals.reading.notes import repair
 
 EXPERIMENT = """
 robot: five-bar
@@ -35,33 +36,34 @@ runs:
 
 def test_repairs_are_graded_by_what_they_cost() -> None:
     small, large = (
-        Finding(F.STALE, values={"signal": "currents", "stale": 1000 * share}, share=share) for share in (0.001, 0.04)
+        repair("stale samples", share, text=f"{1000 * share:.0f} samples are stale") for share in (0.001, 0.04)
     )
-    stuck = Finding(F.REFUSED, values={"what": "stuck", "action": "record it again"})
+    stuck = Finding("refused", text="stuck", advice="record it again", grade=Grade.ERROR)
     assert (small.severity, large.severity) == (Severity.INFORMATION, Severity.WARNING)
     assert list(by_severity([small, large, stuck])) == list(Severity)  # the worst first
     assert by_severity([small, small]) == {Severity.INFORMATION: [small]}
 
 
 def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
-    note = Finding(F.STILL, ("a",), time=2.0, share=0.01).of_source("log.csv").of_source("run")
-    assert str(note) == "run: log.csv: the position of joint 'a' never changes: it yields no rows"
+    said = repair("repeated rows", 0.01, text="dropped 2 repeated rows", joints=("a",), time=2.0)
+    note = said.of_source("log.csv").of_source("run")
+    assert str(note) == "run: log.csv: dropped 2 repeated rows"
     assert pickle.loads(pickle.dumps(note)) == note
     read = TypeAdapter(NoteEntry).validate_json(json.dumps(note_document(note)))
-    assert (str(read), read.kind, note_document(read)) == (str(note), F.STILL, note_document(note))
+    assert (str(read), read.kind, note_document(read)) == (str(note), "repeated rows", note_document(note))
 
 
 def test_a_note_of_an_older_file_is_read_by_its_topic() -> None:
     document = {"grade": "information", "kind": "repair", "finding": None, "source": "run", "what": "dropped 2 rows"}
     document |= {"joint": None, "time": None, "share": 0.001, "action": None}
     read = TypeAdapter(NoteEntry).validate_python(document)
-    assert (str(read), read.kind, read.severity) == ("run: dropped 2 rows", F.REPAIR, Severity.INFORMATION)
+    assert (str(read), read.kind, read.severity) == ("run: dropped 2 rows", "repair", Severity.INFORMATION)
 
 
 def test_what_several_logs_share_is_said_once_and_no_more_than_asked_for() -> None:
-    slow = {"what": "slow", "action": "log faster"}
-    notes = [Finding(F.RATE, values=slow, source=name) for name in ("a", "b")]
-    notes.insert(0, Finding(F.REST, values={"what": "rests"}, source="a"))
+    slow = Finding("sampling rate", text="slow", advice="log faster", grade=Grade.WARNING)
+    notes = [replace(slow, source=name) for name in ("a", "b")]
+    notes.insert(0, Finding("joint at rest", text="rests", grade=Grade.INFORMATION, source="a"))
     first = ("warning", "a, b", "", "slow", "log faster")
     assert findings_table(notes).rows == (first, ("information", "a", "", "rests", ""))
     assert findings_table(notes, 1).rows == (first,)
@@ -129,7 +131,7 @@ def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Pa
     (note,) = check(path).notes
     with pytest.raises(GtauError) as refused:
         identify(path)
-    assert (note.kind, f"{note}.") == (F.SCALE, str(refused.value))
+    assert (note.kind, f"{note}.") == ("scale of the gains", str(refused.value))
     path.write_text(path.read_text() + "prior_gains: {left: 2.5, right: 4}\n")
     (same,) = check(path).notes
     assert same == note
@@ -177,7 +179,7 @@ def test_the_exit_code_follows_the_worst_grade_and_identify_repeats_the_findings
     assert code(path) == 3
     assert code(damaged(folder, "missing", "free.csv", "missing.csv")) == 2
     notes = check(path).notes
-    (note,) = (note for note in notes if note.kind == F.HELD)
+    (note,) = (note for note in notes if note.kind == "held signal")
     assert "every 10 samples" in note.what
     result = identify(path)
     assert set(notes) <= set(findings(result))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from pydantic import TypeAdapter
 
-from gtau.findings import Finding, Severity
+from gtau.findings import Finding, Grade, Severity
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import finding_document, named_causes
 from gtau.findings.words import filled, percents, phrase, templates
@@ -350,10 +350,6 @@ SENTENCES = [  # finding, reason, advice
      "the first moments of the links are 998 times those of the robot's file (rms of 14)",
      "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is wrong, state "
      "'prior_gains'"),
-    (Finding(F.MODEL_APART, (), "", {"apart": 4.96}),
-     "the log contradicts the model, whose parameters it would move by 5 standard deviations (rms)",
-     "add a log without payload of the same day; check signs, units and zeros of its columns, and that the robot is "
-     "mounted as before; otherwise identify the robot again, as torque constants fall while motors warm up"),
     (Finding(F.NEGATIVE_PAYLOAD, (), "neg", {"mass": -5.0, "std": 0.03}),
      "its mass of -5 kg (standard deviation 0.03) is negative, which no body has",
      "check which runs carry it, as the others may be the loaded ones, the signs of the commands, and gravity"),
@@ -399,99 +395,6 @@ SENTENCES = [  # finding, reason, advice
      "the currents lag behind the motion by more than 16 ms, so they look low-passed, held or logged late; a low-pass "
      "filter with that time constant attenuates them by 38 % at the bandwidth of the motion, 10 Hz",
      "log the currents before any filter and with the time stamps of the positions"),
-    (Finding(F.SKIPPED_LINES, values={"first": 1, "last": 3, "header": 4}),
-     "skipped lines 1 to 3 before the table, took the names of its columns from line 4", ""),
-    (Finding(F.SKIPPED_LINES, values={"first": 1, "last": 0, "header": 0}), "skipped line 1 before the table", ""),
-    (Finding(F.OTHER_ROWS, values={"count": 2}), "left out 2 rows that hold only other signals", ""),
-    (Finding(F.BAD_ROWS, values={"count": 1, "places": "line 7"}),
-     "dropped 1 row with missing or non-numeric values (line 7)", ""),
-    (Finding(F.REPEATED_ROWS, values={"count": 2, "places": "lines 7 and 9"}),
-     "dropped 2 repeated rows (lines 7 and 9)", ""),
-    (Finding(F.ALIGNED,
-     values={"signal": "currents", "rate": 500.0, "position_rate": 125.0, "apart": 0.71, "left_out": 12}),
-     "aligned the currents with the positions by linear interpolation between their stamps (500 Hz; positions 125 Hz; "
-     "typically 0.71 ms from a position to the nearest); left out 12 positions before the first or after the last of "
-     "them", ""),
-    (Finding(F.STILL, ("a", "b")), "the position of joints 'a' and 'b' never changes: it yields no rows", ""),
-    (Finding(F.REGISTER, ("a",), values={"signal": "command", "bits": 16, "sign": False}),
-     "the command of joint 'a' is a signed number of 16 bits that was logged as unsigned: 65536 is subtracted from "
-     "32768 and more", ""),
-    (Finding(F.REGISTER, ("a",), values={"signal": "position", "bits": 11, "sign": True}),
-     "the position of joint 'a' is a signed number of 11 bits that was logged as unsigned: 1024 and more are negative, "
-     "with the magnitude above that", ""),
-    (Finding(F.UNWRAPPED, ("a", "b")), "unwrapped the angles of joints 'a' and 'b', which jumped by a turn", ""),
-    (Finding(F.UNWRAPPED, ("a",)), "unwrapped the angle of joint 'a', which jumped by a turn", ""),
-    (Finding(F.OUTLIERS, ("a",), time=1.4,
-     values={"counts": [["a", 1]], "first": "a", "place": "line 9", "logged": 3.0, "instead": 0.51234}),
-     "interpolated 1 position of joint 'a' that is an outlier: at 1.4 s (line 9) it is 3 instead of 0.5123 (rad or m)",
-     "check the encoder and its cable, and how missing values are written"),
-    (Finding(F.OUTLIERS, ("a", "b"), time=1.4,
-     values={"counts": [["a", 1], ["b", 2]], "first": "b", "place": "line 9", "logged": 3.0, "instead": 0.5}),
-     "interpolated 3 positions of joints 'a' (1), 'b' (2) that are outliers: the first, of 'b' at 1.4 s (line 9), is 3 "
-     "instead of 0.5 (rad or m)",
-     "check the encoder and its cable, and how missing values are written"),
-    (Finding(F.CLIPPED, ("a",), values={"signal": "current", "level": 7.5, "samples": 12}),
-     "the current of joint 'a' is clipped at 7.5: masked 12 samples",
-     "log again with smaller accelerations, or a higher limit of the drive"),
-    (Finding(F.REORDERED, values={"count": 2, "places": "lines 8, 9"}),
-     "put 2 rows in the order of their times (lines 8, 9)", ""),
-    (Finding(F.CUT, time=1.5, values={"count": 2, "parts": 2, "lost": 40, "place": "line 76", "gap": 3.25}),
-     "cut the log at 2 gaps or dropouts, the first after 1.5 s (line 76), the longest of 3.25 s, into 2 parts, each a "
-     "run; 40 rows that repeat the last one, or are in parts without motion or too short (a second, 100 rows, a tenth "
-     "of the longest), are left out",
-     "log every cycle of the controller"),
-    (Finding(F.COARSE, ("a",), values={"signal": "command", "step": 0.5, "steps": 9}),
-     "the command of joint 'a' is rounded to steps of 0.5, and its range holds only 9 of them",
-     "log it with more digits"),
-    (Finding(F.MISSING, values={"count": 9, "masked": 4, "bridged": 3}),
-     "interpolated 9 missing samples, and masked 4 of them in gaps of more than 3 samples",
-     "log every cycle of the controller"),
-    (Finding(F.HELD, values={"signal": "currents", "rate": 50.0, "period": 10}),
-     "the currents are held: updated at about 50 Hz, every 10 samples; interpolated between updates",
-     "log the currents at the rate at which they change"),
-    (Finding(F.STALE, values={"signal": "positions", "stale": 5}),
-     "5 samples of the positions are stale (repeat the previous one): interpolated",
-     "log in the controller's own cycle"),
-    (Finding(F.IRREGULAR, values={"given": False, "hertz": 500.0, "shortest": 1.0, "longest": 4.0}),
-     "resampled from irregular steps of 1 to 4 ms to a uniform 500.00 Hz: the time stamps are used, because a regular "
-     "clock makes the positions no smoother", ""),
-    (Finding(F.LATE_STAMPS, values={"given": False, "hertz": 500.0, "late": 3.0, "packets": True}),
-     "time stamps come in packets, up to 3 ms late: the samples were taken at a regular 500.00 Hz instead, as packets "
-     "are",
-     "if this rate is wrong, give the right one (time: {rate: HZ})"),
-    (Finding(F.LATE_STAMPS, values={"given": True, "hertz": 500.0, "late": 3.0, "packets": False}),
-     "time stamps scatter, up to 3 ms late: the samples were taken at a regular 500.00 Hz instead, as "
-     "preparation.clock says", ""),
-    (Finding(F.MOVED_COMMANDS, values={"delay": 12.0}),
-     "moved the commands 12 ms forward, as preparation.delay says", ""),
-    (Finding(F.REST, ("a",)), "joint 'a' hardly moves: its rows are left out", ""),
-    (Finding(F.NOISY, ("a", "b"), values={"shares": [["a", 0.31], ["b", 0.55]]}),
-     "position noise contributes much of the rms speed of joints 'a' (31 %), 'b' (55 %): inertias are underestimated",
-     "move faster, or use --method iv or didim"),
-    (Finding(F.RATE, values={"bandwidth": 12.0, "nyquist": 25.0, "wanted": 120.0}),
-     "the bandwidth of the motion, 12 Hz, is close to the Nyquist frequency, 25 Hz: speeds and accelerations are "
-     "inaccurate",
-     "log at 120 Hz or more, or move more slowly"),
-    (Finding(F.LIMITS, ("a",), values={"low": -1.2, "high": 2.0, "lower": -1.0, "upper": 1.0, "unit": "rad"}),
-     "joint 'a' goes from -1.2 to 2 rad, outside its limits -1 to 1 rad",
-     "check the zero of its position, or state the real one under 'robot' in the experiment file ({file: ..., limits: "
-     "{a: ...}})"),
-    (Finding(F.SPEED_LIMIT, ("a",), values={"speed": 6.0, "ratio": 3.0, "limit": 2.0, "unit": "rad"}),
-     "joint 'a' moves at 6 rad/s (rms), 3 times its limit of 2 rad/s",
-     "check columns and units; if the limit is a placeholder, state the real one under 'robot' in the experiment file "
-     "({file: ..., limits: {a: ...}})"),
-    (Finding(F.DATA_SHEET, ("a",),
-     values={"quantity": "gain", "value": 2.51, "unit": "N m/A", "stated": 2.4, "std": 0.05, "apart": 2.2}),
-     "gain of 'a': 2.51 N m/A was identified, and 2.4 N m/A is by the data sheet (standard deviation 0.05; apart by "
-     "2.2 standard deviations)", ""),
-    (Finding(F.SINGULARITY, values={"distance": 0.021}, time=1.25),
-     "the motion passes within 0.021 of a type 2 singularity at 1.25 s, where errors of position and geometry are "
-     "amplified",
-     "keep the motion away from that pose"),
-    (Finding(F.SINGULARITY, values={"distance": 0.021}, time=1700000012.345),
-     "the motion passes within 0.021 of a type 2 singularity at 2023-11-14 22:13:32.345 UTC "
-     "(1700000012.345 s), where errors of position and geometry are amplified",
-     "keep the motion away from that pose"),
     (Finding(F.CONFIRMED_GEOMETRY, (), "tool", {"before": "0.2 mm"}),
      "the logged pose of 'tool' confirms the robot's geometry to 0.2 mm rms", ""),
     (Finding(F.UNEXPLAINED_POSE, (), "tool", {"before": "12 mm", "changes": ["the length of leg '1' by 2 mm"],
@@ -505,23 +408,10 @@ SENTENCES = [  # finding, reason, advice
      "the geometry is off: a and b explain 97 % of the residual variance of the logged pose of 'tool', which is 12 mm "
      "rms from the one computed, and 1 mm with these changes",
      "correct the robot file"),
-    (Finding(F.UNKNOWN_PAYLOAD, (), "iron", {"known": ["steel", "lead"], "mass": 1.2, "tool": "wrist"}),
-     "payload 'iron' is not a payload of the model ('steel', 'lead'), so it is treated as a point mass of 1.2 kg at "
-     "the origin of 'wrist'",
-     "correct the name, or give its 'parameters'"),
-    (Finding(F.ASSUMED_TEMPERATURE, ("a",), values={"assumed": [["a", 31.5]], "unit": "C"}),
-     "friction depends on the temperature, which these logs lack; the reference is assumed ('a' 31.5 C)",
-     "add 'temperature' to the signals"),
     (Finding(F.SCALE_UNTESTED, values={"joint": "left"}, causes=(Finding(F.SIGN_OPEN, values={"payload": True}),)),
      "the torques are assumed to be correct, because their scale could not be tested: that of no joint is identifiable "
      "('left': the 95 % interval includes zero)",
      "add runs with a heavier payload of known mass, or longer ones"),
-    (Finding(F.ROWS, ("a",), values={"rows": 7}),
-     "joint 'a' has 7 usable rows in all runs together, away from its reversals and gaps",
-     "add runs in which it moves, or longer ones"),
-    (Finding(F.WEIGHING, (), "steel"),
-     "no payload has a known mass, so these logs cannot give the drive gains; they can weigh 'steel'",
-     "run 'gtau payload MODEL.json' with them"),
 ]
 # fmt: on
 
@@ -568,9 +458,9 @@ def test_causes_of_one_effect_are_named_together() -> None:
 
 
 def test_a_finding_has_a_topic_and_its_sentence() -> None:
-    noise = Finding(F.NOISY, ("left",), values={"shares": [("left", 0.5)]}, source="run")
-    assert (noise.topic, noise.joint, noise.severity) == (F.POSITION_NOISE, "left", Severity.WARNING)
-    assert str(noise) == f"run: {noise.what}; {noise.action}"
+    lag = Finding("lag", ("left",), text="late", advice="log", grade=Grade.WARNING, shown_as="unit", source="run")
+    assert (lag.topic, lag.joint, lag.severity) == (F.UNIT, "left", Severity.WARNING)
+    assert str(lag) == "run: late; log"
 
 
 def test_numbers_are_written_as_people_write_them() -> None:

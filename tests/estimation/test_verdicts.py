@@ -39,7 +39,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.results.conclusions import INFLATED, Reason, headline, reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.findings import Finding, Severity
+from gtau.findings import Finding, Grade, Severity
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import by_severity
 from gtau.findings.words import percent_text
@@ -333,11 +333,11 @@ def test_what_is_said_of_several_gains_is_said_once(result: Result) -> None:
     assert " ".join(both.summary(False).split()).count(turned.advice) == 1
 
 
-SAID = ((F.MODEL, "slight", 0.2), (F.ROWS, "refusal", 0.0), (F.MODEL, "large", 3.0))
+SAID = ((Grade.WARNING, "slight", 0.2), (Grade.ERROR, "refusal", 0.0), (Grade.WARNING, "large", 3.0))
 
 
 def test_notes_that_may_move_an_estimate_most_stand_first() -> None:
-    notes = [Finding(kind, values={"what": what}, size=size) for kind, what, size in SAID]
+    notes = [Finding("model", text=text, grade=grade, size=size) for grade, text, size in SAID]
     listed = {grade: [each.what for each in members] for grade, members in by_severity(notes).items()}
     assert listed == {Severity.ERROR: ["refusal"], Severity.WARNING: ["large", "slight"]}
 

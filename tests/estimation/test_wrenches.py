@@ -69,7 +69,7 @@ def test_a_tool_in_every_run_gives_no_scale(tmp_path: Path) -> None:
         GtauError, match="the wrench on 3 moves as one of the robot's own bodies in every run, so"
     ) as no:
         identify(path)
-    assert [f"{note}." for note in check(path).notes if note.kind == F.SCALE] == [str(no.value)]
+    assert [f"{note}." for note in check(path).notes if note.kind == "scale of the gains"] == [str(no.value)]
 
 
 def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> None:

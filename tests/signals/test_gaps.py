@@ -14,7 +14,6 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
 from gtau.estimation.experiment_runs import read_runs, read_validation
-from gtau.findings import FindingKind as F
 from gtau.result import identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
@@ -87,8 +86,8 @@ def test_parts_that_are_short_or_rest_are_left_out_and_said(change: Change) -> N
     path = change("free.csv", still)
     first, second, _ = runs_of(path)
     assert (len(first.time), len(second.time)) == (1000, 2400)
-    (note,) = (note for note in first.notes if note.kind == F.CUT)
-    assert note.values["lost"] == 300 + 1000
+    (note,) = (note for note in first.notes if note.kind == "log cut at gaps")
+    assert "; 1300 rows that repeat the last one, or are in parts without motion or too short" in note.what
     checked = check(path)
     assert [log.run.name for log in checked.logs][:2] == [first.name, second.name]
     assert note.of_source(first.name) in checked.notes

@@ -13,7 +13,6 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
 from gtau.result import identify
 from gtau.signals.run import Run, read_run
 from gtau.signals.storage import working_with
@@ -47,7 +46,7 @@ def test_samples_that_jump_and_come_back_are_interpolated(size: float, width: in
     for at, sign in ((700, 1), (712, -1), (3000, 1)):
         columns["qb"][at : at + width] += sign * size
     run, (note,) = read(columns)
-    assert note.kind == F.OUTLIERS
+    assert note.kind == "outliers"
     assert note.what.startswith(f"interpolated {3 * width} positions of joint 'b' that are outliers: the first")
     assert (note.joint, note.time, note.share) == ("b", 1.4, 3 * width / N)
     np.testing.assert_allclose(run.position, clean, atol=8 * NOISE)

@@ -25,6 +25,7 @@ from gtau.estimation.diagnostics.unit_checks import (
     doubtful_payloads,
     units_and_signs,
 )
+from gtau.estimation.diagnostics.verdict import OUTCOMES
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -36,8 +37,7 @@ from gtau.estimation.regression.plausibility import prepare_runs
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import NearestPose, distances_along, nearest_poses
-from gtau.findings import Finding, Severity
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade, Severity
 from gtau.findings.finding import by_severity
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -56,6 +56,9 @@ from gtau.signals.storage import Store, block_size
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.geometry import GeometryTest
+
+WEIGHING = "weighing"
+"""Kind of what is said of logs without a payload of known mass."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +173,7 @@ def check(
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
     notes = robot_notes(robot, loaded=any(run.payload for run in listed))
     count, listed = len(listed), (*listed, *(experiment.validation if experiment else ()))
-    kinds = [F.REFUSED] * count + [F.VALIDATION] * (len(listed) - count)
+    kinds = ["refused"] * count + ["validation log"] * (len(listed) - count)
     read = list(_read(experiment, listed, kinds, model, notes, progress))
     used = [run for runs in read[:count] for run in runs]
     if not used:
@@ -205,14 +208,14 @@ def check(
         subject, known = replace(subject, runs=[log.run for log in for_use]), {note.kind for note in notes}
         estimator = estimator_for(options, used)
         together = _together(subject, estimator, reduced(subject, estimator, progress, preparation))
-        notes += [note for note in together if F(note.kind).outcome is None or note.kind not in known]
+        notes += [note for note in together if note.kind not in OUTCOMES or note.kind not in known]
     return ExperimentCheck(robot, preparation, tuple(checked), tuple(notes), geometry)
 
 
 def _read(
     experiment: Experiment | None,
     listed: Sequence[LoggedRun | Run],
-    kinds: Sequence[F],
+    kinds: Sequence[str],
     model: InverseDynamics,
     notes: list[Finding],
     progress: Progress,
@@ -234,7 +237,7 @@ def _read(
 
 
 @contextmanager
-def _noted(notes: list[Finding], kind: F = F.REFUSED, source: str = "") -> Generator[None]:
+def _noted(notes: list[Finding], kind: str = "refused", source: str = "") -> Generator[None]:
     """Note a refusal instead of raising it; what several logs have in common is listed once, with all their names."""
     try:
         yield
@@ -247,7 +250,14 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
     for of_joint in zip(*(log.joints for log in logs), strict=True):
         rows = sum(round(joint.usable * log.rows) for joint, log in zip(of_joint, logs, strict=True))
         if rows < FEWEST_ROWS:
-            yield Finding(F.ROWS, (of_joint[0].joint,), values={"rows": rows})
+            joint = of_joint[0].joint
+            yield Finding(
+                "usable rows",
+                (joint,),
+                text=f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps",
+                advice="add runs in which it moves, or longer ones",
+                grade=Grade.ERROR,
+            )
 
 
 def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[Finding]:
@@ -259,12 +269,15 @@ def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[
         with suppress(GtauError):
             planned, *_ = plan(subject, estimator, dataset, system)
         if planned is None:
-            return [*notes, Finding(F.WEIGHING, (), payloads[0].name)]
+            text = "no payload has a known mass, so these logs cannot give the drive gains; they can weigh "
+            text += f"'{payloads[0].name}'"
+            advice = "run 'gtau payload MODEL.json' with them"
+            return [*notes, Finding(WEIGHING, text=text, advice=advice, grade=Grade.INFORMATION)]
     else:
-        with _noted(notes, F.SCALE):
+        with _noted(notes, "scale of the gains"):
             planned, *_ = plan(subject, estimator, dataset, system)
     if planned is not None and planned.gains is None:  # gains that are estimated
-        with _noted(notes, F.MODEL):
+        with _noted(notes, "model"):
             require_payload_excitation(system)
     if planned is not None:
         with suppress(GtauError):  # of equations that only the friction selected for them can solve

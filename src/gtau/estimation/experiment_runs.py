@@ -12,8 +12,7 @@ from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.assembly import inertia_priors
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
@@ -188,15 +187,25 @@ def read_validation(experiment: Experiment, progress: Progress = silent) -> tupl
         try:
             runs += read_runs(experiment, [entry], progress)
         except GtauError as error:
-            notes.append(refusal_note(error, F.VALIDATION))
+            notes.append(refusal_note(error, "validation log"))
     return runs, notes
 
 
-def refusal_note(error: GtauError, kind: F, source: str = "") -> Finding:
+REFUSALS = {
+    "refused": Grade.ERROR,
+    "scale of the gains": Grade.ERROR,
+    "validation log": Grade.WARNING,
+    "model": Grade.WARNING,
+}
+"""Kinds of refusals, of a log or of all logs together, and how much each matters."""
+
+
+def refusal_note(error: GtauError, kind: str, source: str = "") -> Finding:
     """Note a refusal instead of raising it, of a run or robot named ``source`` where its sentence names none."""
-    what, _, action = error.sentence.rstrip(".").rpartition("; ")
-    values = {"what": what or action, "action": action if what else ""}
-    return Finding(kind, values=values, source=error.source or ("" if source in values["what"] else source))
+    text, _, advice = error.sentence.rstrip(".").rpartition("; ")
+    text, advice = (text, advice) if text else (advice, "")
+    source = error.source or ("" if source in text else source)
+    return Finding(kind, text=text, advice=advice, grade=REFUSALS[kind], source=source)
 
 
 def geometry_of(

@@ -10,10 +10,6 @@ from gtau.findings.kind import FindingKind as F
 from gtau.findings.kind import Grade, Severity
 from gtau.findings.words import Sentence, clock_advice, filled, phrase, write_limits
 
-COSTLY_REPAIR = 0.02
-"""Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
-but for those recorded by polling; 0.05 and more are refused. A choice between the two."""
-
 MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED}
 
 
@@ -98,18 +94,16 @@ class Finding:
 
     @property
     def severity(self) -> Severity:
-        """How much it matters, of repairs by the share of samples lost."""
+        """How much it matters."""
         if self.grade is not None:
             return Severity(self.grade)
-        costly = self.topic == F.REPAIR and (self.share or 0.0) > COSTLY_REPAIR
-        return Severity.WARNING if costly else F(self.kind).severity
+        return F(self.kind).severity
 
     @property
     def sentence(self) -> Sentence:
         """What was found and what to do about it, wrenches first where they may be the cause and none of them is."""
         if self.text:
-            log = f"{self.values['log']}: " if "log" in self.values else ""
-            return log + self.text.replace("{own}", self.own), self.advice
+            return self.text.replace("{own}", self.own), self.advice
         if "what" in self.values:
             return self.values["what"], self.values.get("action", "")
         first, last = (self.joints[0], self.joints[-1]) if self.joints else ("", "")
@@ -126,15 +120,13 @@ class Finding:
             cause = replace(cause, values={**cause.values, "payload": given["payload"]})
             given |= {"cause": named_causes(self.causes), "to_do": cause.action}
         what, to_do = filled(self.kind, given)
-        if "log" in self.values:
-            what = f"{self.values['log']}: {what}"
         if self.values.get("wrenches") and self.kind in MAY_BE_WRENCHES and not any(map(_of_wrench, self.causes)):
             to_do = f"{phrase('wrenches')}; otherwise {to_do}"
         return what, to_do
 
     def of_source(self, source: str) -> Finding:
         """Return the finding with this run or robot as its source; what was its source is a log of that."""
-        return replace(self, source=source, values={**self.values, "log": self.source} if self.source else self.values)
+        return replace(self, source=source, text=f"{self.source}: {self.text}" if self.source else self.text)
 
 
 def _of_wrench(cause: Finding) -> bool:
@@ -191,13 +183,13 @@ def read_note(document: Any) -> Any:
         return document
     if missing := {"kind", "what"} - set(document):
         raise ValueError(f"the key '{min(missing)}' is missing; add it")
-    what, action, precise = document["what"], document.get("action") or "", document.get("finding")
-    if not (isinstance(what, str) and isinstance(action, str)):
-        raise ValueError("'what' and 'action' are texts; write them as such")
     return {
-        "kind": precise if isinstance(precise, str) and precise in set(F) else document["kind"],
+        "kind": document.get("finding") or document["kind"],
         "joints": (document["joint"],) if document.get("joint") else (),
-        "values": {"what": what, "action": action},
+        "text": document["what"],
+        "advice": document.get("action") or "",
+        "grade": document.get("grade", Grade.WARNING),
+        "shown_as": document["kind"],
         "source": document.get("source") or "",
         "time": document.get("time"),
         "share": document.get("share"),

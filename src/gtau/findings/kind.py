@@ -74,53 +74,19 @@ class FindingKind(StrEnum):
         return made
 
     # topics, most of which are kinds too
-    REFUSED = "refused", Severity.ERROR  # a log, or all of them together, cannot be used
-    VALIDATION = "validation log", Severity.WARNING  # one that cannot be used
-    ROWS = "usable rows", Severity.ERROR
-    SCALE = "scale of the gains", Severity.ERROR
-    WEIGHING = "weighing", Severity.INFORMATION  # limits of logs without a payload of known mass
     SEPARATION = "separable parameters", Severity.WARNING
     MODEL = "model", Severity.WARNING  # evidence of the data against the model
-    CLIPPED = "clipped command", Severity.WARNING
-    COARSE = "coarse command", Severity.WARNING
     FILTERED = "filtered command", Severity.WARNING
-    HELD = "held signal", Severity.WARNING
     POSITION_NOISE = "position noise", Severity.WARNING
-    RATE = "sampling rate", Severity.WARNING
     LIMITS = "joint limits", Severity.WARNING
     UNIT = "unit", Severity.WARNING  # of commands or payloads, doubtful
-    SINGULARITY = "singularity", Severity.WARNING
     GEOMETRY = "geometry", Severity.WARNING  # evidence of logged poses against it
-    REPAIR = "repair", Severity.INFORMATION  # a warning where it costs many samples
-    DRAFT = "draft", Severity.INFORMATION  # assumptions of a drafted experiment file
     READING = "reading", Severity.INFORMATION  # how the log was read: its clock, its layout
-    REST = "joint at rest", Severity.INFORMATION
     ROBOT = "robot description", Severity.INFORMATION
-    DATA_SHEET = "data sheet", Severity.INFORMATION
 
-    # of reading a log
-    SKIPPED_LINES = "skipped lines", READING
-    OTHER_ROWS = "rows of other signals", READING
-    BAD_ROWS = "rows without numbers", REPAIR
-    REPEATED_ROWS = "repeated rows", REPAIR
-    REORDERED = "rows out of order", REPAIR
-    CUT = "log cut at gaps", REPAIR
-    ALIGNED = "aligned commands", READING
-    REGISTER = "unsigned register", READING
-    UNWRAPPED = "unwrapped angle", READING
-    OUTLIERS = "outliers", REPAIR
-    MISSING = "missing samples", REPAIR
-    STALE = "stale samples", REPAIR
-    IRREGULAR = "irregular steps", READING
-    LATE_STAMPS = "late time stamps", READING
-    MOVED_COMMANDS = "moved commands", READING
-    STILL = "position that never changes", REST
-    NOISY = "noisy speeds", POSITION_NOISE
-    SPEED_LIMIT = "speed limit", LIMITS
+    # of the logged poses
     CONFIRMED_GEOMETRY = "confirmed geometry", ROBOT
     UNEXPLAINED_POSE = "unexplained pose", GEOMETRY
-    UNKNOWN_PAYLOAD = "payload unknown to the model", READING
-    ASSUMED_TEMPERATURE = "assumed temperature", READING
 
     # what the whole estimation rests on
     NEGATIVE_MASS = "negative mass", Outcome.CONTRADICTORY
@@ -166,7 +132,6 @@ class FindingKind(StrEnum):
     INSEPARABLE = "not separable", Outcome.NOT_IDENTIFIABLE
     NEAR_ZERO = "near zero", Outcome.NOT_IDENTIFIABLE
     UNCERTAIN = "uncertain parameter", Outcome.WEAK
-    MODEL_APART = "log apart from the model", Outcome.CONTRADICTORY
     NEGATIVE_PAYLOAD = "payload of negative mass", Outcome.CONTRADICTORY
     PAYLOAD_MASS = "payload mass", Outcome.CONTRADICTORY
     PAYLOAD_PARAMETER = "payload parameter", Outcome.CONTRADICTORY

@@ -69,7 +69,6 @@ def _environment() -> Environment:
     environment.globals["pi"] = pi
     environment.filters |= {
         "form": _form,
-        "moment": moment,
         "percent": _percent,
         "percent_text": percent_text,
         "plural": lambda number: "s" * (number != 1),

@@ -7,10 +7,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from gtau.estimation.check_logs import ExperimentCheck, LogCheck
+from gtau.estimation.check_logs import WEIGHING, ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.results.estimate import write_distances
-from gtau.findings import Finding, FindingKind, Severity
+from gtau.findings import Finding, Severity
 from gtau.findings.finding import by_severity, note_document
 from gtau.findings.words import counted
 from gtau.report import logs
@@ -119,7 +119,7 @@ def _verdict(checked: ExperimentCheck) -> Section:
 def expectation(notes: Sequence[Finding]) -> str:
     """Say in one sentence what to expect of an identification from these logs."""
     listed = by_severity(same_in_several(notes))
-    weighing = any(note.kind == FindingKind.WEIGHING for note in notes)
+    weighing = any(note.kind == WEIGHING for note in notes)
     command = "gtau payload" if weighing else "gtau identify"
     if errors := listed.get(Severity.ERROR):
         return f"{command} will refuse these logs: {counted(len(errors), 'error')} to resolve first."

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, quoted
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
 from gtau.progress import Progress, silent
 from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.notes import reading
 from gtau.signals.run import Run
 from gtau.uses.prediction import predict
 from gtau.uses.weigh import undeclared_load
@@ -115,9 +115,12 @@ def _unknown_payload(result: Result, run: Run) -> Iterator[Finding]:
     payload = run.payload
     if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
         return
-    known = list(dict.fromkeys(estimate.name for estimate in result.payloads))
-    values = {"known": known, "mass": payload.mass, "tool": result.robot.tool}
-    yield Finding(F.UNKNOWN_PAYLOAD, (), payload.name, values)
+    known = ", ".join(dict.fromkeys(quoted(estimate.name) for estimate in result.payloads)) or "it has none"
+    text = (
+        f"payload '{payload.name}' is not a payload of the model ({known}), so it is treated as a point mass of "
+        f"{payload.mass:.4g} kg at the origin of '{result.robot.tool}'"
+    )
+    yield reading("payload unknown to the model", text=text, advice="correct the name, or give its 'parameters'")
 
 
 def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:

@@ -8,13 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.verdict import OUTCOMES, Outcome
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import Result
 from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.findings.words import percent_text, percents
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
 from gtau.report.findings import findings_section, same_in_several
@@ -34,6 +35,7 @@ from gtau.report.residuals import residuals_section
 from gtau.report.torques import determination, fit_table, torques_section
 from gtau.report.uncertainty import PAPER, correlation_section, effects_section
 from gtau.robots.parameter import Parameter
+from gtau.signals.reading.drafting import DRAFT
 
 NOTES = 5  # that the short page shows
 MOVED = 0.5  # standard deviations: a smaller move is not worth a line
@@ -42,8 +44,8 @@ LISTED = 12
 
 def summary_page(result: Result) -> Page:
     """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
-    notes = [note for note in findings(result) if note.kind != F.DRAFT]
-    guessed = [note for note in result.notes if note.kind == F.DRAFT]
+    notes = [note for note in findings(result) if note.kind != DRAFT]
+    guessed = [note for note in result.notes if note.kind == DRAFT]
     assumed = tuple("; ".join(filter(None, (note.what, note.action))) for note in guessed)
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
@@ -124,8 +126,8 @@ def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
     if outcomes[Outcome.NOT_IDENTIFIABLE] or not result.believable or missed(result):
         style = "bad"
-    decisive = [str(note) for note in remarks(result) if F(note.kind).outcome]
-    decisive += [str(note) for run in runs for note in run.notes if F(note.kind).outcome]
+    decisive = [str(note) for note in remarks(result) if note.kind in OUTCOMES]
+    decisive += [str(note) for run in runs for note in run.notes if note.grade == Grade.CONTRADICTORY]
     head = (headline(result),) if style == "bad" else ()
     said = (*head, *decisive, *actions(result), *next_steps(result, runs))
     words = headline(result) if style == "good" else counts(result)

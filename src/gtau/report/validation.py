@@ -12,7 +12,7 @@ from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import Result
-from gtau.findings import Finding, FindingKind
+from gtau.findings import Finding, Grade
 from gtau.findings.words import percents, to_width
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence
@@ -41,7 +41,7 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
-    noted = [(run.run.name, note, FindingKind(note.kind).outcome is not None) for run in runs for note in run.notes]
+    noted = [(run.run.name, note, note.grade == Grade.CONTRADICTORY) for run in runs for note in run.notes]
     said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
     doubted = any(decisive for *_, decisive in noted)
     verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "bad" if doubted else "neutral")

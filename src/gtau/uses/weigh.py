@@ -30,8 +30,7 @@ from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
@@ -135,7 +134,7 @@ def weigh(
     apart = max(float(np.mean(move**2)) for move in moves) if by_model else 0.0
     judged = {}
     if apart > MODEL_APART:
-        verdict = verdict_of(Finding(F.MODEL_APART, values={"apart": float(np.sqrt(apart))}))
+        verdict = verdict_of(_against_model(float(np.sqrt(apart))))
         judged = {run.payload.name: verdict for run in chosen if run.payload is not None}
     return tuple(
         replace(payload, weighed=payload.weighed and replace(payload.weighed, by_model=by_model))
@@ -188,6 +187,17 @@ def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
         values=solution.values + K @ (gains - solution.values[at]),
         replicates=lambda: solution.replicates() @ kept.T,
         of_prior=kept @ np.asarray(solution.of_prior) @ kept.T + K @ prior @ K.T,
+    )
+
+
+def _against_model(deviations: float) -> Finding:
+    return Finding(
+        "log apart from the model",
+        text=f"the log contradicts the model, whose parameters it would move by {deviations:.2g} standard deviations "
+        "(rms)",
+        advice="add a log without payload of the same day; check signs, units and zeros of its columns, and that the "
+        "robot is mounted as before; otherwise identify the robot again, as torque constants fall while motors warm up",
+        grade=Grade.CONTRADICTORY,
     )
 
 
@@ -260,8 +270,15 @@ def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], prog
     load = other_loads(fit_by(solve, select_friction(dataset, solve, progress), free_gains=False))
     if load is None:
         return None
-    causes, values = (load.cause,), {"share": load.share, "unit": ""}
-    return Finding(F.REFUTED, causes[0].joints, values=values, causes=causes)
+    text, advice = load.cause.sentence
+    return Finding(
+        "description refuted",
+        load.cause.joints,
+        text=f"{text} would explain {100 * load.share:.0f} % of the residual variance",
+        advice=advice,
+        causes=(load.cause,),
+        grade=Grade.CONTRADICTORY,
+    )
 
 
 def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str, ...]:

@@ -35,8 +35,7 @@ from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
@@ -297,7 +296,8 @@ class System:
 def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
     """Note implausible parts of a robot's description, and, where ``loaded``, the body assumed to carry payloads."""
     notes = oddities(robot) + (tool_note(robot) if loaded else ())
-    return [Finding(F.ROBOT, values={"what": note}, source=f"robot '{robot.name}'") for note in notes]
+    source = f"robot '{robot.name}'"
+    return [Finding("robot description", text=note, grade=Grade.INFORMATION, source=source) for note in notes]
 
 
 def preparation_of(robot: Robot, runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:

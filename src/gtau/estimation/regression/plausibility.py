@@ -10,8 +10,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.findings.words import clock_advice, write_limits
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
@@ -105,12 +104,26 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
                 f"under 'units'; otherwise check the columns and the time, or {write_limits(joint.name)}."
             )
         if excess > BEYOND_LIMITS:
-            values = {"low": low, "high": high, "lower": lower, "upper": upper, "unit": unit}
-            yield Finding(F.LIMITS, (joint.name,), values=values)
+            yield Finding(
+                "joint limits",
+                (joint.name,),
+                text=f"joint '{joint.name}' goes from {low:z.4g} to {high:z.4g} {unit}, outside its limits "
+                f"{lower:z.4g} to {upper:z.4g} {unit}",
+                advice=f"check the zero of its position, or {write_limits(joint.name)}",
+                grade=Grade.WARNING,
+            )
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         # in many files a placeholder, so no log is refused
-        values = {"speed": speed, "ratio": speed / joint.limits.velocity, "limit": joint.limits.velocity, "unit": unit}
-        yield Finding(F.SPEED_LIMIT, (joint.name,), values=values)
+        limit = joint.limits.velocity
+        yield Finding(
+            "speed limit",
+            (joint.name,),
+            text=f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / limit:.3g} times its limit of "
+            f"{limit:.4g} {unit}/s",
+            advice=f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}",
+            grade=Grade.WARNING,
+            shown_as="joint limits",
+        )
 
 
 def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:

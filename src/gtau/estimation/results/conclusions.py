@@ -11,10 +11,10 @@ from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
-from gtau.findings import Finding
+from gtau.findings import Finding, Grade
 from gtau.findings import FindingKind as F
 from gtau.findings.finding import named_causes
-from gtau.findings.words import percent_text
+from gtau.findings.words import moment, percent_text
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
@@ -196,8 +196,18 @@ def without_temperature(result: Result, signals: Signals) -> list[Finding]:
     joints = sorted({name.body for name in result.friction if name.kind in TEMPERATURE_TERMS})
     if warm is None or not joints or signals.temperature is not None:
         return []
-    assumed = [[joint, warm.of_joint[joint]] for joint in joints]
-    return [Finding(F.ASSUMED_TEMPERATURE, tuple(joints), values={"assumed": assumed, "unit": warm.unit})]
+    assumed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in joints)
+    return [
+        Finding(
+            "assumed temperature",
+            tuple(joints),
+            text="friction depends on the temperature, which these logs lack; the reference is assumed "
+            f"({assumed} {warm.unit})",
+            advice="add 'temperature' to the signals",
+            grade=Grade.INFORMATION,
+            shown_as="reading",
+        )
+    ]
 
 
 def not_separated(names: Sequence[str]) -> list[Finding]:
@@ -208,7 +218,15 @@ def not_separated(names: Sequence[str]) -> list[Finding]:
 def near_singularities(nearest: Iterable[NearestPose]) -> list[Finding]:
     """Note every run so close to a singularity of type 2 that modelling errors are magnified."""
     return [
-        Finding(F.SINGULARITY, values={"distance": pose.distance}, source=pose.run, time=pose.time)
+        Finding(
+            "singularity",
+            text=f"the motion passes within {pose.distance:.2g} of a type 2 singularity at {moment(pose.time, 4)}, "
+            "where errors of position and geometry are amplified",
+            advice="keep the motion away from that pose",
+            grade=Grade.WARNING,
+            source=pose.run,
+            time=pose.time,
+        )
         for pose in nearest
         if pose.type == 2 and pose.distance < NEAR_SINGULAR
     ]

@@ -6,7 +6,7 @@ reads them again; what follows from other values is written beside them, and not
 
 from __future__ import annotations
 
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -46,7 +46,7 @@ from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
-from gtau.findings import Finding, FindingKind
+from gtau.findings import Finding
 from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
@@ -133,7 +133,6 @@ _TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relativ
 NoteEntry = Annotated[
     Finding,
     BeforeValidator(read_note),
-    AfterValidator(lambda finding: replace(finding, kind=FindingKind(finding.kind))),
     PlainSerializer(note_document),
 ]
 

@@ -11,8 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra, widened
 from gtau.signals.preparation.filters import (
     STENCIL,
@@ -291,16 +290,32 @@ def _notes(
     run: Run, of_joints: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray
 ) -> Iterator[Finding]:
     """List notes on the motion and its noise."""
-    noisy = []
+    noisy = dict[str, float]()  # per cent
     for joint, spectrum, rubs in zip(run.joints, of_joints, rubbing, strict=True):
         if spectrum.moves and spectrum.signal_to_noise < NOISY:
-            noisy.append((joint, float(1 / np.sqrt(max(spectrum.signal_to_noise, 1)))))
+            noisy[joint] = 100 / float(np.sqrt(max(spectrum.signal_to_noise, 1)))
         elif rubs and not spectrum.moves:
-            yield Finding(F.REST, (joint,))
+            text = f"joint '{joint}' hardly moves: its rows are left out"
+            yield Finding("joint at rest", (joint,), text=text, grade=Grade.INFORMATION)
     if noisy:
-        yield Finding(F.NOISY, tuple(joint for joint, _ in noisy), values={"shares": noisy})
+        shares = ", ".join(f"'{joint}' ({share:.0f} %)" for joint, share in noisy.items())
+        yield Finding(
+            "noisy speeds",
+            tuple(noisy),
+            text=f"position noise contributes much of the rms speed of joint{'s' * (len(noisy) > 1)} {shares}: "
+            "inertias are underestimated",
+            advice="move faster, or use --method iv or didim",
+            grade=Grade.WARNING,
+            shown_as="position noise",
+        )
     if (bandwidth := preparation.bandwidth) > CLOSE_TO_NYQUIST * run.rate:
-        yield Finding(F.RATE, values={"bandwidth": bandwidth, "nyquist": run.rate / 2, "wanted": 10 * bandwidth})
+        yield Finding(
+            "sampling rate",
+            text=f"the bandwidth of the motion, {bandwidth:.3g} Hz, is close to the Nyquist frequency, "
+            f"{run.rate / 2:.4g} Hz: speeds and accelerations are inaccurate",
+            advice=f"log at {10 * bandwidth:.0f} Hz or more, or move more slowly",
+            grade=Grade.WARNING,
+        )
 
 
 def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:

@@ -14,8 +14,7 @@ from zlib import crc32
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError, printable, short
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.reading.columns import PRESETS
@@ -23,6 +22,7 @@ from gtau.signals.reading.discovery import UNSURE, Draft, discover
 from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
 
+DRAFT = "draft"  # the kind of what a draft assumes
 SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it
 
@@ -314,7 +314,9 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         notes.append((f"columns that never change are no torque sensors: {_first(still)}", ""))
     if draft.time and draft.time[0].endswith("/header/stamp"):
         notes.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
-    return tuple(Finding(F.DRAFT, values={"what": what, "action": action}, source=str(file)) for what, action in notes)
+    return tuple(
+        Finding(DRAFT, text=text, advice=advice, grade=Grade.INFORMATION, source=str(file)) for text, advice in notes
+    )
 
 
 RENAME = "if they are of a joint, write them at its name in that file"

@@ -19,7 +19,6 @@ from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, short
 from gtau.extensions import find
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
 from gtau.findings.words import moment
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.columns import SampleRate, Signals
@@ -27,6 +26,7 @@ from gtau.signals.reading.formats import MOST_COLUMNS, LogTable
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
+from gtau.signals.reading.notes import reading
 from gtau.signals.reading.registers import with_signs
 from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
 from gtau.signals.reading.units import Units, refuse_unstated_units
@@ -283,9 +283,13 @@ def _aligned(
     steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
     apart = float(np.median([_distance(part, stamps) for part in blocks(finite)]))
     if apart > CLOSE * min(steps) or len(rows) < len(clock):
-        rates = {"rate": 1 / steps[1], "position_rate": 1 / steps[0]}
-        values = {"signal": what, **rates, "apart": apart * 1e3, "left_out": len(clock) - len(rows)}
-        notes.append(Finding(F.ALIGNED, values=values))
+        text = (
+            f"aligned the {what} with the positions by linear interpolation between their stamps ({1 / steps[1]:.4g} "
+            f"Hz; positions {1 / steps[0]:.4g} Hz; typically {apart * 1e3:.2g} ms from a position to the nearest)"
+        )
+        if left_out := len(clock) - len(rows):
+            text += f"; left out {left_out} positions before the first or after the last of them"
+        notes.append(reading("aligned commands", text=text))
     return rows, partial(_interpolated, log, LONGEST_STEP * max(steps))
 
 

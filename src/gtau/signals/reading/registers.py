@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.signals.reading.notes import listed, reading
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.storage import blocks, stored_like
 
@@ -71,7 +71,11 @@ def with_signs(
         registers = _registers(array, columns)
         for register in set(registers.values()):
             names = tuple(samples.joints[j] for j, other in registers.items() if other == register)
-            notes.append(Finding(F.REGISTER, names, values={"signal": kind} | register._asdict()))
+            half, bits = 2 ** (register.bits - 1), register.bits
+            text = f"the {kind} of {listed(names)} is a signed number of {bits} bits that was logged as unsigned: "
+            negative = f"{half} and more are negative, with the magnitude above that"
+            text += negative if register.sign else f"{2 * half} is subtracted from {half} and more"
+            notes.append(reading("unsigned register", text=text, joints=names))
         parts = (_signed(part, registers, columns) for part in blocks(array))
         arrays.append(stored_like(array, parts) if registers else array)
     return replace(samples, position=arrays[0], command=arrays[1])

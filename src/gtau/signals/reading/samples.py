@@ -12,10 +12,10 @@ from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
 from gtau.findings.words import counted
 from gtau.signals.channel import Channel
 from gtau.signals.reading.formats import ALL, LogTable
+from gtau.signals.reading.notes import reading, repair
 from gtau.signals.storage import Store, blocks
 
 MIN_SAMPLES = 100
@@ -190,22 +190,24 @@ def complete(
         )
     refuse_short(samples.name, count)
     if empty.count:
-        notes.append(Finding(F.OTHER_ROWS, values={"count": empty.count}))
+        text = f"left out {counted(empty.count, 'row')} that hold only other signals"
+        notes.append(reading("rows of other signals", text=text))
     _refuse_empty_columns(samples, numbers)
     if incomplete.count > MAX_MISSING * count:
         column = samples.columns[bad_column]
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
         at_start = incomplete.count - leading <= MAX_MISSING * count
-        repair = f"leave out its first rows (skip: {part.skip + leading})" if at_start else "correct or delete them"
+        remedy = f"leave out its first rows (skip: {part.skip + leading})" if at_start else "correct or delete them"
         raise GtauError(
             f"{samples.name} has {incomplete.count} of {count} rows with missing or non-numeric values (first in "
             f"{samples.places(incomplete.first[:1], 1)}, column '{column}'"
             + (f": '{entry}'" if (entry := samples.table.texts.get(column)) else "")
-            + f"); {repair}, or record the log again."
+            + f"); {remedy}, or record the log again."
         )
     if incomplete.count:
-        dropped = {"count": incomplete.count, "places": samples.places(incomplete.first, incomplete.count)}
-        notes.append(Finding(F.BAD_ROWS, values=dropped, share=incomplete.count / count))
+        places = samples.places(incomplete.first, incomplete.count)
+        text = f"dropped {counted(incomplete.count, 'row')} with missing or non-numeric values ({places})"
+        notes.append(repair("rows without numbers", incomplete.count / count, text=text))
     origin = float(time[0]) - part.begin if len(time) else 0.0
     return replace(samples, time=time, position=position, command=command, rows=rows, origin=origin, part=part)
 

@@ -11,8 +11,7 @@ from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model
 
 from gtau.documents.validation import MAPPING, Keys, Number, Positive, expect, name_problem, read_group
 from gtau.errors import GtauError
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.robots.parameter import Parameter, torque_unit, unit_of
 from gtau.robots.robot import INERTIAL, Robot
 
@@ -215,8 +214,11 @@ def data_sheet_notes(
             if expected is None or value is None:
                 continue
             apart = float(abs(value - expected[0]) / np.hypot(expected[1], std or 0.0))
-            values = {"quantity": what, "value": value, "unit": unit, "stated": expected[0], "std": expected[1]}
-            notes.append(Finding(F.DATA_SHEET, (joint,), values={**values, "apart": apart}))
+            text = (
+                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} {unit} is by the data "
+                f"sheet (standard deviation {expected[1]:.2g}; apart by {apart:.1f} standard deviations)"
+            )
+            notes.append(Finding("data sheet", (joint,), text=text, grade=Grade.INFORMATION))
     return tuple(notes)
 
 

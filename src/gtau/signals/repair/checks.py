@@ -13,9 +13,9 @@ from itertools import compress
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
+from gtau.signals.reading.notes import listed, reading
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import Clock, clock_of
 from gtau.signals.repair.commands import (
@@ -98,7 +98,9 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
             )
     resting = (channel for channel, stands in zip(samples.channels, still, strict=False) if stands)
     if names := tuple(channel.joint for channel in resting if channel.kind.of_joint):
-        notes.append(Finding(F.STILL, names))
+        text = f"the position of {listed(names)} never changes: it yields no rows"
+        kind, rest = "position that never changes", "joint at rest"
+        notes.append(Finding(kind, names, text=text, grade=Grade.INFORMATION, shown_as=rest))
     if not time[-1] > time[0]:
         raise GtauError(
             f"{samples.name}, column '{samples.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s "
@@ -115,7 +117,9 @@ def _unwrapped(samples: Samples, notes: list[Finding]) -> Samples:
         wraps |= np.any(np.abs(jump - 2 * np.pi) < 0.5, axis=0)  # no joint moves a turn, or 6 m, between two samples
     if not wraps.any():
         return samples
-    notes.append(Finding(F.UNWRAPPED, tuple(compress(samples.joints, wraps))))
+    joints = tuple(compress(samples.joints, wraps))
+    text = f"unwrapped the angle{'s' * (len(joints) > 1)} of {listed(joints)}, which jumped by a turn"
+    notes.append(reading("unwrapped angle", text=text, joints=joints))
 
     def unwrapped() -> Iterator[np.ndarray]:
         turns = np.zeros(len(wraps))  # as far as the sample before

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
+from gtau.findings.words import counted
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Holds
 from gtau.signals.storage import block, blocks, spans
@@ -225,12 +225,13 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
     for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
         if low == high or not channel.kind.of_joint:
             continue
+        what = f"the {channel.kind.name} of joint '{channel.joint}'"
         if steps[j] and low != 0:  # whether zeros are magnitudes is judged below
             if np.subtract(*extremes(samples.position))[channel.row] < -MOVING * holds[POSITIONS].quanta[channel.row]:
-                values = {"signal": channel.kind.name, "step": steps[j], "steps": round((high - low) / steps[j])}
-                notes.append(Finding(F.COARSE, (channel.joint,), values=values))
+                range_ = f"its range holds only {round((high - low) / steps[j])} of them"
+                text, advice = f"{what} is rounded to steps of {steps[j]:.3g}, and {range_}", "log it with more digits"
+                notes.append(Finding("coarse command", (channel.joint,), text=text, advice=advice, grade=Grade.WARNING))
             continue
-        what = f"the {channel.kind.name} of joint '{channel.joint}'"
         for level in (float(high), float(low)):
             at, beside = _counts_at(samples.command, j, level)
             if at < max(CLIPPED_RUN, PILE_UP * beside) or _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
@@ -243,8 +244,16 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
                     f"with slower motions or a higher limit of the drive.",
                     source=samples.name,
                 )
-            values = {"signal": channel.kind.name, "level": level, "samples": at}
-            notes.append(Finding(F.CLIPPED, (channel.joint,), values=values, share=at / count))
+            notes.append(
+                Finding(
+                    "clipped command",
+                    (channel.joint,),
+                    text=f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}",
+                    advice="log again with smaller accelerations, or a higher limit of the drive",
+                    share=at / count,
+                    grade=Grade.WARNING,
+                )
+            )
             clips.append((j, level))
     return clips
 

@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, quoted
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings.words import counted, moment
+from gtau.signals.reading.notes import repair
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
 from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
@@ -167,13 +168,24 @@ def glitch_note(samples: Samples, glitches: Glitches) -> Finding:
     """Report number and joints of the glitches, and the first one; ``samples`` still hold them."""
     names, ((sample, j), value) = samples.joints, next(iter(glitches.items()))
     counts = Counter(names[joint] for joint in sorted(joint for _, joint in glitches))
-    values = {"counts": list(counts.items()), "first": names[j], "place": samples.place(sample)}
-    return Finding(
-        F.OUTLIERS,
-        tuple(counts),
-        values={**values, "logged": float(samples.position[sample, j]), "instead": value},
-        time=float(samples.time[sample]),
+    time = float(samples.time[sample])
+    if len(counts) > 1:
+        joints = f"joints {', '.join(f'{quoted(joint)} ({count})' for joint, count in counts.items())}"
+    else:
+        joints = f"joint {quoted(names[j])}"
+    place, logged = f"at {moment(time)} ({samples.place(sample)})", float(samples.position[sample, j])
+    if len(glitches) == 1:
+        first = f"that is an outlier: {place} it is"
+    else:
+        first = f"that are outliers: the first, {f'of {quoted(names[j])} ' * (len(counts) > 1)}{place}, is"
+    return repair(
+        "outliers",
         share=len(glitches) / len(samples.time),
+        text=f"interpolated {counted(len(glitches), 'position')} of {joints} {first} {logged:z.4g} instead of "
+        f"{value:z.4g} (rad or m)",
+        advice="check the encoder and its cable, and how missing values are written",
+        joints=tuple(counts),
+        time=time,
     )
 
 

@@ -9,8 +9,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings.words import counted
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
+from gtau.signals.reading.notes import repair
 from gtau.signals.reading.samples import MAX_MISSING, MIN_SAMPLES, Samples, extremes, refuse_short
 from gtau.signals.repair.clock import clock_of, sampled_steps
 from gtau.signals.repair.resampling import FROZEN, MAX_GAP
@@ -54,8 +55,19 @@ def parts_between_gaps(samples: Samples, notes: list[Finding], given: Given = No
     kept = kept or [max(pieces, key=lambda piece: len(piece.time))]
     lost, last = count - sum(len(piece.time) for piece in kept), min(gaps) - 1
     longest = max(float(samples.time[after] - samples.time[first - 1]) for first, after in gaps.items())
-    values = {"count": len(gaps), "parts": len(kept), "lost": lost, "place": samples.place(last), "gap": longest}
-    notes.append(Finding(F.CUT, values=values, time=float(samples.time[last]), share=lost / count))
+    time, s = float(samples.time[last]), "s" * (len(gaps) > 1)
+    text = (
+        f"cut the log at {len(gaps)} gap{s} or dropout{s}, the first after {time:.9g} s ({samples.place(last)}), the "
+        f"longest of {longest:.3g} s, into {counted(len(kept), 'part')}{', each a run' * (len(kept) > 1)}"
+    )
+    if lost:
+        text += (
+            f"; {lost} rows that repeat the last one, or are in parts without motion or too short (a second, 100 rows, "
+            "a tenth of the longest), are left out"
+        )
+    notes.append(
+        repair("log cut at gaps", lost / count, text=text, advice="log every cycle of the controller", time=time)
+    )
     return kept
 
 
@@ -118,7 +130,8 @@ def in_order(samples: Samples, notes: list[Finding], given: Given) -> Samples:
         if np.abs(np.diff(by_time, axis=0)).sum() > np.abs(np.diff(scaled, axis=0)).sum():
             return _without_repeated(replace(samples, time=latest), notes, given)
         places = samples.places(samples.rows[moved[:5]].tolist(), len(moved))
-        notes.append(Finding(F.REORDERED, values={"count": len(moved), "places": places}, share=len(moved) / count))
+        text = f"put {counted(len(moved), 'row')} in the order of their times ({places})"
+        notes.append(repair("rows out of order", len(moved) / count, text=text))
     arrays = {name: getattr(samples, name)[order] for name in ("time", "position", "command", "rows")}
     return _without_repeated(replace(samples, **arrays), notes, given)
 
@@ -156,8 +169,9 @@ def _without_repeated(samples: Samples, notes: list[Finding], clock: Given) -> S
         repeated += (start + again + 1).tolist()
     if not repeated:
         return samples
-    dropped = {"count": len(repeated), "places": samples.places(samples.rows[repeated[:5]].tolist(), len(repeated))}
-    notes.append(Finding(F.REPEATED_ROWS, values=dropped, share=len(repeated) / len(time)))
+    places = samples.places(samples.rows[repeated[:5]].tolist(), len(repeated))
+    text = f"dropped {counted(len(repeated), 'repeated row')} ({places})"
+    notes.append(repair("repeated rows", len(repeated) / len(time), text=text))
     refuse_short(samples.name, len(time) - len(repeated))
     kept = np.setdiff1d(np.arange(len(time)), repeated)
     arrays = (samples.time, samples.position, samples.command, samples.rows)

@@ -12,9 +12,9 @@ from itertools import groupby
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
-from gtau.findings.words import moment
+from gtau.findings import Finding, Grade
+from gtau.findings.words import counted, moment
+from gtau.signals.reading.notes import reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
 from gtau.signals.storage import Store, block, blocks, spans, store
@@ -172,36 +172,53 @@ def uniform(
         missing, masked = missing + int(lacking.sum()), masked + int((lacking & hidden).sum())
     if masked > MAX_MISSING * count or missing > MAX_BRIDGED * count:
         what = "by stamps that come in packets, " if clock.packets else ""
-        repair = ", or, where no sample is missing, give the rate instead (time: {rate: HZ})" if clock.regular else ""
+        other = ", or, where no sample is missing, give the rate instead (time: {rate: HZ})" if clock.regular else ""
         raise GtauError(
             f"{samples.name} lacks {missing} of {count} samples ({what}steps of {shortest * 1e3:.3g} to "
-            f"{longest * 1e3:.3g} ms); record it at a steady rate{repair}."
+            f"{longest * 1e3:.3g} ms); record it at a steady rate{other}."
         )
     if missing:
-        values = {"count": missing, "masked": masked, "bridged": BRIDGED}
-        notes.append(Finding(F.MISSING, values=values, share=missing / count))
+        more = f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
+        text, advice = f"interpolated {counted(missing, 'missing sample')}{more}", "log every cycle of the controller"
+        notes.append(repair("missing samples", missing / count, text=text, advice=advice))
     notes += of_clock
     for signal, held in holds.items():
         if held.period > 1:
-            rate = clock.rate / held.period
-            notes.append(Finding(F.HELD, values={"signal": signal, "rate": rate, "period": held.period}))
+            rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
+            text = f"the {signal} are held: updated at about {rate}; interpolated between updates"
+            advice = f"log the {signal} at the rate at which they change"
+            notes.append(Finding("held signal", text=text, advice=advice, grade=Grade.WARNING))
         elif held.stale:
-            stale = {"signal": signal, "stale": held.stale}
-            notes.append(Finding(F.STALE, values=stale, share=held.stale / count))
+            text = f"{held.stale} samples of the {signal} are stale (repeat the previous one): interpolated"
+            advice = "log in the controller's own cycle"
+            notes.append(repair("stale samples", held.stale / count, text=text, advice=advice))
     if delay:
-        notes.append(Finding(F.MOVED_COMMANDS, values={"delay": delay * 1e3}))
+        text = f"moved the commands {delay * 1e3:.4g} ms forward, as preparation.delay says"
+        notes.append(reading("moved commands", text=text))
     position, command, valid = (rows.array() for rows in stores)
     return replace(samples, time=time, position=position, command=command, valid=valid)
 
 
 def _of_clock(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
     """List the notes on a clock that differs from the time column."""
-    values = {"given": given, "hertz": clock.rate}
     if not clock.regular:
-        return [Finding(F.IRREGULAR, values={**values, "shortest": shortest * 1e3, "longest": longest * 1e3})]
+        reason = "the time stamps are used, because a regular clock makes the positions no smoother"
+        text = (
+            f"resampled from irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform "
+            f"{clock.rate:.2f} Hz: {'as preparation.clock says' if given else reason}"
+        )
+        return [reading("irregular steps", text=text)]
     if not clock.late:
         return []
-    return [Finding(F.LATE_STAMPS, values={**values, "late": clock.late * 1e3, "packets": clock.packets})]
+    how, reason = "scatter", "which makes the positions smoother"
+    if clock.packets:
+        how, reason = "come in packets", "as packets are"
+    text = (
+        f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
+        f"{clock.rate:.2f} Hz instead, {'as preparation.clock says' if given else reason}"
+    )
+    advice = "if this rate is wrong, give the right one (time: {rate: HZ})" if clock.packets else ""
+    return [reading("late time stamps", text=text, advice=advice)]
 
 
 def _resampled(

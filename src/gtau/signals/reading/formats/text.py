@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
 from gtau.signals.reading.formats import LogTable, numbers
+from gtau.signals.reading.notes import reading
 from gtau.signals.reading.written_units import unit_row
 from gtau.signals.storage import BYTES, block_size
 
@@ -82,9 +82,9 @@ def open_text(path: Path) -> LogTable:
     of_units = next((k for k in below if len(fields[k]) == width and unit_row(fields[k])), None)
     units = dict(zip(columns, () if of_units is None else unit_row(fields[of_units]) or (), strict=False))
     if skipped := [k + 1 for k in written if k < begin and k not in (header, of_units)]:
-        last = skipped[-1] if len(skipped) > 1 else 0
-        values = {"first": skipped[0], "last": last, "header": 0 if header is None else header + 1}
-        notes = (Finding(F.SKIPPED_LINES, values=values),)
+        which = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
+        names = "" if header is None else f", took the names of its columns from line {header + 1}"
+        notes = (reading("skipped lines", text=f"skipped {which} before the table{names}"),)
     table = LogTable(
         path, columns, frames, begin + 1, notes, units={name: unit for name, unit in units.items() if unit}
     )
