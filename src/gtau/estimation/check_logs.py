@@ -57,8 +57,7 @@ from gtau.signals.storage import Store, block_size
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.geometry import GeometryTest
 
-WEIGHING = "weighing"
-"""Kind of what is said of logs without a payload of known mass."""
+WEIGHING = "weighing"  # kind of the note on logs without a payload of known mass
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,14 +249,9 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
     for of_joint in zip(*(log.joints for log in logs), strict=True):
         rows = sum(round(joint.usable * log.rows) for joint, log in zip(of_joint, logs, strict=True))
         if rows < FEWEST_ROWS:
-            joint = of_joint[0].joint
-            yield Finding(
-                "usable rows",
-                (joint,),
-                text=f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps",
-                advice="add runs in which it moves, or longer ones",
-                grade=Grade.ERROR,
-            )
+            joint, advice = of_joint[0].joint, "add runs in which it moves, or longer ones"
+            text = f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps"
+            yield Finding("usable rows", (joint,), text=text, advice=advice, grade=Grade.ERROR)
 
 
 def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[Finding]:
@@ -269,9 +263,8 @@ def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[
         with suppress(GtauError):
             planned, *_ = plan(subject, estimator, dataset, system)
         if planned is None:
-            text = "no payload has a known mass, so these logs cannot give the drive gains; they can weigh "
-            text += f"'{payloads[0].name}'"
-            advice = "run 'gtau payload MODEL.json' with them"
+            text = "no payload has a known mass, so these logs cannot give the drive gains"
+            advice = f"weigh '{payloads[0].name}' with them (gtau payload MODEL.json)"
             return [*notes, Finding(WEIGHING, text=text, advice=advice, grade=Grade.INFORMATION)]
     else:
         with _noted(notes, "scale of the gains"):

@@ -191,21 +191,15 @@ def read_validation(experiment: Experiment, progress: Progress = silent) -> tupl
     return runs, notes
 
 
-REFUSALS = {
-    "refused": Grade.ERROR,
-    "scale of the gains": Grade.ERROR,
-    "validation log": Grade.WARNING,
-    "model": Grade.WARNING,
-}
-"""Kinds of refusals, of a log or of all logs together, and how much each matters."""
+MILD = ("validation log", "model")  # kinds of refusals that do not keep the logs from being used
 
 
 def refusal_note(error: GtauError, kind: str, source: str = "") -> Finding:
     """Note a refusal instead of raising it, of a run or robot named ``source`` where its sentence names none."""
     text, _, advice = error.sentence.rstrip(".").rpartition("; ")
     text, advice = (text, advice) if text else (advice, "")
-    source = error.source or ("" if source in text else source)
-    return Finding(kind, text=text, advice=advice, grade=REFUSALS[kind], source=source)
+    grade, source = Grade.WARNING if kind in MILD else Grade.ERROR, error.source or ("" if source in text else source)
+    return Finding(kind, text=text, advice=advice, grade=grade, source=source)
 
 
 def geometry_of(

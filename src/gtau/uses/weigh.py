@@ -134,7 +134,16 @@ def weigh(
     apart = max(float(np.mean(move**2)) for move in moves) if by_model else 0.0
     judged = {}
     if apart > MODEL_APART:
-        verdict = verdict_of(_against_model(float(np.sqrt(apart))))
+        against = Finding(
+            "log apart from the model",
+            text="the log contradicts the model, whose parameters it would move by "
+            f"{np.sqrt(apart):.2g} standard deviations (rms)",
+            advice="add a log without payload of the same day; check signs, units and zeros of its columns, and that "
+            "the robot is mounted as before; otherwise identify the robot again, as torque constants fall while motors "
+            "warm up",
+            grade=Grade.CONTRADICTORY,
+        )
+        verdict = verdict_of(against)
         judged = {run.payload.name: verdict for run in chosen if run.payload is not None}
     return tuple(
         replace(payload, weighed=payload.weighed and replace(payload.weighed, by_model=by_model))
@@ -187,17 +196,6 @@ def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
         values=solution.values + K @ (gains - solution.values[at]),
         replicates=lambda: solution.replicates() @ kept.T,
         of_prior=kept @ np.asarray(solution.of_prior) @ kept.T + K @ prior @ K.T,
-    )
-
-
-def _against_model(deviations: float) -> Finding:
-    return Finding(
-        "log apart from the model",
-        text=f"the log contradicts the model, whose parameters it would move by {deviations:.2g} standard deviations "
-        "(rms)",
-        advice="add a log without payload of the same day; check signs, units and zeros of its columns, and that the "
-        "robot is mounted as before; otherwise identify the robot again, as torque constants fall while motors warm up",
-        grade=Grade.CONTRADICTORY,
     )
 
 

@@ -16,6 +16,7 @@ from gtau.findings import FindingKind as F
 from gtau.findings.finding import named_causes
 from gtau.findings.words import moment, percent_text
 from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.notes import reading
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
 INFLATED = 1.8  # ratio of jackknife to white-noise standard errors, from which the summary says so
@@ -197,17 +198,8 @@ def without_temperature(result: Result, signals: Signals) -> list[Finding]:
     if warm is None or not joints or signals.temperature is not None:
         return []
     assumed = ", ".join(f"'{joint}' {warm.of_joint[joint]:.4g}" for joint in joints)
-    return [
-        Finding(
-            "assumed temperature",
-            tuple(joints),
-            text="friction depends on the temperature, which these logs lack; the reference is assumed "
-            f"({assumed} {warm.unit})",
-            advice="add 'temperature' to the signals",
-            grade=Grade.INFORMATION,
-            shown_as="reading",
-        )
-    ]
+    text = f"friction depends on temperature, which these logs lack; the reference is assumed ({assumed} {warm.unit})"
+    return [reading("assumed temperature", text=text, advice="add 'temperature' to the signals", joints=joints)]
 
 
 def not_separated(names: Sequence[str]) -> list[Finding]:

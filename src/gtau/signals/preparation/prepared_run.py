@@ -302,8 +302,7 @@ def _notes(
         yield Finding(
             "noisy speeds",
             tuple(noisy),
-            text=f"position noise contributes much of the rms speed of joint{'s' * (len(noisy) > 1)} {shares}: "
-            "inertias are underestimated",
+            text=f"position noise contributes much of the rms speed of {shares}: inertias are underestimated",
             advice="move faster, or use --method iv or didim",
             grade=Grade.WARNING,
             shown_as="position noise",

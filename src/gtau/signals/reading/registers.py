@@ -71,10 +71,12 @@ def with_signs(
         registers = _registers(array, columns)
         for register in set(registers.values()):
             names = tuple(samples.joints[j] for j, other in registers.items() if other == register)
-            half, bits = 2 ** (register.bits - 1), register.bits
-            text = f"the {kind} of {listed(names)} is a signed number of {bits} bits that was logged as unsigned: "
-            negative = f"{half} and more are negative, with the magnitude above that"
-            text += negative if register.sign else f"{2 * half} is subtracted from {half} and more"
+            half = 2 ** (register.bits - 1)
+            meaning = f"{2 * half} is subtracted from {half} and more"
+            if register.sign:
+                meaning = f"{half} and more are negative, with the magnitude above that"
+            number = f"a signed number of {register.bits} bits that was logged as unsigned"
+            text = f"the {kind} of {listed(names)} is {number}: {meaning}"
             notes.append(reading("unsigned register", text=text, joints=names))
         parts = (_signed(part, registers, columns) for part in blocks(array))
         arrays.append(stored_like(array, parts) if registers else array)

@@ -225,12 +225,12 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
     for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
         if low == high or not channel.kind.of_joint:
             continue
-        what = f"the {channel.kind.name} of joint '{channel.joint}'"
+        joints, what = (channel.joint,), f"the {channel.kind.name} of joint '{channel.joint}'"
         if steps[j] and low != 0:  # whether zeros are magnitudes is judged below
             if np.subtract(*extremes(samples.position))[channel.row] < -MOVING * holds[POSITIONS].quanta[channel.row]:
-                range_ = f"its range holds only {round((high - low) / steps[j])} of them"
-                text, advice = f"{what} is rounded to steps of {steps[j]:.3g}, and {range_}", "log it with more digits"
-                notes.append(Finding("coarse command", (channel.joint,), text=text, advice=advice, grade=Grade.WARNING))
+                number, advice = round((high - low) / steps[j]), "log it with more digits"
+                text = f"{what} is rounded to steps of {steps[j]:.3g}, and its range holds only {number} of them"
+                notes.append(Finding("coarse command", joints, text=text, advice=advice, grade=Grade.WARNING))
             continue
         for level in (float(high), float(low)):
             at, beside = _counts_at(samples.command, j, level)
@@ -244,15 +244,10 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
                     f"with slower motions or a higher limit of the drive.",
                     source=samples.name,
                 )
+            text = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
+            advice = "log again with smaller accelerations, or a higher limit of the drive"
             notes.append(
-                Finding(
-                    "clipped command",
-                    (channel.joint,),
-                    text=f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}",
-                    advice="log again with smaller accelerations, or a higher limit of the drive",
-                    share=at / count,
-                    grade=Grade.WARNING,
-                )
+                Finding("clipped command", joints, text=text, advice=advice, share=at / count, grade=Grade.WARNING)
             )
             clips.append((j, level))
     return clips

@@ -169,24 +169,15 @@ def glitch_note(samples: Samples, glitches: Glitches) -> Finding:
     names, ((sample, j), value) = samples.joints, next(iter(glitches.items()))
     counts = Counter(names[joint] for joint in sorted(joint for _, joint in glitches))
     time = float(samples.time[sample])
-    if len(counts) > 1:
-        joints = f"joints {', '.join(f'{quoted(joint)} ({count})' for joint, count in counts.items())}"
-    else:
-        joints = f"joint {quoted(names[j])}"
-    place, logged = f"at {moment(time)} ({samples.place(sample)})", float(samples.position[sample, j])
-    if len(glitches) == 1:
-        first = f"that is an outlier: {place} it is"
-    else:
-        first = f"that are outliers: the first, {f'of {quoted(names[j])} ' * (len(counts) > 1)}{place}, is"
-    return repair(
-        "outliers",
-        share=len(glitches) / len(samples.time),
-        text=f"interpolated {counted(len(glitches), 'position')} of {joints} {first} {logged:z.4g} instead of "
-        f"{value:z.4g} (rad or m)",
-        advice="check the encoder and its cable, and how missing values are written",
-        joints=tuple(counts),
-        time=time,
+    joints = ", ".join(f"{quoted(joint)} ({count})" for joint, count in counts.items())
+    first = f"of {quoted(names[j])} at {moment(time)} ({samples.place(sample)})"
+    text = (
+        f"interpolated {counted(len(glitches), 'outlier')} among the positions of {joints}: the first, {first}, is "
+        f"{samples.position[sample, j]:z.4g} instead of {value:z.4g} (rad or m)"
     )
+    advice = "check the encoder and its cable, and how missing values are written"
+    share = len(glitches) / len(samples.time)
+    return repair("outliers", share, text=text, advice=advice, joints=tuple(counts), time=time)
 
 
 def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:

@@ -61,10 +61,8 @@ def parts_between_gaps(samples: Samples, notes: list[Finding], given: Given = No
         f"longest of {longest:.3g} s, into {counted(len(kept), 'part')}{', each a run' * (len(kept) > 1)}"
     )
     if lost:
-        text += (
-            f"; {lost} rows that repeat the last one, or are in parts without motion or too short (a second, 100 rows, "
-            "a tenth of the longest), are left out"
-        )
+        short = "too short (a second, 100 rows, a tenth of the longest)"
+        text += f"; {lost} rows that repeat the last one, or are in parts without motion or {short}, are left out"
     notes.append(
         repair("log cut at gaps", lost / count, text=text, advice="log every cycle of the controller", time=time)
     )

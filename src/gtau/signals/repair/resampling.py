@@ -203,21 +203,17 @@ def _of_clock(clock: Clock, shortest: float, longest: float, given: bool) -> lis
     """List the notes on a clock that differs from the time column."""
     if not clock.regular:
         reason = "the time stamps are used, because a regular clock makes the positions no smoother"
-        text = (
-            f"resampled from irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform "
-            f"{clock.rate:.2f} Hz: {'as preparation.clock says' if given else reason}"
-        )
+        steps = f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
+        text = f"resampled from {steps}: {'as preparation.clock says' if given else reason}"
         return [reading("irregular steps", text=text)]
     if not clock.late:
         return []
-    how, reason = "scatter", "which makes the positions smoother"
+    how, reason, advice = "scatter", "which makes the positions smoother", ""
     if clock.packets:
         how, reason = "come in packets", "as packets are"
-    text = (
-        f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at a regular "
-        f"{clock.rate:.2f} Hz instead, {'as preparation.clock says' if given else reason}"
-    )
-    advice = "if this rate is wrong, give the right one (time: {rate: HZ})" if clock.packets else ""
+        advice = "if this rate is wrong, give the right one (time: {rate: HZ})"
+    regular = f"a regular {clock.rate:.2f} Hz instead, {'as preparation.clock says' if given else reason}"
+    text = f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at {regular}"
     return [reading("late time stamps", text=text, advice=advice)]
 
 
