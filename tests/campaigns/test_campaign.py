@@ -567,7 +567,7 @@ def test_a_motion_that_was_played_is_always_there(tmp_path: Path) -> None:
     motion = {"series": {"period": 3.0, "repetitions": 1, "x": x.tolist()}}
     played = Round(tmp_path / "01", motion, Played(schema="", hash="", speed=0.5, end="completed"), "")
     done, note = played_again(heavy, [played], refusal, silent)
-    assert note.startswith("the next motion is that of round 01 with other parts, as no motion within")
+    assert note.startswith("the next motion repeats round 01 with other parts, because no motion within")
     assert done.task.series.period == 6.0  # it was played at half the speed
     assert max(usage.excess for usage in check(done.task, done.x)) <= 1.0
 
@@ -594,9 +594,7 @@ def test_a_second_round_without_a_motion_goes_on_from_the_first(copied: Path, mo
     monkeypatch.setattr("gtau.campaigns.campaign.design", refuses)
     state = campaign(copied)
     assert state.next == "play"
-    assert any(
-        note.startswith("the next motion is that of round 01 with other parts") for note in state.decision["notes"]
-    )
+    assert any(note.startswith("the next motion repeats round 01 with other parts") for note in state.decision["notes"])
     assert play(copied / "02").returncode == 0
 
 

@@ -96,7 +96,7 @@ def test_an_estimate_that_no_bodies_have_is_said(result: Result, off: float, dra
     false = replace(true, value=true.value - off * true.std)
     changed = result.replaced(parameters={**result.parameters, name: false})
     if not drawn:
-        with pytest.raises(GtauError, match="no rigid bodies near those of the robot file"):
+        with pytest.raises(GtauError, match="no rigid bodies near the robot file"):
             draw(changed, 5)
         return
     samples = draw(changed, 5)

@@ -220,7 +220,7 @@ BAD: list[tuple[str, str, str]] = [
     ("not a number", BODY % ('<body pos="0 0 x"/>', ""), ": line 1: pos of <body> is '0 0 x'; write plain"),
     ("zero axis", BODY % ('<body><joint axis="0 0 0"/></body>', ""), ": MuJoCo refuses the file ("),
     ("two joints of a name", BODY % ('<body name="b"><joint name="j"/></body>', ""), ": MuJoCo refuses the file ("),
-    ("no joints", "<mujoco/>", ": it has no joints except those of free bodies"),
+    ("no joints", "<mujoco/>", ": it has no joints except joints of free bodies"),
     ("floating base", BODY % (FLOATING, ""), ": body 'f' floats and carries joints; write"),
     ("unknown body", BODY % ("", '<equality><weld body1="z"/></equality>'), ": MuJoCo refuses the file ("),
     (

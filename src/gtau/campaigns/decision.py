@@ -46,9 +46,9 @@ RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "c
 class Decision:
     """What limits the worst gain, and what follows: another motion to ``RANDOM``, ``MODEL`` or ``CONFIRM``, or an end.
 
-    ``say`` is a sentence with figures, ``gains`` those of all rounds by joint, ``candidates`` the motions rehearsed,
-    ``notes`` say why, what to do about it, and what was not as designed, and ``suspect`` is the effect that the data
-    show.
+    ``say`` is a sentence with figures, ``gains`` the gains of all rounds by joint, ``candidates`` the motions
+    rehearsed, ``notes`` say why, what to do about it, and what was not as designed, and ``suspect`` is the effect that
+    the data show.
     """
 
     kind: str
@@ -231,7 +231,7 @@ def warming(result: Result, last: Round) -> str:
 
 
 def _apart(alone: Result, before: Mapping[str, Any] | None) -> str:
-    """Say which gain of the confirming round differs from that of the rounds before, empty if none does."""
+    """Say which gain of the confirming round differs from the gain of the rounds before; empty if none does."""
     if before is None:
         return ""
     for joint, gain in alone.drive_gains.items():

@@ -25,7 +25,7 @@ from gtau.signals.reading.logs import read_log
 
 
 def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
-    """Make the task of the next motion, on top of what is known, or that of the file where no gain can be trusted."""
+    """Make the task of the next motion from what is known, or of the file where no gain can be trusted."""
     try:
         task, _ = make_task(file.model_copy(update={"prior": DesignPrior(model=model)}))
     except GtauError:  # a gain that may be zero, or is not identifiable
@@ -71,7 +71,7 @@ def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, pro
         limits = replace(task.limits, torque=torque)
         again = replace(task, series=slowed, repetitions=series["repetitions"], limits=limits)
         if improved := redesign(again, x, progress):
-            return improved, f"the next motion is that of round {round_.folder.name} with other parts, as {refusal}"
+            return improved, f"the next motion repeats round {round_.folder.name} with other parts, because {refusal}"
     raise refusal
 
 

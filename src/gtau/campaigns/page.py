@@ -83,7 +83,7 @@ def _chart(judged: list[Round]) -> Chart | None:
             values.append(100 * (gain["value"] / final["value"] - 1))
             halves.append(gain["half_width"])
             inner.append(1.96 * (gain["random"] or 0.0))
-    axis = "gain, % off that of the last round"
+    axis = "gain, % off the gain of the last round"
     return Chart((intervals(names, values, halves, axis, inner, zero=True),)) if names else None
 
 

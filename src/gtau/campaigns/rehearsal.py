@@ -53,8 +53,8 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
     """Check every limit along the whole motion, and play it in the simulator with the heaviest payload.
 
     The robot is the identified ``model``, or one with the inertias of the robot's file: without a model, and where it
-    is none that moves, as parameters that the data hardly determine may be those of no body. Raises GtauError where a
-    limit is exceeded or the robot strays.
+    is none that moves, as parameters that the data hardly determine may belong to no body that exists. Raises GtauError
+    where a limit is exceeded or the robot strays.
     """
     task, notes = design.task, list[str]()
     worst = max(check(task, design.x), key=lambda usage: usage.excess)

@@ -177,7 +177,7 @@ def check(
         option("DIR", "Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out."),
     ] = None,
     method: Annotated[
-        str | None, option(METHODS, "Estimator to be used afterwards; default: that of identify.")
+        str | None, option(METHODS, "Estimator that will identify; the default of 'gtau identify' if left out.")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -268,7 +268,7 @@ def said_if_refused(guesses: tuple[Finding, ...]) -> Iterator[None]:
 
 
 def is_log(path: Path) -> bool:
-    """Return whether a path is that of a log, by its ending or content."""
+    """Decide by its ending or content whether a file is a log."""
     from gtau.signals.reading.logs import is_log_folder, reader_of
 
     return reader_of(path.suffix.lower()) is not None or (

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from gtau.findings import Finding
     from gtau.robots.robot import Placement
 
-CONTROLLERS = "ur, franka, kuka, abb, ros"  # those of export.payload, which --help need not import
+CONTROLLERS = "ur, franka, kuka, abb, ros"  # as in export.payload, which --help need not import
 
 
 class GainChoice(StrEnum):
@@ -56,7 +56,7 @@ def validate(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Compare measured torques with those of a model on the validation runs; with DIR also as charts."""
+    """Compare measured and predicted torques on the validation runs; with DIR also as charts."""
     hold(out)
     with progress_bar() as progress:
         from gtau.estimation.experiment_runs import read_validation
@@ -120,7 +120,7 @@ def payload(
     Logs instead of EXPERIMENT.yaml carry an unknown payload each, unless --payload says otherwise; --robot names a
     file with the links of --frame. The draft is DIR/experiment.yaml, or payload/experiment.yaml.
 
-    The exit code is 3 if a mass is negative, or the model's gains contradict its own logs or those of the payload.
+    The exit code is 3 if a mass is negative, or the model's gains contradict its own logs or the logs of the payload.
     """
     hold(out)
     if to is not None and out is None:
@@ -235,7 +235,7 @@ def export(
     ] = None,
     hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms of the robot.")] = 8.0,
     observer: Annotated[
-        float | None, option("HZ", "For 'thresholds': those of the momentum observer with this bandwidth.")
+        float | None, option("HZ", "For 'thresholds': thresholds of the momentum observer with this bandwidth.")
     ] = None,
     json_: Json = False,
 ) -> None:

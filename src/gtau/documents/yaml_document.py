@@ -150,7 +150,7 @@ SYNTAX = (
     ("mapping values are not allowed", "a ':' follows a value; put the key on its own line, or quote the value"),
     ("could not find expected ':'", "a line has no 'key: value'; add the colon, or indent it as the lines above"),
     ("expected ',' or", "a bracket or brace is not closed, or a comma is missing; add it"),
-    ("expected <block end>", "the indentation does not match that of the lines above; align them"),
+    ("expected <block end>", "the line is not indented as the lines above; align them"),
     ("scanning a quoted scalar", "a quotation mark is not closed; add it"),
     ("found unexpected end of stream", "a bracket, brace or quotation mark is not closed; add it"),
     ("expected the node content", "a value is missing or misplaced; correct the line"),

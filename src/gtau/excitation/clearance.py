@@ -81,7 +81,7 @@ class Clearance:
         return self.all_nearest(c, [pair])[0]
 
     def all_nearest(self, c: np.ndarray, pairs: Sequence[tuple[str, str]]) -> list[Nearest]:
-        """Find the nearest points of some pairs of bodies; those of all capsules in one go."""
+        """Find the nearest points of some pairs of bodies, all capsules in one go."""
         poses = {body: self.poses(body, c) for body in dict.fromkeys(chain(*pairs))}
         placed = {body: [(body, shape) for shape in self.shapes[body]] for body in poses}
         lines: dict[Placed, tuple[np.ndarray, np.ndarray, float]] = {

@@ -28,7 +28,8 @@ class ConstraintUsage:
     """Usage of a limit: ``values`` (N,), within -1 and 1 if satisfied, or at least 1 for a lower (``least``) limit.
 
     ``what`` names the limit, ``limit`` is its value in ``unit``, counted from ``middle`` where it is an interval;
-    ``rows`` is the Jacobian by x, one row per value. ``logarithmic`` values are logarithms over that of the limit.
+    ``rows`` is the Jacobian by x, one row per value. ``logarithmic`` values are divided by the limit before the
+    logarithm is taken.
     """
 
     what: str

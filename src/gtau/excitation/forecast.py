@@ -76,9 +76,9 @@ def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
 def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     """Predict the standard deviations that identification will reach with the motion ``x``.
 
-    The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is that of
-    maximum likelihood for white noise of the prior's ``sigma``, and of the masses of payloads. Model errors and
-    coloured noise are not included.
+    The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is by maximum
+    likelihood, for white noise of the prior's ``sigma`` and the uncertain masses of payloads. Model errors and coloured
+    noise are not included.
     """
     runs = expected_runs(task, x)
     preparation = choose_preparation(runs)

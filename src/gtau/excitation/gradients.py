@@ -1,4 +1,4 @@
-"""Motion of the whole robot from that of its motors, and derivatives pulled back through the closures.
+"""Motion of the whole robot from the motion of its motors, and derivatives pulled back through the closures.
 
 Forward, the closures are solved numerically (:mod:`gtau.model.loops`). Backward, derivatives of any
 quantity by c, yd, ydd and J become derivatives by q, qd and qdd: each of the equations
@@ -51,7 +51,7 @@ class Slopes:
 class Pullback:
     """Derivatives by c, yd, ydd, J to those by q, qd, qdd; see :func:`pullback`.
 
-    ``rows`` are the independent closure equations among those of the scaled ``G``; ``by_yd`` and ``by_c`` differentiate
+    ``rows`` are the independent rows of the scaled ``G``; ``by_yd`` and ``by_c`` differentiate
     the equations weighted with multipliers, ``of_G`` the entries of its passive columns.
     """
 
@@ -161,7 +161,7 @@ def in_platform_space(robot: Robot) -> Robot:
         axis = tuple(float(axis == dof[-1]) for axis in TRANSLATIONS)
         kind = "prismatic" if dof in TRANSLATIONS else "revolute"
         name = platform.name if last else f"{dof} of {platform.name}"
-        # the platform's place at home comes first, its orientation last, so that the axes are those of the base
+        # the platform's place at home comes first, its orientation last, so that the axes are axes of the base
         placement = Pose(platform.home.xyz if k == 0 else (0.0, 0.0, 0.0))
         chain.append(Joint(name, before, kind, placement, axis, True, 0.0, Limits(), "none"))  # type: ignore[arg-type]
         before = name

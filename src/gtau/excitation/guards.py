@@ -56,7 +56,7 @@ def guard(
     floor: float | str | None,
     file: Path,
 ) -> Guarded:
-    """Guard bodies against each other and a floor, by ``stated`` shapes, those of the robot's file, or guessed ones.
+    """Guard bodies against each other and a floor, by ``stated`` shapes, shapes of the robot's file, or guessed ones.
 
     ``rest`` (n_c, 1) is where runs begin, ``least`` the clearance in m, ``file`` the robot's. Bodies are not kept apart
     where ``stated`` is None, but off the floor they are, unless ``floor`` is "none"; its height, m, is guessed where it

@@ -1,6 +1,6 @@
 """Information of a motion about the unknowns, and the criteria that a design minimises, with derivatives.
 
-The rows are those of :mod:`gtau.estimation.estimators.maximum_likelihood`, linearised at prior values,
+The rows are the equations of :mod:`gtau.estimation.estimators.maximum_likelihood`, linearised at prior values,
 
     e_j = v(t - d_j) - (W theta + known) / g_j,
 
@@ -30,7 +30,7 @@ VAGUE = 1e3  # prior standard deviations of the unknowns, in units of their scal
 
 
 def _scales(names: tuple[Parameter, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
-    """Estimate the typical size of each parameter: its prior value, or that of the others of its kind."""
+    """Estimate the typical size of each parameter: its prior value, or the prior values of its kind."""
     kinds = [name.kind for name in names]
     mass = max((payload.mass or 1.0 for payload in payloads if payload is not None), default=1.0)
     # a load of that mass some decimetre away

@@ -76,7 +76,7 @@ class KnownGain:
 
     @property
     def excess(self) -> float:
-        """Largest size within the interval over that of the value: an identified torque may be so much larger."""
+        """Ratio of the largest size within the interval to the size of the value: a torque may be larger by so much."""
         return max(map(abs, self.interval)) / abs(self.value)
 
 
@@ -84,8 +84,8 @@ class KnownGain:
 class PriorModel:
     """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a sample of each current, A.
 
-    Limits of torque hold for the base parameters ``cautious`` (n_b,). ``centers`` (3,) are those of payloads by
-    name, m, and ``covariance`` is that of an earlier result to which a motion is to add, with the names of its rows.
+    Limits of torque hold for the base parameters ``cautious`` (n_b,). ``centers`` (3,) are the centres
+    of payloads by name, m. ``covariance`` belongs to an earlier result to which a motion adds, with the names of rows.
     """
 
     chi: np.ndarray
@@ -163,8 +163,8 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
     """Guess standard parameters with links as rods of equal mass and matching friction; return that mass too.
 
-    The mass is twice that of the ``payload``, kg, or less where the motors are too weak. A rod leads from its frame's
-    origin to the mean of its followers'; friction is a tenth of the rms torque of random states.
+    The mass is twice the mass of the ``payload``, kg, or less where the motors are too weak. A rod leads from its
+    frame's origin to the mean of its followers'; friction is a tenth of the rms torque of random states.
     """
     robot = model.robot
     chi: dict[str, float] = {}

@@ -47,7 +47,7 @@ ISAACLAB = {
     "effort_limit": "effort_limit",
     "velocity_limit": "velocity_limit",
 }
-"""Fields of Isaac Lab by joint, and those of mjlab that they equal."""
+"""Fields of Isaac Lab by joint, with the equal fields of mjlab."""
 MJLAB_HEAD = """\
 Actuators of '{robot}', identified from logs. Not run in mjlab.
 Each entry of 'actuators' has the fields of one BuiltinMotorActuatorCfg (commands are torques, N m or N):
@@ -160,7 +160,7 @@ def export_mujoco(result: Result, out: Path) -> Exported:
     texts, notes, figures = _body_texts(model, motors)
     notes += _notes(motors)
     if limited := [motor.joint for motor in motors if motor.limits.velocity is not None]:
-        notes.append(f"MuJoCo has no limit of speed, so those of {', '.join(limited)} are not in the files")
+        notes.append(f"MuJoCo has no limit of speed, so the files do not limit the speed of {', '.join(limited)}")
     if not _delays(imported()) and any(motor.lag for motor in motors):
         notes.append("this MuJoCo has no delay of actuators: delays are not in the files")
     files = {f"{name}.xml": texts["whole"], f"{name}_actuators.xml": texts["actuators"]}
@@ -262,14 +262,14 @@ def _body_texts(
     section = root.find("actuator")
     assert section is not None
     for element in [element for element in section if element.get("name") in driven]:
-        section.remove(element)  # those of springs stay
+        section.remove(element)  # springs stay
     if not len(section):
         root.remove(section)
     texts = {"bodies": xml_text(root)}
     drives = Element("mujoco")
     outer = SubElement(SubElement(drives, "default"), "default", {"class": "drives"})
     for joint in root.iter("joint"):
-        if (name := joint.get("name")) in driven:  # those of equalities have none
+        if (name := joint.get("name")) in driven:  # an equality names no joint
             values = {key: joint.attrib.pop(key) for key in OF_DRIVE if key in joint.attrib}
             SubElement(SubElement(outer, "default", {"class": f"drive {name}"}), "joint", values)
             joint.set("class", f"drive {name}")

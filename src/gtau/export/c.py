@@ -48,7 +48,7 @@ def c_files(model: Identified) -> dict[str, str]:
 
 
 def _fields(model: Identified) -> dict[str, Any]:
-    """Collect what the templates of C take besides that of every language."""
+    """Collect the fields that only the templates of C take."""
     robot, loops = model.result.robot, model.result.idm.loops
     joints = [robot.joint(joint) for joint in model.joints]
     velocities = np.array([joint.limits.velocity or 10.0 for joint in joints])

@@ -1,6 +1,6 @@
 """Physically consistent standard parameters of a result, for rigid-body engines, and what these engines lack.
 
-A file without loops lacks those of a robot that has some. It has the inertia that the motors move with loops closed: at
+A file without loops cannot hold a robot with loops. It has the inertia that the motors move with loops closed: at
 rest, torques are ``M(q) qdd + g(q)`` with ``M = J^T I J``, where I is the inertia of all bodies and rotors in the
 coordinates of the tree, J the motion of these by the motors. A tree of motors alone with ``M`` of its home as their
 armature moves like the robot near home, but for gravity.
@@ -30,7 +30,7 @@ PLAIN = ("fv", "fs", "off")
 
 @dataclass(frozen=True, eq=False)
 class ConsistentModel:
-    """Physically consistent parameters by name, those of friction cubic in speed (f3) too, and drive gains by joint.
+    """Physically consistent parameters by name, friction cubic in speed (f3) included, and drive gains by joint.
 
     Friction dissipates at every speed: no ``fv``, ``fs`` or ``f3`` is negative. Where identified ones are, or friction
     bends (``fb``), ``fv`` and ``fs`` are the straight line nearest to the friction up to the fastest logged speed, and
@@ -63,7 +63,7 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
     values, straight = dict(consistency.standard), []
     terms = {name: term.value or 0.0 for name, term in result.friction_parameters.items()}
     for joint in (joint.name for joint in result.robot.joints):
-        if joint in result.curves:  # whose viscous and Coulomb friction are those of the model, not of rigid bodies
+        if joint in result.curves:  # its friction comes from the model, not from the fit of rigid bodies
             values |= {name: terms[name] for kind in PLAIN if (name := Parameter(kind, joint)) in terms}
         viscous, coulomb, cubic = (Parameter(kind, joint) for kind in ("fv", "fs", "f3"))
         identified_friction = values | terms

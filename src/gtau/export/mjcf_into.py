@@ -31,7 +31,7 @@ NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 def export(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
 
-    Raises GtauError where the result has no physically consistent parameters, the file is not that of its robot, or its
+    Raises GtauError where the result has no physically consistent parameters, the file describes another robot, or its
     bodies do not appear in it one by one.
     """
     mujoco = imported()
@@ -159,7 +159,7 @@ def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
 
 
 def _allow_inertias(file: InputFile) -> list[str]:
-    """Make MuJoCo take the inertias of the file rather than those of the shapes."""
+    """Make MuJoCo take inertias from the file, not from the shapes."""
     notes = []
     for compiler in file.root.findall("compiler"):
         if compiler.get("inertiafromgeom") == "true":

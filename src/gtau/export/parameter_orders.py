@@ -27,7 +27,7 @@ from gtau.robots.robot import DRIVE, INERTIAL
 class Order:
     """Parameters of a body in a program: their ``names`` in its order, and what stands for each (``kinds``).
 
-    Kinds are those of gtau's parameters, whose inertia is about the origin; ``x y z`` (centre of mass), ``xx/c`` (about
+    Kinds are named as gtau's parameters, whose inertia is about the origin; ``x y z`` (centre of mass), ``xx/c`` (about
     it) and ``xx/m`` (about the origin, over the mass).
     """
 

@@ -59,8 +59,8 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
     notes = [f"in {payload.frame}; {expected}"]
     if payload.unseen:
         notes.append(
-            f"the motion does not show {', '.join(payload.unseen)} of '{payload.name}': they are those of a compact "
-            "body, not measured"
+            f"the motion does not show {', '.join(payload.unseen)} of '{payload.name}': they are taken from a "
+            "compact body, not measured"
         )
     head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
     if payload.unseen:

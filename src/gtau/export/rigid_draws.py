@@ -1,6 +1,6 @@
 """Draws of standard parameters: the identified distribution of rigid bodies, near the file's inertias where it is open.
 
-The density is that of the estimates times a Wishart prior on the pseudo-inertia P of every body,
+The density is the likelihood of the estimates times a Wishart prior on the pseudo-inertia P of every body,
 ``|P|^k exp(-nu/2 tr(P0^-1 P))``: its exponent is the entropic (log-determinant) divergence from the file's P0. It is
 sampled within the cone of positive definite P by Hamiltonian paths (Duane et al., 1987), so that no draw has to be
 moved into the cone from outside.
@@ -43,7 +43,7 @@ STEPS = 500  # of Newton's method
 ROUNDING = 1e-9  # share of a step that is too short to matter
 SETTLED = 1e-6  # square of the last step, in standard deviations
 TOO_FAR = (
-    "no rigid bodies near those of the robot file have the identified parameters, so there is nothing to draw; settle "
+    "no rigid bodies near the robot file have the identified parameters, so there is nothing to draw; settle "
     "what contradicts in the result and the file, or leave out --samples."
 )
 POSITIVE = ("ia", "fv", "fs", DAMPING)
@@ -55,7 +55,8 @@ class Target:
 
     ``S @ y`` are estimates of ``means``, in standard deviations, of which ``information`` is the inverse correlation;
     ``freedom`` is infinite where they are normal. Body b has the pseudo-inertia ``sum_k y[places[b, k]] basis[b, k]``,
-    in units in which that of the file is the identity; the rest is ``about`` values with a ``stiffness``, (n + r,).
+    in units in which the pseudo-inertia of the file is the identity; the rest is ``about`` values with a ``stiffness``,
+    (n + r,).
     """
 
     S: np.ndarray
@@ -107,7 +108,7 @@ class Target:
             slope = self.information @ z
             value = (z @ slope - z[t] @ z[t]) / 2 + np.sum((f + 1) / 2 * np.log1p(u[t] ** 2 / f))
             density = np.exp(gammaln((f + 1) / 2) - gammaln(f / 2) + z[t] ** 2 / 2) * np.sqrt(2 / f)
-            density *= (1 + u[t] ** 2 / f) ** (-(f + 1) / 2)  # dz/du: of Student's t over that of the normal
+            density *= (1 + u[t] ** 2 / f) ** (-(f + 1) / 2)  # dz/du: density of Student's t over the normal density
             slope[t] = (slope[t] - z[t]) * density + (f + 1) * u[t] / (f + u[t] ** 2)
         apart = y - self.about
         pulled = self.stiffness * apart

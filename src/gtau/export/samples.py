@@ -30,7 +30,7 @@ class Draws:
     """Draws of an identified model, N of each quantity, SI units.
 
     ``standard`` (N, n_st) and ``base`` (N, n_b) parameters are in the order of the robot's model, ``gains`` and
-    ``delays`` (N, n) in that of its actuated joints; ``friction`` (N,) is that with which the model predicts. ``moved``
+    ``delays`` (N, n) in the order of its actuated joints; the model predicts with ``friction`` (N,). ``moved``
     (N,) is the distance by which rigid bodies keep each draw outside the 95 % region of the estimates, in standard
     deviations; ``shifts`` the distance of the mean of the draws from each estimate, in its standard deviations.
     """
@@ -160,7 +160,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Draws:
 
 
 def _estimates(result: Result) -> dict[Parameter, Estimate]:
-    """Collect the estimates that are drawn, by their names in the covariance; those of base parameters come first."""
+    """Collect the estimates that are drawn, by their names in the covariance; base parameters come first."""
     deviations = dict(zip(result.covariance_names, np.diag(result.covariance), strict=True))
     more = {Parameter("gain", joint): estimate for joint, estimate in result.drive_gains.items()}
     more |= {Parameter("delay", joint): estimate for joint, estimate in result.delays.items()}

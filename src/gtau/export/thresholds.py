@@ -37,7 +37,7 @@ def export_thresholds(
 ) -> Exported:
     """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``.
 
-    The external torque is behind the low-pass of identification, or that of the momentum observer with a bandwidth of
+    The external torque is behind the low-pass of identification, or behind the momentum observer with a bandwidth of
     ``observer`` Hz. Raises GtauError where the runs are too few, too short or too different.
     """
     if len(runs) < 2 or not 0 < hours < np.inf:
@@ -130,8 +130,8 @@ def raised(residuals: Sequence[Residual], seconds: float) -> tuple[float, int]:
         factor *= STEP
         if factor > MOST:
             raise GtauError(
-                f"the logs differ too much for thresholds: at {MOST:g} times those of the others one still has alarms; "
-                "check which logs have contacts, or a load that is not declared (gtau validate)."
+                f"the logs differ too much for thresholds: at {MOST:g} times the others' thresholds one log "
+                "still raises alarms; check which logs have contacts, or a load that is not declared (gtau validate)."
             )
     return factor, alarms(1.0)
 

@@ -65,7 +65,7 @@ def export(result: Result, out: Path) -> Exported:
 def export_into(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives beside it.
 
-    Raises GtauError where the result has no physically consistent parameters, or the file is not that of its robot.
+    Raises GtauError where the result has no physically consistent parameters, or the file describes another robot.
     """
     model = consistent_model(result, "URDF")
     if source.suffix.lower() != ".urdf":

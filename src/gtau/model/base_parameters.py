@@ -87,7 +87,7 @@ def of_drive(name: Parameter, joint: str) -> bool:
 
 
 def seen_by_sensor(names: Sequence[Parameter], joint: str) -> np.ndarray:
-    """Mark the standard parameters measured by a joint torque sensor with 1, those of the drive with 0."""
+    """Mark the standard parameters measured by a joint torque sensor with 1, parameters of the drive with 0."""
     return np.array([not of_drive(name, joint) for name in names], dtype=float)
 
 
@@ -110,7 +110,7 @@ def base_parameters(
         Seed of the random states.
     sensors : sequence of str
         Joints with a torque sensor: their rows without the drive's parameters are added to the others, and separate the
-        inertia of a rotor from that of the link.
+        inertia of a rotor from the inertia of the link.
     progress : callable
         Progress callback.
 

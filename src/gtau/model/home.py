@@ -75,7 +75,7 @@ def load_robot(
     held : mapping of str to float, optional
         Positions of joints that are held, rad or m; those not named are held at home.
     limits : mapping, optional
-        Limits in place of those of the file, by joint: ``{"elbow": {"velocity": 3.1, "effort": 150}}``, SI units.
+        Limits that replace limits of the file, by joint: ``{"elbow": {"velocity": 3.1, "effort": 150}}``, SI units.
 
     Returns
     -------

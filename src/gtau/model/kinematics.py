@@ -1,6 +1,6 @@
 """Express positions, twists and accelerations of all bodies symbolically.
 
-Twists and accelerations are those of a body's frame origin in the body's own axes, the form in which
+Twists and accelerations are taken at a body's frame origin in the body's own axes, the form in which
 its inertial parameters are constant.
 
 ``c`` is the configuration: all joint coordinates, then for every platform its position and, if it
@@ -62,7 +62,7 @@ class Coordinates:
 
     @cached_property
     def platforms(self) -> tuple[PlatformSlots, ...]:
-        """Places of the platforms' coordinates, behind those of the joints."""
+        """Places of the platforms' coordinates, behind the coordinates of the joints."""
         slots = []
         n_c = n_y = len(self.robot.joints)
         for platform in self.robot.platforms:

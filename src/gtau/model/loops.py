@@ -45,7 +45,7 @@ def numbers(first: int = 0) -> Labels:
 class Motion:
     """Motion of the whole tree: ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N).
 
-    ``condition`` (N,) is that of the passive columns, lengths scaled by the characteristic length.
+    ``condition`` (N,) is the condition number of the passive columns, lengths scaled by the characteristic length.
     """
 
     c: np.ndarray

@@ -106,7 +106,7 @@ def _around(errors: LoopErrors, home: np.ndarray, moving: np.ndarray) -> Iterato
 
 
 def _replaced(robot: Robot, placements: Mapping[str, Placement]) -> Robot:
-    """Replace placements in loops by their names: those of joints, and ``0 a`` of the first closure."""
+    """Replace placements in loops by their names: names of joints, and ``0 a`` of the first closure."""
 
     def end(name: str, at: Attachment) -> Attachment:
         return replace(at, placement=placements.get(name, at.placement))
@@ -208,7 +208,7 @@ def _aligned(
 def _varied(
     layout: Coordinates, places: Mapping[str, Attachment], joints: list[Joint], pairs: list[tuple[int, int, bool]]
 ) -> ca.Function:
-    """Compile from c and changes (6 places,) the errors and Jacobian of the loops, those of pairs of axes, and slopes.
+    """Compile from c and changes (6 places,) errors and Jacobian of the loops and of pairs of axes, and slopes.
 
     The slopes are the derivatives of both errors by the changes.
     """

@@ -7,8 +7,8 @@ workspace; the model holds there.
 
 Distances are reciprocal condition numbers, 1 at best and 0 at a singularity, that do not depend on the unit of length:
 ``k / sqrt(sum(s^2) sum(1 / s^2))`` of k singular values s, lengths being counted in characteristic lengths. For type 2
-these are the singular values of G_p. For type 1 they are those of the tool's rows of an orthonormal basis of the
-motions (qd, twist of the tool): ``s / sqrt(1 + s^2)`` with s those of J_t, since J_t itself is ill-conditioned near
+these are the singular values of G_p. For type 1 they belong to the tool's rows of an orthonormal basis of the motions
+(qd, twist of the tool): ``s / sqrt(1 + s^2)`` with singular values s of J_t, since J_t itself is ill-conditioned near
 singularities of type 2 too. Only as many of them count as J_t has at most poses: a tool may have fewer freedoms than
 motors. A single one is compared with the largest among random poses.
 """

@@ -45,7 +45,7 @@ def _chain(names: Sequence[str], kinds: Sequence[str], antecedent: str, placemen
 def float_base(robot: Robot, name: str = "base") -> Robot:
     """Let the base of a robot float: everything mounted on the ground is then carried by a body ``name``.
 
-    The joints keep their motors; those of the base have none. A platform that does not move in all six degrees of
+    The joints keep their motors; joints of the base have none. A platform that does not move in all six degrees of
     freedom is tied to the ground, and refused.
     """
     if robot.floating:

@@ -40,7 +40,7 @@ def places_on(robot: Robot, body: str) -> list[np.ndarray]:
 def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
     """Bound a body's frames by a ball: centre (3,) and radius in m, in its frame, and whether the chain ends here.
 
-    The frames are its own and those of the joints and closures on it; where there are none the chain ends.
+    The frames are its own and the frames of joints and closures on it; where there are none the chain ends.
     """
     points = places_on(robot, body)
     frames = np.array([np.zeros(3), *points])
@@ -49,7 +49,7 @@ def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
 
 
 def longest_placement(robot: Robot) -> float:
-    """Return the largest distance (m) from a body's frame to that of a joint or closure on it; 1 without any."""
+    """Return the largest distance (m) from a body's frame to a joint or closure on it; 1 without any."""
     lengths = [2 * extent(robot, body)[1] for body in robot.bodies]
     return max(lengths, default=0.0) or 1.0
 

@@ -41,7 +41,7 @@ class Parameter(str):
 def parameter_of(name: str, regrouped: bool = False) -> Parameter:
     """Return the parameter of a name in a file; of one without a body (``m`` of a payload) the body is empty.
 
-    ``regrouped`` says whether the name is that of a base parameter that regroups others, and ends in ``R``: the name
+    ``regrouped`` says whether a base parameter that regroups others has this name, which ends in ``R``: the name
     alone does not show it.
     """
     if isinstance(name, Parameter):
@@ -87,7 +87,7 @@ def position_unit(robot: Robot, joint: str) -> str:
 
 
 def command_unit(robot: Robot, joint: str, kind: str) -> str:
-    """Return the unit of a joint's logged command: A for the ``current`` of a motor, else that of its torque."""
+    """Return the unit of a joint's logged command: A for the ``current`` of a motor, else the unit of its torque."""
     return "A" if kind == "current" and joint in robot.motors else torque_unit(robot, joint)
 
 

@@ -107,7 +107,7 @@ def _on_carrier(carried: Mapping[str, Attachment], end: Attachment) -> Attachmen
 
 
 def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
-    """Add the stated inertias of locked links to those of the links that carry them; their rotors no longer turn."""
+    """Add the stated inertias of locked links to the links that carry them; their rotors no longer turn."""
     stated = {parameter_of(name): value for name, value in robot.file.inertias}
     bodies = dict.fromkeys(name.body for name in stated if name.kind in INERTIAL)
     summed = lumped((carried[body], rigid_body(robot.inertias, body)) for body in bodies)
@@ -283,7 +283,7 @@ def _ball(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
 
 
 def _aimed(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
-    """Choose the axes of a ball anew: that of ``pin``, its last, ``along`` a direction (3,) of its link.
+    """Choose the axes of a ball anew: turn the axis of ``pin``, its last, ``along`` a direction (3,) of its link.
 
     The robot itself where the pin is not the last of a ball, or its axis is along already.
     """

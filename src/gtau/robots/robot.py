@@ -31,7 +31,7 @@ PLAIN_FRICTION = DRIVE[1:]
 STIFFNESS = "k"  # of a spring across a joint, or between two points
 PRELOAD, DAMPING = "f0", "c"  # force of a spring between two points at length zero, and its damping
 SPRING = (PRELOAD, STIFFNESS, DAMPING)
-MOST_PARTS = 2000  # links, or rows of a table: those of humanoids with all their frames are some 300
+MOST_PARTS = 2000  # links, or rows of a table: humanoids with all their frames have some 300
 MOST_JOINTS = 200  # that move: 150 in one chain take 50 s and 1 GB, and both grow as the cube
 
 
@@ -51,7 +51,7 @@ class Joint:
 
     The link's frame sits at ``placement`` in the antecedent's frame when the coordinate is zero,
     and turns about (or slides along) ``axis``, a unit vector of its own frame. ``parameters`` says which
-    standard parameters it has: all 14, those of the link (``inertial``) or of the drive (``drive``, for a
+    standard parameters it has: all 14, only the link's (``inertial``) or the drive's (``drive``, for a
     motor's shaft) alone, or ``none`` (a massless link of a spherical joint). ``spring`` is where a spring across the
     joint is at rest; its stiffness is a parameter, ``k``.
     """
@@ -243,7 +243,7 @@ class Robot:
 
     @property
     def motors(self) -> tuple[str, ...]:
-        """Names of the actuated joints that have a motor: all but those of a floating base."""
+        """Names of the actuated joints that have a motor: all except joints of a floating base."""
         return tuple(joint for joint in self.actuated if joint not in self.base)
 
     @property

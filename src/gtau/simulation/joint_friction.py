@@ -23,7 +23,7 @@ from gtau.uses.prediction import friction_values, loaded_parameters
 
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: sign(v) is tanh(v / width)
 TERMS = ("fb", "fl")
-"""Kinds of friction that are no standard parameters; those of the plain law are."""
+"""Kinds of friction beyond the standard parameters of the plain law."""
 MISSED = 1e-9  # of its band: how far a joint may overshoot its reversal within a step
 BALANCES = 3  # iterations that scale propelling terms to the resulting load
 

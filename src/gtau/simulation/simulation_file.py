@@ -63,7 +63,7 @@ class FrictionEntry(Keys):
 class Simulation(Keys):
     """A simulation file; its paths are relative to it.
 
-    The robot has the ``parameters`` and the friction of ``curves``, or all those of an identified ``model``;
+    The robot has the ``parameters`` and the friction of ``curves``, or all of an identified ``model``;
     ``control`` lists trajectories on which control laws are compared, without logs.
     """
 

@@ -1,6 +1,6 @@
 """Motor, model and external torques along a log, for contact detection.
 
-A causal estimate is that of the observer of generalized momentum ``p = M qd``:
+The observer of generalized momentum ``p = M qd`` gives a causal estimate:
 
     ``dp/dt = tau + tau_ext + C^T qd - g - friction``, so ``r`` with ``dr/dt = K (tau_ext - r)`` needs no acceleration.
 
@@ -65,7 +65,7 @@ class External:
 class TorquesAlongLog:
     """Table with one row per sample, and a summary per joint.
 
-    The table is that of :meth:`gtau.estimation.results.estimate.Prediction.table`; with ``observed_J``, the causal
+    The table has the columns of :meth:`gtau.Prediction.table`; with ``observed_J``, the causal
     estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for. All are
     behind the low-pass of identification; ``errors`` are also those against the raw torque, by frequency.
     """

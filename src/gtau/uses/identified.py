@@ -6,7 +6,7 @@ Newton's method bring the configuration ``c`` to the actuated positions, and eve
 
 Behind the configuration stand the states z of presliding friction. Where they begin at rest they follow the positions,
 so that an update of the configuration updates them too: ``z <- clip(z + ratios . dq / width, -1, 1)``. At home they are
-``SLIDING``, and stay so: friction is then that of the velocity given, whatever came before.
+``SLIDING``, and stay so: friction then follows from the given velocity, whatever came before.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ OBSERVED = {
 class Identified:
     """Model from which torques are computed: its identification, and the robot's ``name`` as an identifier of C.
 
-    ``parameters`` are the base ones, those of friction as the model predicts it, then the friction terms f3, fb and fl;
+    ``parameters`` are the base parameters, with friction as the model predicts it, then the friction terms f3, fb, fl;
     ``payloads`` the values of all (n_p,) with each payload, by name. ``gains`` (n,) are N m/A or N per A, torque scales
     where the logs hold torques; ``units`` of the actuated joints ``N m`` or ``N``.
     """
@@ -72,7 +72,7 @@ class Identified:
 
     @property
     def friction(self) -> tuple[Parameter, ...]:
-        """Names of all parameters of friction, those of base parameters by their standard ones."""
+        """Names of all friction parameters, base parameters among them by their standard names."""
         plain = [name for name in self.result.base.standard if name.kind in PLAIN_FRICTION]
         return (*plain, *self.terms)
 
@@ -224,7 +224,7 @@ def _friction(
         return J[: len(joints), :].T @ (acting[: len(joints)] + offsets) + acting[len(joints) :]
 
     def regressor(load: ca.SX) -> ca.SX:
-        """Build ``W`` (n, n_p) with ``load + friction = W p``: load-dependent friction and scales take those of p."""
+        """Build ``W`` (n, n_p) with ``load + friction = W p``: load-dependent friction and scales are in p."""
         _, scales = scaled(load)
         frozen, at = ca.SX.sym("load", load.shape[0]), ca.SX.sym("scales", scales.shape[0])
         columns = ca.jacobian(on_motors(scaled(frozen)[0], at), p)

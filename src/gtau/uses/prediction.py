@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
 STEP = np.sqrt(2.0)  # between the cut-offs tried
 # Share by which position noise may raise the error. The error hardly depends on a cut-off below the noise (the
-# Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions than those of the logs may be faster.
+# Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions may be faster than the logs.
 RAISED = 0.01
 NOISY = 2.0  # times its least: noise then rules the error of a joint, and higher cut-offs are not tried
 
@@ -129,7 +129,7 @@ def check_temperature_unit(result: Result, run: Run) -> None:
         return
     if run.temperature.unit != result.temperatures.unit:
         raise GtauError(
-            f"the temperatures of run '{run.name}' are in {run.temperature.unit}, but those of the model in "
+            f"the temperatures of run '{run.name}' are in {run.temperature.unit}, but the model has "
             f"{result.temperatures.unit}; give the same unit."
         )
 
@@ -139,7 +139,7 @@ def friction_values(
 ) -> dict[str, Any]:
     """Collect the parameters of friction by name, numbers or (N,), for base parameters ``chi`` (n_b,).
 
-    At the temperatures that a run has at ``time`` (N,), else at those of reference.
+    At the temperatures that a run has at ``time`` (N,), else at the reference temperatures.
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
     terms = {name: estimate.value or 0.0 for name, estimate in result.friction.items() if name.kind not in SHAPES}

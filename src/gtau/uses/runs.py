@@ -63,7 +63,7 @@ def experiment_of(model: Result, path: str | Path) -> Experiment:
 
 
 def require_same(model: Result, robot: Robot, kind: str, where: str) -> None:
-    """Check that a robot and the kind of its logs are those of an identified model; raises GtauError."""
+    """Check that an identified model has the same robot and kind of logs; raises GtauError."""
     if _mechanism(robot) != _mechanism(model.robot):
         raise GtauError(
             f"{where} describes the robot '{robot.name}', but the model is of '{model.robot.name}' or of "

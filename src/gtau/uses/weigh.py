@@ -174,7 +174,7 @@ def _reduced(model: Result, runs: Sequence[Run], progress: Progress) -> Dataset:
 
 
 def _moved(model: Result, system: System, step: np.ndarray) -> Problem:
-    """Return the equations at gains (n,) moved by a ``step``: those of a reference move too."""
+    """Return the equations at gains (n,) moved by a ``step``; equations of a reference move too."""
     moved = None if system.dataset.reference is None else reference_of(model, step)
     return system.problem if moved is None else system.again(replace(system.dataset, reference=moved)).problem
 
@@ -206,7 +206,7 @@ def _lost(system: System) -> bool:
 FRICTION_CHANGE = 0.2
 """Standard deviation of a model's friction on another day, of itself.
 
-On a UR10e within 19 days that of the wrists changed by 1 to 5 %, that of the elbow by 33 %. With 0.05 masses from its
+On a UR10e within 19 days friction of the wrists changed by 1 to 5 %, of the elbow by 33 %. With 0.05 masses from its
 logs, in which friction shows itself, move by less than 0.015 kg: 12 of 12 intervals hold the truth with either.
 """
 
@@ -257,7 +257,7 @@ WORSE = 3.0
 def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], progress: Progress) -> Finding | None:
     """Find a body at the tool of a run other than declared, by the parameters of the model; None without one.
 
-    It is sought where the ``errors`` of the run are ``WORSE`` than those of the identification (geometric mean).
+    It is sought where the ``errors`` of the run are ``WORSE`` than the errors of the identification (geometric mean).
     """
     usual = {residual.joint: residual.rms for residual in model.residuals if residual.rms}
     ratios = [error.rms / usual[error.joint] for error in errors if error.joint in usual and error.rms]

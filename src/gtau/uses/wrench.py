@@ -40,7 +40,7 @@ BEYOND = 4.0  # standard deviations, as in the table of torques
 class Component:
     """Component of the wrench along a log.
 
-    ``seen`` is the share of samples that show it. Over those of them that are usable: ``rms``, ``largest`` (at
+    ``seen`` is the share of samples that show it. Over the usable samples among them: ``rms``, ``largest`` (at
     ``time``, s), ``interval`` (half the 95 % interval, the median) and ``share`` beyond four standard deviations; None
     where there are no such samples. N m or N.
     """

@@ -54,7 +54,7 @@ def _parsed(module: Path) -> ast.Module:
 
 
 def _repositories(module: Path) -> dict[str, str]:
-    """Find the folder of each repository, below that of all."""
+    """Find the folder of each repository, below the folder of all."""
     repositories: dict[str, str] = {}
     for node in ast.walk(_parsed(module)):
         for key, value in zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ():

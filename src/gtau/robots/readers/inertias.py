@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from gtau.robots.readers.mjcf_file import MjcfFile
 
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
-TINY = 1e-9  # kg m2: smaller inertias are those of frames that have none
+TINY = 1e-9  # kg m2: smaller inertias belong to frames that have none
 SLACK = 1e-2  # by which the largest principal moment may exceed the sum of the others: files round to a few digits
 HEAVIEST = 1000.0  # kg, and times the median mass of the file
 SHOWN = 4  # bodies that a note lists

@@ -1,8 +1,8 @@
 """MJCF files, through MuJoCo's own compiler: geometry, limits, loops and which joints are driven.
 
 Masses, shapes and meshes are ignored; mesh files need not exist. Joints with an actuator have
-motors, and in a gripper alone the shafts that pull tendons; joints that no motor moves are held: those of scenery, of
-bases that roll, and of grippers that tendons pull.
+motors, and in a gripper alone the shafts that pull tendons; joints that no motor moves are held: in scenery, in
+bases that roll, and in grippers that tendons pull.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alo
     if loops_alone:
         raise GtauError("it has loops but no actuators, so the actuated joints are unknown; add actuators.")
     if not joints:
-        raise GtauError("it has no joints except those of free bodies; give the file of a robot.")
+        raise GtauError("it has no joints except joints of free bodies; give the file of a robot.")
     if actuated.isdisjoint(joint.name for joint in joints):
         raise GtauError("no actuator drives a joint (joint=...), so the actuated joints are unknown; add actuators.")
 
@@ -206,7 +206,7 @@ def read_motors(file: MjcfFile, kinds: Mapping[str, JointKind]) -> Motors:
             motors.driven.add(target)
             if gear != 1.0:
                 motors.notes.append(
-                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are those of the "
+                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are measured at the "
                     "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
                 )
         elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
@@ -248,7 +248,7 @@ def scenery(robot: Robot) -> set[str]:
 
 
 def moving_base(robot: Robot) -> set[str]:
-    """List unactuated joints that carry all actuated ones of their tree: those of a base that rolls or slides."""
+    """List unactuated joints that carry all actuated ones of their tree: joints of a base that rolls or slides."""
     carriers, moved = _carriers(robot), _moved(robot)
     moved_trees = (tree & moved for tree in _trees(robot) if tree & moved)
     shared = (set.intersection(*(carriers[name] for name in names)) for names in moved_trees)
@@ -256,7 +256,7 @@ def moving_base(robot: Robot) -> set[str]:
 
 
 def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
-    """List the joints that tendons pull, and those of their loops, where no motor moves them."""
+    """List the joints that tendons pull, and the joints of their loops, where no motor moves them."""
     pulled_alone = (group for group in _groups(robot) if group & pulled and group.isdisjoint(robot.actuated))
     return set(pulled).union(*pulled_alone) & {joint.name for joint in robot.joints}
 

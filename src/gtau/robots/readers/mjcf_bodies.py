@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 class Bodies:
     """Joints, platforms and floating base of a file, filled along the tree.
 
-    ``joints`` are in the order of the file, those of a floating base first; ``platforms`` are free bodies that carry no
-    joints; ``carried`` says which joint or platform carries each body, and where on it the body's frame is;
+    ``joints`` are in the order of the file, joints of a floating base first; ``platforms`` are free bodies that carry
+    no joints; ``carried`` says which joint or platform carries each body, and where on it the body's frame is;
     ``floating`` is the body that is a floating base, if any, and ``notes`` name bodies that were fixed.
     """
 

@@ -116,7 +116,7 @@ def _states_masses(spec: mujoco.MjSpec) -> bool:
 
 
 def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
-    """Decide whether the inertia of a body that moves includes that of a shape."""
+    """Decide whether a shape adds to the inertia of a body that moves."""
     import mujoco
 
     body, rule = geom.parent, mujoco.mjtInertiaFromGeom
@@ -200,7 +200,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             except refusals as error:
                 unread.append(f"the masses in the file were not read, as MuJoCo does not compile them ({_said(error)})")
         elif spec.geoms:
-            unread.append("the file states no masses, and those of its shapes at the density of water were not read")
+            unread.append("the file states no masses, and masses of its shapes at the density of water were not read")
         model, notes, has_masses = _compiled(path, sites, masses=False)
         return MjcfFile(spec, model, [*notes, *unread], has_masses, elements)
     except GtauError:

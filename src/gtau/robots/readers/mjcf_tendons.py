@@ -118,7 +118,7 @@ def attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attach
 def tied_tendons(file: MjcfFile) -> list[Coupling]:
     """Couple the joints of fixed tendons whose lengths an active equality ties, or of one that it keeps constant.
 
-    The length of one tendon is a polynomial in that of the other, both from their zeros.
+    The length of one tendon is a polynomial in the length of the other, both from their zeros.
     """
     import mujoco
 

@@ -27,7 +27,7 @@ ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
 
 
 def catalog_names() -> tuple[str, ...]:
-    """List the robots that come with the package, and those of other distributions' catalogs."""
+    """List the robots that come with the package, and robots of other distributions' catalogs."""
     return (*sorted(file.stem for file in CATALOG.glob("*.yaml")), *_added_robots())
 
 

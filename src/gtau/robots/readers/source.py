@@ -40,7 +40,7 @@ Angle = Annotated[FiniteFloat, BeforeValidator(angle)]
 
 
 class Base(Keys):
-    """A fixed base: ``rpy`` turns it in a world whose z axis points up, else its pose is that of the file."""
+    """A fixed base: ``rpy`` turns it in a world whose z axis points up, else its pose is taken from the file."""
 
     rpy: tuple[Angle, Angle, Angle] | None = None
 
@@ -49,7 +49,7 @@ BaseChoice = Base | Literal["floating"] | None
 
 
 class GivenLimits(Keys):
-    """Limits of a joint in place of those of the robot's file, SI units."""
+    """Limits of a joint that replace limits of the robot's file, SI units."""
 
     position: tuple[Angle, Angle] | None = None
     velocity: Positive | None = None
@@ -81,8 +81,8 @@ class RobotSource(BaseModel):
     """A robot's file or catalog name, with the selected joints and the pose of its base.
 
     ``base`` fixes a floating base, says how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
-    joints that move; the others are held, at the positions in ``held`` or at home. ``limits`` replace those of the
-    file, by joint, and ``gravity`` its own, m/s2: zero where a driver compensates gravity in what it logs.
+    joints that move; the others are held, at the positions in ``held`` or at home. ``limits`` replace limits of
+    the file, by joint, and ``gravity`` its own, m/s2: zero where a driver compensates gravity in what it logs.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

@@ -105,7 +105,7 @@ class _Loops(BaseModel):
 def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
     """Read a robot from a URDF file and the YAML file beside it; only the joints in ``name_mot`` are actuated.
 
-    The tree is that of :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked, with a
+    The tree comes from :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked, with a
     note.
     """
     document = read_yaml(loops)

@@ -78,7 +78,7 @@ class UrdfTree:
     """Tree described by a URDF file.
 
     ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
-    joint's frame and that of the link it moves are the same. ``root`` is the file's outermost element.
+    joint's frame and the frame of the link it moves are the same. ``root`` is the file's outermost element.
     """
 
     name: str
@@ -287,8 +287,8 @@ def _transmission_notes(root: Element, motors: Iterable[str]) -> Iterator[str]:
         )
     if shared:
         yield (
-            f"differential or four-bar transmissions were not read: {', '.join(shared)}; positions and commands are "
-            "those of the joints, and where the motors' are logged, write 'couplings' in a robot file"
+            f"differential or four-bar transmissions were not read: {', '.join(shared)}; positions and commands "
+            "belong to the joints, and where the motors' are logged, write 'couplings' in a robot file"
         )
     controlled, driven = root.findall("ros2_control/joint"), driven_joints(root)
     names = {joint.get("name", "") for joint in controlled}
