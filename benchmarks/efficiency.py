@@ -25,7 +25,7 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.newton import to_gains
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.signals.preparation.choice import choose_preparation
-from gtau.signals.preparation.filters import Decimator, _kernel
+from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
 DECAY = 0.1  # s
@@ -86,7 +86,7 @@ def least_squares(
     rows: list[tuple[np.ndarray, np.ndarray]], decimator: Decimator, coloured: bool, T: np.ndarray, masked: bool
 ) -> np.ndarray:
     """Variances (n,) of the gains by maximum likelihood that takes rows for independent."""
-    h = _kernel(decimator.factor) if decimator.factor > 1 else np.ones(1)
+    h = decimator.kernel if decimator.factor > 1 else np.ones(1)
     normal, middle = 0.0, 0.0
     longest = max(J.shape[1] for J, _ in rows)
     full = autocovariance(coloured, longest * decimator.factor + 2 * len(h))

@@ -225,7 +225,7 @@ def test_stamps_of_receipt_are_taken_where_there_are_no_others(tmp_path: Path, m
         tmp_path / "bag", ("elbow", "shoulder"), *(each[:400] for each in motion["empty"]), urdf=URDF, stamped=False
     )
     draft = draft_logs([log])
-    assert draft.time == (f"{TOPIC}/received",)
+    assert draft.signals.time == (f"{TOPIC}/received",)
     said = [note.what for note in guesses(draft, Path("e.yaml"))]
     assert f"time is {TOPIC}/received, the receipt stamps" in said
 
@@ -236,7 +236,10 @@ def test_topics_at_rates_of_their_own(tmp_path: Path, motion: Any) -> None:
         tmp_path / "bag", ("elbow", "shoulder"), *(each[:600] for each in motion["empty"]), urdf=URDF, apart=True
     )
     draft = draft_logs([log])
-    assert draft.signals["time"] == {"position": f"{TOPIC}/header/stamp", "command": "/motor_currents/received"}
+    assert (draft.signals.time, draft.signals.command_time) == (
+        (f"{TOPIC}/header/stamp",),
+        ("/motor_currents/received",),
+    )
     said = [note.what for note in guesses(draft, Path("e.yaml"))]
     assert "time is /motor_currents/received, the receipt stamps" in said
     assert any(words.startswith("columns were assigned to the joints in order") for words in said)
@@ -267,8 +270,8 @@ def test_episodes_of_lists(tmp_path: Path, motion: Any, arrays: bool) -> None:
     log = lerobot(tmp_path / "file-000.parquet", motion["empty"], 4, arrays)
     (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
     draft = draft_logs([log], str(tmp_path / "arm.urdf"))
-    assert draft.signals["position"] == {"shoulder": "observation.state[1]", "elbow": "observation.state[2]"}
-    assert draft.command == {"shoulder": "observation.effort[1]", "elbow": "observation.effort[2]"}
+    assert draft.signals.position == {"shoulder": "observation.state[1]", "elbow": "observation.state[2]"}
+    assert draft.signals.command == {"shoulder": "observation.effort[1]", "elbow": "observation.effort[2]"}
     said = [note.what for note in guesses(draft, Path("e.yaml"))]
     assert "each of the 4 episodes in file-000.parquet is a run" in said
     write_draft(draft, tmp_path / "experiment.yaml")
@@ -306,18 +309,18 @@ def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> No
     (tmp_path / "arm.urdf").write_text(URDF.replace("prismatic", "fixed"))
     log = lerobot(tmp_path / "data" / "chunk-000" / "file-000.parquet", motion["empty"], 2, arrays=False)
     draft = draft_logs([log], str(tmp_path / "arm.urdf"))
-    assert draft.signals["position"] == {"shoulder": "observation.state[2]", "elbow": "observation.state[1]"}
-    assert draft.command == {"shoulder": "observation.effort[2]", "elbow": "observation.effort[1]"}
+    assert draft.signals.position == {"shoulder": "observation.state[2]", "elbow": "observation.state[1]"}
+    assert draft.signals.command == {"shoulder": "observation.effort[2]", "elbow": "observation.effort[1]"}
     assert "joints" not in draft.open
-    assert set(draft_logs([log]).signals["position"]) == {"elbow", "shoulder"}
+    assert set(draft_logs([log]).signals.position) == {"elbow", "shoulder"}
     whole = draft_logs([tmp_path], str(tmp_path / "arm.urdf"))  # the folder of the data set
-    assert whole.command == draft.command
+    assert whole.signals.command == draft.signals.command
     assert is_log_folder(tmp_path)
     pl.read_parquet(log).drop("timestamp").write_parquet(log)
     timeless = draft_logs([log], str(tmp_path / "arm.urdf"))
-    assert (timeless.time, timeless.rate) == ((), 200.0)
-    assert timeless.reasons["time"] == "no time column; 200 Hz by the description of the data set (meta/info.json)"
-    assert {"rate", "velocities"}.isdisjoint(timeless.open)
+    assert (timeless.signals.time, timeless.signals.rate) == ((), 200.0)
+    assert timeless.reasons.time == "no time column; 200 Hz by the description of the data set (meta/info.json)"
+    assert "rate" not in timeless.open
     mixed = {"names": [f"{joint}.{kind}" for joint in ("elbow", "shoulder") for kind in ("pos", "torque")]}
     (tmp_path / "meta" / "info.json").write_text(json.dumps({"features": {"observation.state": mixed}}))
     pl.DataFrame(
@@ -327,8 +330,8 @@ def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> No
         }
     ).write_parquet(log)
     state = draft_logs([log], str(tmp_path / "arm.urdf"))
-    assert state.signals["position"] == {"shoulder": "observation.state[3]", "elbow": "observation.state[1]"}
-    assert (state.kind, state.command["elbow"]) == ("torque", "observation.state[2]")
+    assert state.signals.position == {"shoulder": "observation.state[3]", "elbow": "observation.state[1]"}
+    assert (state.signals.kind, state.signals.command["elbow"]) == ("torque", "observation.state[2]")
     (tmp_path / "meta" / "info.json").write_text("[]")
     with pytest.raises(GtauError, match=r"info.json is not a readable description of a LeRobot data set"):
         draft_logs([log])
@@ -346,17 +349,17 @@ def test_torques_beside_currents_are_sensors_unless_computed_from_them(tmp_path:
         np.savetxt(tmp_path / f"{name}.csv", log, delimiter=",", header=head, comments="")
         drafts.append(with_sensors(draft_logs([tmp_path / f"{name}.csv"], str(tmp_path / "arm.urdf"))))
     sensed, computed = drafts
-    assert sensed.signals["joint_torque"] == {"shoulder": "torque_shoulder", "elbow": "torque_elbow"}
+    assert sensed.signals.joint_torque == {"shoulder": "torque_shoulder", "elbow": "torque_elbow"}
     said = [note.what for note in guesses(sensed, Path("e.yaml"))]
     assert (
         "torque_shoulder, torque_elbow are assumed to be torque sensors behind the gears, which set the scale" in said
     )
-    assert "joint_torque" not in computed.signals
-    assert computed.beside["torques"].keys() == {"shoulder", "elbow"}
+    assert not computed.signals.joint_torque
+    assert computed.unused.torques.keys() == {"shoulder", "elbow"}
     (said,) = [note.what for note in guesses(computed, Path("e.yaml")) if note.what.startswith("torque_")]
     assert said.endswith("are not used: they are a straight line of the currents, from which they may be computed")
     weighed = draft_logs([tmp_path / "sensed.csv"], str(tmp_path / "arm.urdf"), masses={"sensed": 0.8})
-    assert "joint_torque" not in with_sensors(weighed).signals
+    assert not with_sensors(weighed).signals.joint_torque
 
 
 def test_goals_alone_are_no_torques(tmp_path: Path, motion: Any) -> None:

@@ -149,7 +149,11 @@ def test_ur_torques_computed_from_currents_are_drafted_without_gravity(tmp_path:
     log = recorded(tmp_path, "actual_current_as_torque_{k}")
     for preset in (None, "ur_rtde_torque"):
         draft = draft_logs([log], "five-bar", preset=preset)
-        assert (draft.kind, "gravity" not in draft.robot, "gravity" in draft.open) == ("torque", False, preset is None)
+        assert (draft.signals.kind, "gravity" not in draft.robot, "gravity" in draft.open) == (
+            "torque",
+            False,
+            preset is None,
+        )
         write_draft(draft, tmp_path / f"{preset}.yaml")
         source = read_experiment(tmp_path / f"{preset}.yaml").robot
         assert (source.file, source.gravity) == ("five-bar", FREE)
@@ -169,7 +173,7 @@ def test_a_preset_says_what_effort_is(tmp_path: Path) -> None:
         "kinova": ("torque", True),
     }.items():
         draft = draft_logs([tmp_path / "log.csv"], "five-bar", preset=preset)
-        assert (draft.kind, "gravity" not in draft.robot, "kind" in draft.open) == (*expected, False)
+        assert (draft.signals.kind, "gravity" not in draft.robot, "kind" in draft.open) == (*expected, False)
     with pytest.raises(GtauError, match=r"no columns of the preset 'ur_rtde'.*state in the draft"):
         draft_logs([tmp_path / "log.csv"], "five-bar", preset="ur_rtde")
     with pytest.raises(GtauError, match="there is no preset 'ur'; choose from"):

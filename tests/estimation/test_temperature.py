@@ -14,8 +14,8 @@ from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import without_temperature
 from gtau.result import Result
+from gtau.signals.channel import SideValues
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.side_signals import Temperature
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -24,10 +24,10 @@ BEFORE, AFTER = 25.0, 40.0  # degC
 PATHS = {"free": 1, "loaded": 2, "check": 3}
 
 
-def temperature(run: Run, begin: float, end: float) -> Temperature:
+def temperature(run: Run, begin: float, end: float) -> SideValues:
     """Rising as a motor warms up."""
     rise = (1 - np.exp(-2 * run.time / run.time[-1])) / (1 - np.exp(-2))
-    return Temperature(run.time, dict.fromkeys(JOINTS, begin + (end - begin) * rise), "degC")
+    return SideValues(run.time, dict.fromkeys(JOINTS, begin + (end - begin) * rise), "degC")
 
 
 def warm(
@@ -42,7 +42,7 @@ def warm(
         above = heat.at(joint, run.time) - 30
         friction = slopes.get(f"fvt_{joint}", 0) * qd[:, j] + slopes.get(f"fst_{joint}", 0) * np.sign(qd[:, j])
         command[:, j] += above * friction / GAINS[j]
-    return replace(run, command=command, temperature=heat)
+    return replace(run, command=command, side={"temperature": heat})
 
 
 def loaded(run: Run) -> Run:
@@ -99,7 +99,7 @@ def test_predictions_use_the_temperature_of_the_run(found: Result, tmp_path: Pat
     assert again.temperatures == found.temperatures
     run = warm("check", 44.0, 46.0, seconds=10.0)
     with_it = again.validate(run)
-    without = again.validate(replace(run, temperature=None))
+    without = again.validate(replace(run, side={}))
     for warm_one, cold, fit in zip(with_it, without, found.residuals, strict=True):
         assert warm_one.rms < 1.2 * fit.rms
         assert cold.rms > 2 * warm_one.rms
@@ -111,20 +111,20 @@ def test_columns_of_a_log(tmp_path: Path) -> None:
     q, _, _ = path(time, 1)
     table = {"t": time, "q1": q[:, 0], "q2": q[:, 1], "v1": q[:, 0], "v2": q[:, 1], "T": 20 + time, "T2": 30 + time}
     signals = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
-    one = read_run(table, signals | {"temperature": "T"}).temperature
+    one = read_run(table, signals | {"temperature": "T"}).side["temperature"]
     assert one.at("left", np.array([3.0])) == pytest.approx(23, abs=1e-3)
     assert one.at("right", np.array([3.0])) == pytest.approx(23, abs=1e-3)
-    of_right = read_run(table, signals | {"temperature": {"right": "T2"}}, units={"temperature": "s"}).temperature
-    assert list(of_right.of_joint) == ["right"]
-    assert of_right.at("right", np.array([3.0])) == pytest.approx(33, abs=1e-3)
-    assert of_right.unit == "s"
+    right = read_run(table, signals | {"temperature": {"right": "T2"}}, units={"temperature": "s"}).side["temperature"]
+    assert list(right.by_joint) == ["right"]
+    assert right.at("right", np.array([3.0])) == pytest.approx(33, abs=1e-3)
+    assert right.unit == "s"
     with pytest.raises(GtauError, match="no column 'T3'"):
         read_run(table, signals | {"temperature": "T3"})
 
 
 def test_a_run_without_temperature_among_others_is_refused() -> None:
     robot = load_robot("five-bar")
-    runs = [warm("free"), loaded(replace(warm("loaded", payload=STEEL), temperature=None))]
+    runs = [warm("free"), loaded(replace(warm("loaded", payload=STEEL), side={}))]
     with pytest.raises(GtauError, match="run 'loaded' has no temperature, but other runs have"):
         identify(robot, runs)
 
@@ -135,6 +135,6 @@ def test_logs_without_temperatures_are_said_to_be_taken_at_the_reference(found: 
     assert f"'left' {found.temperatures.of_joint['left']:.4g}" in str(note)
     assert not without_temperature(found, read_group(Signals, "signals", signals | {"temperature": "T"}))
     run = warm("check", seconds=6.0)
-    in_kelvin = replace(run, temperature=replace(run.temperature, unit="K"))
+    in_kelvin = replace(run, side={"temperature": replace(run.side["temperature"], unit="K")})
     with pytest.raises(GtauError, match="are in K, but those of the model in degC"):
         found.validate(in_kelvin)

@@ -17,11 +17,12 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
-from gtau.signals.channel import SENSOR
+from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading import logs
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.discovery import Draft, discover
+from gtau.signals.reading.discovery import discover
+from gtau.signals.reading.draft import Draft
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.log_contents import LogContents
@@ -97,18 +98,18 @@ def test_joints_by_name() -> None:
 def test_an_ambiguous_name_is_settled_by_the_derivative(tmp_path: Path) -> None:
     """``v`` is a velocity where it is the derivative of the position, and otherwise the command."""
     fast = discover([save(tmp_path / "a.csv", "t,q1,q2,v1,v2,u1,u2", TIME, Q, QD, V)])
-    assert fast.command == {"j1": "u1", "j2": "u2"}
-    assert fast.beside["others"] == ("v1 ... v2",)
+    assert fast.signals.command == {"j1": "u1", "j2": "u2"}
+    assert fast.unused.others == ("v1 ... v2",)
     slow = discover([save(tmp_path / "b.csv", "t,q1,q2,v1,v2", TIME, Q, V)])
-    assert slow.command == {"j1": "v1", "j2": "v2"}
+    assert slow.signals.command == {"j1": "v1", "j2": "v2"}
     assert set(slow.open) == {"robot", "kind"}
 
 
 def test_a_log_without_header(tmp_path: Path) -> None:
     (draft,) = [discover([_bare(tmp_path / "a.csv", TIME, Q, QD, V)])]
-    assert draft.time == ("1",)
-    assert draft.signals["position"] == {"j1": "2", "j2": "3"}
-    assert draft.command == {"j1": "6", "j2": "7"}
+    assert draft.signals.time == ("1",)
+    assert draft.signals.position == {"j1": "2", "j2": "3"}
+    assert draft.signals.command == {"j1": "6", "j2": "7"}
     with pytest.raises(GtauError, match="has no header, and among its 3 columns no positions are recognised"):
         discover([_bare(tmp_path / "b.csv", TIME, V)])
 
@@ -122,8 +123,8 @@ def _bare(path: Path, *columns: np.ndarray) -> Path:
 def test_unit_of_time(tmp_path: Path, scale: float, unit: str | None) -> None:
     draft = discover([save(tmp_path / "a.csv", "time,q1,q2,tau1,tau2", scale * TIME, Q, V)])
     assert draft.units.get("time") == unit
-    assert "250 Hz" in draft.reasons["time"]
-    assert draft.kind == "torque"
+    assert "250 Hz" in draft.reasons.time
+    assert draft.signals.kind == "torque"
 
 
 def test_a_row_back_in_time_leaves_the_time_column(tmp_path: Path) -> None:
@@ -132,25 +133,25 @@ def test_a_row_back_in_time_leaves_the_time_column(tmp_path: Path) -> None:
     draft = discover(
         [save(tmp_path / "a.csv", "t,q1,q2,dq1,dq2,tau1,tau2", TIME[order], Q[order], QD[order], V[order])]
     )
-    assert draft.time == ("t",)
+    assert draft.signals.time == ("t",)
     assert "velocities" not in draft.open
 
 
 def test_the_rate_of_a_log_without_time_is_that_of_its_velocities(tmp_path: Path) -> None:
     with_velocity = discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", Q, QD, V)])
-    assert (with_velocity.time, with_velocity.rate) == ((), 250.0)
-    assert with_velocity.open == ("robot", "velocities")
+    assert (with_velocity.signals.time, with_velocity.signals.rate) == ((), 250.0)
+    assert tuple(with_velocity.open) == ("robot", "velocities")
     assert "time: {rate: 250}  # CHECK: no time column; dq1" in draft_text(with_velocity, tmp_path)
     without = discover([save(tmp_path / "b.csv", "q1,q2,tau1,tau2", Q, V)])
-    assert without.rate is None
+    assert without.signals.rate is None
     assert "rate" in without.open
 
 
 def test_noise_of_positions_does_not_slow_the_rate(tmp_path: Path, rng: np.random.Generator) -> None:
     noisy = Q + 3e-3 * rng.standard_normal(Q.shape)  # a fast joint moves 8e-3 from sample to sample
-    assert discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", noisy, QD, V)]).rate == 250.0
+    assert discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", noisy, QD, V)]).signals.rate == 250.0
     apart = discover([save(tmp_path / "b.csv", "q1,q2,dq1,dq2,tau1,tau2", Q, QD * [1.0, 1.1], V)])
-    assert apart.reasons["time"].endswith("by joint 250 to 275 Hz")
+    assert apart.reasons.time.endswith("by joint 250 to 275 Hz")
 
 
 def test_masses_in_names_of_files_are_confirmed_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -169,12 +170,12 @@ def test_joints_are_sorted_by_number_only_where_all_have_one(tmp_path: Path) -> 
         return discover([log], Robot("arm", joints), "arm")
 
     chain, sorted_ = drafted("A1", "LJFT"), drafted("p2", "p1")
-    assert (chain.signals["position"], chain.reasons["position"]) == (
+    assert (chain.signals.position, chain.reasons.position) == (
         {"A1": "q1", "LJFT": "q2"},
         "matched by column order",
     )
-    assert sorted_.signals["position"] == {"p1": "q1", "p2": "q2"}
-    assert sorted_.reasons["position"] == "matched by the numbers in the joints' names"
+    assert sorted_.signals.position == {"p1": "q1", "p2": "q2"}
+    assert sorted_.reasons.position == "matched by the numbers in the joints' names"
 
 
 def test_degrees_by_reach(tmp_path: Path) -> None:
@@ -193,17 +194,17 @@ def test_positions_and_commands_in_two_files_by_the_files_names(tmp_path: Path) 
     ]
     draft = discover(logs)
     assert draft.logs == ((logs[1], logs[0]),)
-    assert draft.kind == "current"
+    assert draft.signals.kind == "current"
 
 
 def test_joints_of_the_robot(tmp_path: Path) -> None:
     robot = load_robot("five-bar")
     by_name = discover([save(tmp_path / "a.csv", "t,q_right,q_left,i_right,i_left", TIME, Q, V)], robot, "five-bar")
-    assert by_name.signals["position"] == {"left": "q_left", "right": "q_right"}
-    assert by_name.open == ()
+    assert by_name.signals.position == {"left": "q_left", "right": "q_right"}
+    assert tuple(by_name.open) == ()
     by_order = discover([save(tmp_path / "b.csv", "t,q1,q2,i1,i2", TIME, Q, V)], robot, "five-bar")
-    assert by_order.signals["position"] == {"left": "q1", "right": "q2"}
-    assert by_order.open == ("joints",)
+    assert by_order.signals.position == {"left": "q1", "right": "q2"}
+    assert tuple(by_order.open) == ("joints",)
     with pytest.raises(GtauError, match=r"has positions and commands of 2 joints \(1, 2\), but robot 'ur10e' has 6"):
         discover([tmp_path / "b.csv"], load_robot("ur10e"), "ur10e")
 
@@ -234,9 +235,9 @@ def test_joints_that_the_log_lacks_are_held(
     """By name those that both have; by number the chain to the palm, where no other is as long."""
     log = save(tmp_path / "a.csv", f"t,{header}", TIME, Q, V)
     draft = discover([log], handed(), "handed.urdf")
-    assert (draft.signals["position"], draft.open) == (columns, open_)
+    assert (draft.signals.position, tuple(draft.open)) == (columns, open_)
     assert draft.robot == {"file": "handed.urdf", "joints": list(columns)}
-    assert draft.reasons.get("unmatched") == unmatched
+    assert ", ".join(draft.unused.moving) == (unmatched or "")
 
 
 def test_two_arms_are_not_told_apart_by_number(tmp_path: Path) -> None:
@@ -320,9 +321,9 @@ SHARED = {
 def test_logs_of_several_makers(shared: Path, name: str) -> None:
     time, positions, kind, commands = SHARED[name]
     draft = discover([shared / name])
-    assert (draft.time[0] if draft.time else draft.rate) == time
-    assert list(draft.signals["position"].values())[: len(positions)] == positions
-    assert (draft.kind, list(draft.command.values())[: len(commands)]) == (kind, commands)
+    assert (draft.signals.time[0] if draft.signals.time else draft.signals.rate) == time
+    assert list(draft.signals.position.values())[: len(positions)] == positions
+    assert (draft.signals.kind, list(draft.signals.command.values())[: len(commands)]) == (kind, commands)
 
 
 def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
@@ -348,9 +349,9 @@ def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
             bag.write(currents, stamp + 10**6, store.serialize_cdr(kinds[array](layout, v.copy()), array))
     robot = load_robot("five-bar")
     draft = discover([tmp_path / "bag"], robot, "five-bar")
-    assert draft.time == ("/arm/joint_states/header/stamp",)
-    assert draft.signals["time"]["command"] == "/arm/motor_currents/received"
-    assert draft.kind == "current"
+    assert draft.signals.time == ("/arm/joint_states/header/stamp",)
+    assert draft.signals.command_time == ("/arm/motor_currents/received",)
+    assert draft.signals.kind == "current"
     (tmp_path / "e.yaml").write_text(draft_text(draft, tmp_path))
     experiment = read_experiment(tmp_path / "e.yaml")
     run = read_run(experiment.runs[0].log, experiment.signals, units=experiment.units)
@@ -370,7 +371,7 @@ def test_temperatures_and_poses_are_offered_as_comments(tmp_path: Path) -> None:
     (tmp_path / "experiment.yaml").write_text(text)
     assert read_experiment(tmp_path / "experiment.yaml").signals.temperature is None
     (tmp_path / "experiment.yaml").write_text(text.replace(offered, offered[2:]))
-    columns_by_joint = read_experiment(tmp_path / "experiment.yaml").signals.temperature_columns
+    columns_by_joint = read_experiment(tmp_path / "experiment.yaml").signals.side_columns(SIDE_SIGNALS[0])
     assert columns_by_joint == {"left": "motor_temp_1", "right": "motor_temp_2"}
 
 
@@ -381,7 +382,7 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     log = save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)
     draft = discover([log])
     columns = {"j1": f"{name}1", "j2": f"{name}2"}
-    torques = draft.signals.get("joint_torque", {}), draft.beside["torques"]
+    torques = draft.signals.joint_torque, draft.unused.torques
     assert torques == ((columns, {}) if "sensor" in name else ({}, columns))
     text = draft_text(draft, tmp_path)
     (line,) = [each for each in text.splitlines() if "joint_torque:" in each]
@@ -406,14 +407,14 @@ def test_what_is_no_torque_sensor(tmp_path: Path) -> None:
     """Targets are the controller's model, and a column that never changes measures nothing."""
     header = "t,q1,q2,current1,current2,{0}1,{0}2"
     target = discover([save(tmp_path / "a.csv", header.format("target_moment_"), TIME, Q, V, 3 * V + 0.1)])
-    assert (target.beside["torques"], target.beside["others"]) == ({}, ("target_moment_1 ... target_moment_2",))
+    assert (target.unused.torques, target.unused.others) == ({}, ("target_moment_1 ... target_moment_2",))
     stuck = np.column_stack([np.zeros(len(TIME)), 3 * V[:, 1]])
     draft = discover([save(tmp_path / "b.csv", header.format("torque_sensor_"), TIME, Q, V, stuck)])
-    assert draft.signals["joint_torque"] == {"j2": "torque_sensor_2"}
+    assert draft.signals.joint_torque == {"j2": "torque_sensor_2"}
     assert "never change: columns torque_sensor_1." in draft_text(draft, tmp_path)
     assert [note.what for note in guesses(draft, tmp_path)][-1].endswith("are no torque sensors: torque_sensor_1")
     none = discover([save(tmp_path / "c.csv", header.format("tau_"), TIME, Q, V, 0 * V)])
-    assert (none.beside["torques"], none.beside["still"]) == ({}, ["tau_1", "tau_2"])
+    assert (none.unused.torques, none.unused.still) == ({}, ("tau_1", "tau_2"))
 
 
 @pytest.mark.parametrize("name", ["matrix.mat", "matrix.npz"])
@@ -426,7 +427,7 @@ def test_an_array_without_names(name: str, tmp_path: Path) -> None:
         return tmp_path / name
 
     draft = discover([saved(TIME, Q, QD, V)])
-    assert (draft.time, list(draft.signals["position"].values()), list(draft.command.values())) == (
+    assert (draft.signals.time, list(draft.signals.position.values()), list(draft.signals.command.values())) == (
         ("X[1]",),
         ["X[2]", "X[3]"],
         ["X[6]", "X[7]"],
@@ -443,9 +444,9 @@ def test_motors_beside_torques_are_the_command(commands: str, others: str, tmp_p
     for order in ((commands, others), (others, commands)):
         header = "t,q1,q2," + ",".join(f"{name}{k}" for name in order for k in (1, 2))
         draft = discover([save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)])
-        assert draft.kind == "current"
-        assert list(draft.command.values()) == [f"{commands}1", f"{commands}2"]
-        assert list(draft.beside["torques"].values()) == [f"{others}1", f"{others}2"]
+        assert draft.signals.kind == "current"
+        assert list(draft.signals.command.values()) == [f"{commands}1", f"{commands}2"]
+        assert list(draft.unused.torques.values()) == [f"{others}1", f"{others}2"]
         assert {"torques", "motor"} & set(draft.open) == (
             {"torques"} if commands == "current" else {"torques", "motor"}
         )
@@ -460,7 +461,7 @@ def test_motors_beside_torques_are_the_command(commands: str, others: str, tmp_p
 def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
     header = "controller_time,host_time,position_1,position_2,effort_1,effort_2"
     draft = discover([save(tmp_path / "log.csv", header, TIME, TIME + 5.0, Q, V)])
-    assert (draft.time, draft.kind) == (("controller_time",), "torque")
+    assert (draft.signals.time, draft.signals.kind) == (("controller_time",), "torque")
     assert {"clock", "kind"} < set(draft.open)
     assert "time: controller_time  # CHECK: median step 0.004 s, 250 Hz; host_time grows, too" in draft_text(
         draft, tmp_path
@@ -479,9 +480,9 @@ def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
 def test_names_in_other_languages(header: str, tmp_path: Path) -> None:
     names = header.split(",")
     draft = discover([save(tmp_path / "log.csv", header, TIME, Q, QD, V)])
-    assert (draft.time, draft.kind, draft.open) == ((names[0],), "current", ("robot",))
-    assert draft.beside["temperature"] is None
-    assert [*draft.signals["position"].values(), *draft.command.values()] == [*names[1:3], *names[5:]]
+    assert (draft.signals.time, draft.signals.kind, tuple(draft.open)) == ((names[0],), "current", ("robot",))
+    assert draft.unused.side == {}
+    assert [*draft.signals.position.values(), *draft.signals.command.values()] == [*names[1:3], *names[5:]]
 
 
 def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -515,19 +516,19 @@ def test_columns_of_a_base_and_of_wrenches_are_named(tmp_path: Path) -> None:
     pose, hook = "px,py,pz,qw,qx,qy,qz", "hook_fx,hook_fy,hook_fz,hook_mx,hook_my,hook_mz"
     log = save(tmp_path / "log.csv", f"t,q1,q2,i1,i2,{pose},{hook},other", TIME, Q, V, np.ones((len(TIME), 14)))
     draft = discover([log])
-    assert ",".join(draft.beside["motion"]) == pose
-    assert ",".join(draft.beside["wrenches"]) == hook
-    assert draft.beside["others"] == ("other",)
+    assert ",".join(draft.unused.motion) == pose
+    assert ",".join(draft.unused.wrenches) == hook
+    assert draft.unused.others == ("other",)
     text = draft_text(draft, tmp_path)
     assert "# CHECK: px, py, pz, qw, qx, qy, qz look like the motion of a base." in text
     assert "# CHECK: hook_fx, hook_fy, hook_fz, hook_mx, hook_my, hook_mz look like forces and moments." in text
     fixed = discover([log], base="fixed")
-    assert (fixed.beside["motion"], fixed.robot["base"], fixed.beside["wrenches"]) == (
+    assert (fixed.unused.motion, fixed.robot["base"], fixed.unused.wrenches) == (
         (),
         "fixed",
-        draft.beside["wrenches"],
+        draft.unused.wrenches,
     )
-    assert "px" in fixed.beside["others"]
+    assert "px" in fixed.unused.others
     assert not {"base", "wrenches"} & set(discover([save(tmp_path / "a.csv", "t,q1,q2,i1,i2", TIME, Q, V)]).open)
 
 
@@ -610,7 +611,7 @@ def test_velocities_decide_between_radians_and_degrees(
         names, columns = f"{names},dq1,dq2", [*columns, velocity * reach * QD / slower]
     draft = discover([save(tmp_path / "a.csv", names, *columns)])
     assert draft.units.get("position") == unit
-    assert reason in draft.reasons["unit"]
+    assert reason in draft.reasons.unit
     assert ("unit" in draft.open) == (unit is not None)
 
 
@@ -625,7 +626,7 @@ def test_positions_far_outside_the_limits_of_the_robot_are_in_degrees(tmp_path: 
 
 def test_a_log_at_ten_hertz_is_plausible(tmp_path: Path) -> None:
     draft = discover([save(tmp_path / "a.csv", "t,q1,q2,tau1,tau2", 26 * TIME, Q, V)])
-    assert draft.reasons["time"] == "median step 0.104 s, 9.615 Hz"
+    assert draft.reasons.time == "median step 0.104 s, 9.615 Hz"
 
 
 @pytest.mark.parametrize("turn", [2 * np.pi, 360.0])
@@ -639,10 +640,10 @@ def test_wrapped_positions_without_header_are_recognised_by_continuity(turn: flo
     log = tmp_path / "log.txt"
     np.savetxt(log, np.column_stack([time, wrapped, speed, np.sign(speed) + angle / turn]))
     draft = discover([log])
-    assert draft.signals["position"] == {"j1": "2", "j2": "3"}
-    assert list(draft.command.values()) == ["6", "7"]
+    assert draft.signals.position == {"j1": "2", "j2": "3"}
+    assert list(draft.signals.command.values()) == ["6", "7"]
     unit = {"position": "deg"} if turn == 360 else {}
-    runs = read_parts([log], Signals(**draft.signals), None, Units(**unit), lambda done: None, CHOSEN, WHOLE)
+    runs = read_parts([log], Signals(**draft.signals.entries()), None, Units(**unit), lambda done: None, CHOSEN, WHOLE)
     assert len(runs) == 2
     for run in runs:
         assert "unwrapped angle" in {note.kind for note in run.notes}

@@ -65,7 +65,7 @@ runs:
     assert experiment.robot == str(folder / "arm.yaml")
     assert experiment.signals.time == SampleRate(rate=5000)
     assert experiment.signals.kind == "torque"
-    assert [experiment.units.of_position(joint) for joint in ("on", "01")] == ["deg", "mm"]
+    assert [experiment.units.position_unit(joint) for joint in ("on", "01")] == ["deg", "mm"]
     assert experiment.runs[0].log == (folder / "free.csv", folder / "currents.csv")
     first, second = experiment.runs[0].payload, experiment.runs[1].payload
     assert first is not None

@@ -70,16 +70,16 @@ def test_resembling_names() -> None:
 def test_misspelt_joints_are_matched_and_asked_about(header: str, tmp_path: Path) -> None:
     draft = discover([save(tmp_path / "a.csv", header)], ARM, "arm.urdf")
     names = header.split(",")
-    assert draft.signals["position"] == dict(zip(JOINTS, names[:3], strict=True))
-    assert draft.command == dict(zip(JOINTS, names[3:], strict=True))
-    assert draft.open == ("joints",)
+    assert draft.signals.position == dict(zip(JOINTS, names[:3], strict=True))
+    assert draft.signals.command == dict(zip(JOINTS, names[3:], strict=True))
+    assert tuple(draft.open) == ("joints",)
     assert " taken for " in str(guesses(draft, tmp_path)[0])
 
 
 def test_names_that_differ_in_their_case(tmp_path: Path) -> None:
     header = "base_yaw_pos,Shoulder_Pos,ELBOW_POS,base_yaw_torque,Shoulder_Torque,ELBOW_TORQUE"
     draft = discover([save(tmp_path / "a.csv", header)], ARM, "arm.urdf")
-    assert (tuple(draft.signals["position"]), draft.open) == (JOINTS, ())
+    assert (tuple(draft.signals.position), tuple(draft.open)) == (JOINTS, ())
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,8 @@ def test_columns_that_move_unused_beside_held_joints_are_asked_about_first(
     header: str, unused: str, tmp_path: Path
 ) -> None:
     draft = discover([save(tmp_path / "a.csv", header)], ARM, "arm.urdf")
-    assert draft.reasons["unmatched"] == unused
-    assert draft.open == ("unmatched",)
+    assert ", ".join(draft.unused.moving) == unused
+    assert tuple(draft.open) == ("unmatched",)
     assert f"columns {unused} move, too, and are not used" in str(guesses(draft, tmp_path)[0])
     assert "CHECK: joints that the log lacks are held at home" in draft_text(draft, tmp_path).split("signals:")[0]
 
@@ -103,16 +103,16 @@ def test_columns_that_move_unused_beside_held_joints_are_asked_about_first(
 def test_a_further_axis_is_named_and_one_that_never_moves_is_not(tmp_path: Path) -> None:
     header = "base_yaw_pos,shoulder_pos,elbow_pos,rail_pos,base_yaw_tau,shoulder_tau,elbow_tau"
     moving, resting = (discover([save(tmp_path / "a.csv", header, still)], ARM, "a") for still in ("", "rail_pos"))
-    assert (moving.open, moving.reasons["unmatched"]) == ((), "rail_pos")
+    assert (tuple(moving.open), moving.unused.moving) == ((), ("rail_pos",))
     assert "rail_pos move, too" in str(guesses(moving, tmp_path)[0])
-    assert "unmatched" not in resting.reasons
+    assert not resting.unused.moving
 
 
 def test_without_a_robot_joints_have_the_names_of_the_columns(tmp_path: Path) -> None:
     draft = discover([save(tmp_path / "a.csv", "j1_base_pos,j2_arm_pos,j1_base_tau,j2_arm_tau")])
-    assert draft.signals["position"] == {"j1_base": "j1_base_pos", "j2_arm": "j2_arm_pos"}
+    assert draft.signals.position == {"j1_base": "j1_base_pos", "j2_arm": "j2_arm_pos"}
     single = discover([save(tmp_path / "b.csv", "position,speed,load,torque_enable", still="torque_enable")])
-    assert (single.signals["position"], single.command) == ({"j1": "position"}, {"j1": "load"})
+    assert (single.signals.position, single.signals.command) == ({"j1": "position"}, {"j1": "load"})
 
 
 @pytest.mark.parametrize("names", [("con", "meas"), ("meas", "con"), ("des", "act"), ("cmd", "meas"), ("", "measured")])
@@ -120,8 +120,8 @@ def test_measured_torques_come_before_commanded_ones(names: tuple[str, str], tmp
     header = "pos1,pos2," + ",".join(f"tau_{name}{k}" for name in (*names, "fric") for k in (1, 2))
     draft = discover([save(tmp_path / "a.csv", header)])
     measured = next(name for name in names if name in ("meas", "act", "measured"))
-    assert list(draft.command.values()) == [f"tau_{measured}1", f"tau_{measured}2"]
-    assert draft.open == ("robot",)
+    assert list(draft.signals.command.values()) == [f"tau_{measured}1", f"tau_{measured}2"]
+    assert tuple(draft.open) == ("robot",)
 
 
 @pytest.mark.parametrize("still", ["motor_torque1", "torque1"])
@@ -129,11 +129,11 @@ def test_constant_and_boolean_columns_are_no_commands(still: str, tmp_path: Path
     """Whatever their names; where nothing else is logged, that is said."""
     header = f"q1,{still},i1"
     draft = discover([save(tmp_path / "a.csv", header, still)])
-    assert draft.command == {"j1": "i1"}
+    assert draft.signals.command == {"j1": "i1"}
     table = np.column_stack([TIME, np.sin(TIME), np.sin(TIME) > 0, np.cos(TIME)])
     log = tmp_path / "b.csv"
     np.savetxt(log, table, delimiter=",", header=f"t,{header}", comments="")
-    assert discover([log]).command == {"j1": "i1"}
+    assert discover([log]).signals.command == {"j1": "i1"}
     with pytest.raises(
         GtauError, match=rf"no columns of currents or torques are .*\({still} never change, or are boolean\)"
     ):

@@ -47,7 +47,7 @@ def test_commands_of_registers_are_corrected(
     assert note.startswith(
         f"the command of joints 'a' and 'b' is a signed number of {bits} bits that was logged as unsigned"
     )
-    assert discover([log]).kind == "current"
+    assert discover([log]).signals.kind == "current"
 
 
 @pytest.mark.parametrize("size", [0.1, 0.00269])
@@ -67,7 +67,7 @@ def test_positions_of_registers_are_corrected(tmp_path: Path, rng: np.random.Gen
     np.testing.assert_allclose(run.position, np.pi / 2048 * steps, atol=1e-9)
     assert "65536" not in str(run.notes[0])
     assert "4294967296 is subtracted from 2147483648 and more" in str(run.notes[0])
-    assert discover([log]).reasons["unit"].startswith("joint 'j1' reaches 652")
+    assert discover([log]).reasons.unit.startswith("joint 'j1' reaches 652")
 
 
 def test_other_whole_numbers_are_no_registers(rng: np.random.Generator) -> None:

@@ -31,7 +31,7 @@ from gtau.errors import GtauError, tidy
 
 if TYPE_CHECKING:
     from gtau.findings import Finding
-    from gtau.signals.reading.discovery import Draft
+    from gtau.signals.reading.draft import Draft
 
 WIDTH = 80
 
@@ -89,7 +89,7 @@ def init(
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
-    from gtau.signals.reading.discovery import UNSURE
+    from gtau.signals.reading.draft import QUESTIONS
     from gtau.signals.reading.drafting import draft_logs, write_draft
     from gtau.signals.reading.logs import is_rosbag
 
@@ -104,12 +104,13 @@ def init(
     if ask:
         draft = _answered(draft)
     write_draft(draft, out)
-    open_ = [UNSURE[key] for key in draft.open]
+    open_ = [QUESTIONS[key] for key in draft.open]
     if not json_:
         typer.echo(_page(draft, out, open_))
         return
-    columns = {"position": dict(draft.signals["position"]), draft.kind: dict(draft.command), "units": dict(draft.units)}
-    clock = list(draft.time) or {"rate": draft.rate}
+    signals = draft.signals
+    columns = {"position": dict(signals.position), signals.kind: dict(signals.command), "units": dict(draft.units)}
+    clock = list(signals.time) or {"rate": signals.rate}
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
 
@@ -120,38 +121,35 @@ def on_terminal() -> bool:
 
 def _answered(draft: Draft) -> Draft:
     """Ask on the terminal what the logs do not say."""
-    from gtau.signals.reading.drafting import with_kind, with_masses
+    from gtau.signals.reading.drafting import with_kind, with_masses, with_rate
 
     if "rate" in draft.open:
-        rate = typer.prompt("Sampling rate of the logs, Hz", type=float)
-        signals = {**draft.signals, "time": {"rate": rate}}
-        draft = replace(draft, signals=signals, open=tuple(key for key in draft.open if key != "rate"))
+        draft = with_rate(draft, typer.prompt("Sampling rate of the logs, Hz", type=float))
     if "kind" in draft.open:
-        named = ", ".join(list(draft.command.values())[:3])
-        kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.kind)
+        named = ", ".join(list(draft.signals.command.values())[:3])
+        kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.signals.kind)
         draft = with_kind(draft, "torque" if kind.lower().startswith("t") else "current")
-    if draft.kind == "current":
+    if draft.signals.kind == "current":
         options = {}
         for run in draft.logs:
-            known = draft.masses.get(run[0], 0.0)
+            known = draft.payloads.get(run[0], (0.0,))[0]
             options[run[0]] = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known, type=float)
         draft = with_masses(draft, {log: max(mass, 0.0) for log, mass in options.items()})
     return draft
 
 
 def _page(draft: Draft, out: Path, open_: list[str]) -> str:
-    from gtau.signals.reading.drafting import listed_units
+    from gtau.signals.reading.discovery import listed_units
 
-    rate = f"{draft.rate:g} Hz" if draft.rate else "rate unknown"
-    clock = " and ".join(draft.time) or f"no column, {rate}"
-    why = draft.reasons.get("time")
+    signals, unused, why = draft.signals, draft.unused, draft.reasons.time
+    clock = " and ".join(signals.time) or f"no column, {f'{signals.rate:g} Hz' if signals.rate else 'rate unknown'}"
     rows = {
         "time": clock + (f" ({why})" if why else ""),
-        "position": ", ".join(f"{joint}: {column}" for joint, column in draft.signals["position"].items()),
-        draft.kind: ", ".join(f"{joint}: {column}" for joint, column in draft.command.items()),
-        "units": listed_units(draft),
-        "to check": ", ".join((*draft.beside.get("motion", ()), *draft.beside.get("wrenches", ()))),
-        "not used": "; ".join(draft.beside.get("others", ())),
+        "position": ", ".join(f"{joint}: {column}" for joint, column in signals.position.items()),
+        signals.kind: ", ".join(f"{joint}: {column}" for joint, column in signals.command.items()),
+        "units": listed_units(draft.units),
+        "to check": ", ".join((*unused.motion, *unused.wrenches)),
+        "not used": "; ".join(unused.others),
     }
     lines = [f"written: {out}, with these columns of the logs"]
     for name, words in rows.items():
@@ -244,14 +242,17 @@ def experiment_of(
             f"{sources[0]} has neither times nor velocities to find its sampling rate from; draft a file by 'gtau "
             "init', write the rate there (time: {rate: HZ}), and give that file."
         )
-    for log, readings in draft.readings.items():
-        raise GtauError(
-            f"the name of {log} may mean a payload of {alternatives(readings)} kg, which sets the scale of all drive "
-            f"gains; state it by --payload {log.name}={readings[0]:g} (0 for none)."
-        )
+    for log, readings in draft.payloads.items():
+        if len(readings) > 1:
+            raise GtauError(
+                f"the name of {log} may mean a payload of {alternatives(readings)} kg, which sets the scale of all "
+                f"drive gains; state it by --payload {log.name}={readings[0]:g} (0 for none)."
+            )
     file = folder / "experiment.yaml"
     write_draft(draft, file)
-    held = f", whose columns {draft.reasons['unmatched']} move and are not used" if "unmatched" in draft.open else ""
+    held = (
+        f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""
+    )
     typer.echo(tidy(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}{held}."), err=True)
     return file, guesses(draft, file)
 

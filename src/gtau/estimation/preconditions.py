@@ -147,7 +147,7 @@ def _refuse_priors(estimator: Estimator, subject: Subject) -> None:
     of_file = all(name in inertias and inertias[name] == value for name, value in valued.items())
     known, kinds = bool(valued) and not subject.options.consistent, [channel.kind for channel in runs[0].channels]
     for what, key, there in (
-        *((kind.group, kind.calibration, True) for kind in kinds if kind.of_joint and kind.calibration),
+        *((kind.group, kind.calibration, True) for kind in kinds if kind.measures_joint and kind.calibration),
         ("known parameters", "prior_inertias" if of_file else "priors", known),
         ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
     ):

@@ -1,4 +1,4 @@
-"""Measured channels: signals in A, N m or N that the model predicts or takes as given.
+"""Measured channels, signals in A, N m or N that the model predicts or takes as given, and side signals.
 
 What sets a kind of channel apart are the attributes of its :class:`ChannelKind`; other modules ask these.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from gtau.robots.placement import WRENCH, WrenchFrame
 
@@ -19,7 +21,7 @@ class ChannelKind:
     this kind) are words of messages. ``calibration`` is its key under ``calibration`` of the signals, for the accuracy
     of its scale, ``""`` where the gain is to be found; on the ``link_side`` its columns and their units have this key
     too. ``modelled``: it has equations, a row of the model explains it; otherwise the model takes it as given.
-    ``of_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a limit.
+    ``measures_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a limit.
     ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
     gear, offset of the current), with an offset and bearing friction of its own.
     """
@@ -28,7 +30,7 @@ class ChannelKind:
     group: str
     calibration: str = ""
     modelled: bool = True
-    of_joint: bool = True
+    measures_joint: bool = True
     link_side: bool = False
 
     @property
@@ -38,9 +40,9 @@ class ChannelKind:
 
 
 MOTOR = ChannelKind("command", "commands")
-BASE = ChannelKind("wrench", "commands", "wrenches", of_joint=False)
+BASE = ChannelKind("wrench", "commands", "wrenches", measures_joint=False)
 SENSOR = ChannelKind("torque sensor", "torque sensors", "joint_torque", link_side=True)
-WRENCH_COMPONENT = ChannelKind("wrench", "wrenches", "wrenches", modelled=False, of_joint=False)
+WRENCH_COMPONENT = ChannelKind("wrench", "wrenches", "wrenches", modelled=False, measures_joint=False)
 
 LINK_SIDE = (SENSOR,)
 """All kinds on the link side; their columns, units and calibration in files, and their channels follow from these."""
@@ -52,6 +54,45 @@ def link_side_kind(name: str) -> ChannelKind:
         if kind.name == name:
             return kind
     raise ValueError(f"'{name}' is not a kind of sensor; write {' or '.join(kind.name for kind in LINK_SIDE)}")
+
+
+@dataclass(frozen=True)
+class SideSignal:
+    """A slow signal logged beside positions and commands, in one column for all joints or in one for each.
+
+    ``key`` names it under ``signals`` and ``units`` of an experiment file and on a run. The first of the ``units``
+    holds where none is given. A draft offers the columns whose names hold one of the ``words``, and says its
+    ``effect``.
+    """
+
+    key: str
+    units: tuple[str, ...]
+    words: frozenset[str]
+    effect: str
+
+
+SIDE_SIGNALS = (
+    SideSignal(
+        "temperature",
+        units=("degC", "K", "s", "min", "h"),  # or the time since the start
+        words=frozenset(["temp", "temps", "temperature", "temperatures"]),
+        effect="friction may depend on it",
+    ),
+)
+"""All side signals; their keys in files, their units, their columns in drafts and their place on a run follow."""
+
+
+@dataclass(frozen=True, eq=False)
+class SideValues:
+    """Values of a side signal by joint, (K,) each, in ``unit``, at instants ``time`` (K,) in s."""
+
+    time: np.ndarray
+    by_joint: Mapping[str, np.ndarray]
+    unit: str
+
+    def at(self, joint: str, time: np.ndarray) -> np.ndarray:
+        """Interpolate the values of a joint linearly at other instants (N,)."""
+        return np.interp(time, self.time, self.by_joint[joint])
 
 
 @dataclass(frozen=True)

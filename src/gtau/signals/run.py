@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack
+from typing import Any, Literal, TypedDict, Unpack
 
 import numpy as np
 
@@ -14,19 +14,17 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import base_rows
-from gtau.signals.channel import BASE, SENSOR, Channel, channels_of
+from gtau.signals.channel import BASE, SENSOR, Channel, SideValues, channels_of
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats.columnar import as_log
 from gtau.signals.reading.logs import read_logs
 from gtau.signals.reading.samples import WHOLE, Part
+from gtau.signals.reading.side_signals import read_side_signals
 from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings, as_payload
 from gtau.signals.reading.units import Units
 from gtau.signals.repair.checks import check
 from gtau.signals.repair.gaps import parts_between_gaps
 from gtau.signals.storage import blocks, store
-
-if TYPE_CHECKING:
-    from gtau.signals.reading.side_signals import Temperature
 
 
 @dataclass(frozen=True)
@@ -34,8 +32,8 @@ class Log:
     """Origin of a run: files, one or two, and their columns and units; none where it was built of arrays or a table.
 
     ``settings`` are those of the preparation made by hand, ``notes`` report repairs, ``whole_share`` is the share of
-    whole numbers among the joints' commands before they were resampled (None: they were not), ``temperature`` is that
-    of the joints, ``window`` (s) that of a moving average that the commands were behind.
+    whole numbers among the joints' commands before they were resampled (None: they were not), ``side`` are the values
+    of side signals by key, and ``window`` (s) is the length of a moving average that had smoothed the commands.
     """
 
     paths: tuple[Path, ...] = ()
@@ -44,7 +42,7 @@ class Log:
     settings: PreparationSettings = CHOSEN
     notes: tuple[Finding, ...] = ()
     whole_share: float | None = None
-    temperature: Temperature | None = None
+    side: Mapping[str, SideValues] = field(default_factory=dict)
     window: float | None = None
 
 
@@ -57,7 +55,7 @@ class More(TypedDict, total=False):
     log: Log
     settings: PreparationSettings
     notes: tuple[Finding, ...]
-    temperature: Temperature
+    side: Mapping[str, SideValues]
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -85,7 +83,7 @@ class Run:
     channels : tuple of Channel
         Those of the joints and of torque ``sensors`` (names of joints) if left out.
     log : Log
-        The origin; its ``settings``, ``notes`` and ``temperature`` may be given in its place.
+        The origin; its ``settings``, ``notes`` and ``side`` may be given in its place.
 
     The arrays of a long log are memory-mapped from a file.
     """
@@ -117,7 +115,7 @@ class Run:
         if problem := name_problem(name):
             raise GtauError(f"run: {problem}.")
         base = next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ())
-        of_log: Any = {key: more[key] for key in ("settings", "notes", "temperature") if key in more}
+        of_log: Any = {key: more[key] for key in ("settings", "notes", "side") if key in more}
         log = replace(more.get("log", Log()), **of_log)
         channels = tuple(more.get("channels") or channels_of(joints, base, {SENSOR: more.get("sensors", ())}))
         unit = "A" if kind == "current" else "N m"
@@ -146,9 +144,9 @@ class Run:
         return self.log.notes
 
     @property
-    def temperature(self) -> Temperature | None:
-        """Temperature of the joints, where it was logged."""
-        return self.log.temperature
+    def side(self) -> Mapping[str, SideValues]:
+        """Side signals by key, as far as they were logged."""
+        return self.log.side
 
     @property
     def base(self) -> tuple[str, ...]:
@@ -270,11 +268,7 @@ def read_parts(
     samples = read_logs(paths, signals, units, notes, part, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)
     samples = replace(samples, channels=channels)
-    temperature, runs = None, []
-    if signals.temperature is not None:
-        from gtau.signals.reading.side_signals import read_temperature
-
-        temperature = read_temperature(paths, signals, units, part)
+    side, runs = read_side_signals(paths, signals, units, part), []
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
         checked, whole_share, window = check(piece, notes, settings.clock)
         runs.append(
@@ -288,7 +282,7 @@ def read_parts(
                 as_payload(payload),
                 valid=checked.valid,
                 channels=channels,
-                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature, window),
+                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window),
             )
         )
         notes = []

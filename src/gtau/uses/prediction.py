@@ -125,11 +125,12 @@ def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray, exter
 
 def check_temperature_unit(result: Result, run: Run) -> None:
     """Check that the temperatures of a run are in the model's unit; raises GtauError."""
-    if result.temperatures is None or run.temperature is None:
+    temperature = run.side.get("temperature")
+    if result.temperatures is None or temperature is None:
         return
-    if run.temperature.unit != result.temperatures.unit:
+    if temperature.unit != result.temperatures.unit:
         raise GtauError(
-            f"the temperatures of run '{run.name}' are in {run.temperature.unit}, but the model has "
+            f"the temperatures of run '{run.name}' are in {temperature.unit}, but the model has "
             f"{result.temperatures.unit}; give the same unit."
         )
 
@@ -144,12 +145,12 @@ def friction_values(
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
     terms = {name: estimate.value or 0.0 for name, estimate in result.friction.items() if name.kind not in SHAPES}
     values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
-    warm = None if run is None else run.temperature
+    warm = None if run is None else run.side.get("temperature")
     if result.temperatures is None or warm is None or time is None:
         return values
     for name, slope in terms.items():
         joint = result.friction_law.motor_of(name.body)
-        if name.kind in TEMPERATURE_TERMS and joint is not None and joint in warm.of_joint:
+        if name.kind in TEMPERATURE_TERMS and joint is not None and joint in warm.by_joint:
             above = warm.at(joint, time) - result.temperatures.of_joint[joint]
             kind = Parameter(TEMPERATURE_TERMS[name.kind], name.body)
             values[kind] = values[kind] + slope * above

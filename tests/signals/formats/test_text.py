@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import read_run
 from gtau.signals.storage import working_with
@@ -143,45 +142,6 @@ def _stamp(row: str) -> float:
     return float(row.split(",")[0])
 
 
-SCOPE = """\
-Name\tYT Scope
-File\tD:\\arm.csv
-Starttime of export\t133238090039920000\tMontag, 20. März 2023\t19:03:23.992
-Endtime of export\t133238090060450000\tMontag, 20. März 2023\t19:03:26.045
-
-{names}
-{properties}
-
-"""
-
-
-@pytest.mark.parametrize("each", [True, False], ids=["a time each", "one time"])
-def test_twincat_scope(tmp_path: Path, each: bool) -> None:
-    """A column of times for every channel or one for all, properties above them, decimal commas, and EOF."""
-    channels, cell = ["Axis.ActPos", "Axis.ActCurrent"], "{}\t{}".format
-    join = "\t".join
-    properties = {"SymbolComment": "", "Data-Type": "REAL64", "SampleTime[ms]": "2", "Port": "851"}
-    head = SCOPE.format(
-        names=join(cell("Name", name) for name in channels) if each else join(["Name", *channels]),
-        properties="\n".join(
-            join([cell(key, value)] * 2) if each else join([key, value, value]) for key, value in properties.items()
-        ),
-    )
-    rows = [
-        join([f"{2 * k}", f"{q:.9f}", f"{2 * k}", f"{v:.9f}"] if each else [f"{2 * k}", f"{q:.9f}", f"{v:.9f}"])
-        for k, (q, v) in enumerate(VALUES)
-    ]
-    path = tmp_path / "scope.csv"
-    path.write_text(head + "\n".join(rows).replace(".", ",") + "\nEOF\n", encoding="utf-8")
-    columns = {"position": {"a": channels[0]}, "current": {"a": channels[1]}}
-    run = read_run(path, {"preset": "twincat_scope", **columns})
-    np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-9)
-    np.testing.assert_allclose(run.command[:, 0], VALUES[:, 1], atol=1e-9)
-    np.testing.assert_allclose(run.time, TIME, atol=1e-9)
-    assert str(run.notes[0]).startswith("skipped lines 1 to ")
-    assert tuple(map(str, run.notes[1:])) == ("dropped 1 row with missing or non-numeric values (line 612)",)
-
-
 @pytest.mark.parametrize(
     ("ending", "advice"),
     [
@@ -197,29 +157,6 @@ def test_what_to_do_with_files_of_other_programs(ending: str, advice: str, tmp_p
     path.write_bytes(b"\x1f\x8b\x00\x93NUMPY\x00\x01" * 40)
     with pytest.raises(GtauError, match=f"is a binary file of another program, not a log; {advice}"):
         find_columns(path)
-
-
-@pytest.mark.parametrize("late", [0, 1])
-def test_a_draft_of_twincat_scope_takes_no_times_for_torques(tmp_path: Path, late: int) -> None:
-    """Units from the properties; times of channels are named where they differ."""
-    channels = ["Axis 1.ActPos", "Axis 2.ActPos", "Axis 1.Torque", "Axis 2.Torque"]
-    units = ["°", "°", "mNm", "mNm"]
-    lines = ["Name\tYT Scope", "", "\t".join(f"Name\t{name}" for name in channels)]
-    lines += ["\t".join(f"{key}\t{value}" for value in units) for key in ("Data-Type", "Unit")]
-    lines[-2] = "\t".join(["Data-Type\tREAL64"] * 4)
-    for k in range(N):
-        values = [f"{2 * k + late * (j > 1)}\t{np.sin(k / (20 + j)):.6f}" for j in range(4)]
-        lines.append("\t".join(values).replace(".", ","))
-    path = tmp_path / "scope.csv"
-    path.write_text("\n".join([*lines, "EOF"]), encoding="utf-8")
-    draft = discover([path])
-    assert draft.signals == {
-        "time": "time",
-        "position": {"j1": channels[0], "j2": channels[1]},
-        "torque": {"j1": channels[2], "j2": channels[3]},
-    }
-    assert draft.units == {"time": "ms", "position": "deg", "torque": "mN m"}
-    assert draft.open == (("robot", "clock") if late else ("robot",))
 
 
 @pytest.mark.parametrize(

@@ -160,7 +160,7 @@ def _estimated_gains(
     if not solution.converged:
         yield Finding(F.UNSETTLED, motors(fit))
     for j, joint in enumerate(problem.joints):
-        if not problem.channels[j].kind.of_joint:
+        if not problem.channels[j].kind.measures_joint:
             continue  # the six rows of a base are judged together
         std, half, mine = float(stds[j]), float(halves[j]), (joint,)
         if std > LOST_GAIN:

@@ -104,7 +104,7 @@ def stated_constants(system: System) -> list[StatedConstant]:
     if problem.base or system.of_wrenches is not None:
         torques = 0.0 if system.of_wrenches is None else system.of_wrenches
         channels = system.dataset.runs[0].channels
-        std = max((channel.std for channel in channels if not channel.kind.of_joint), default=0.0)
+        std = max((channel.std for channel in channels if not channel.kind.measures_joint), default=0.0)
         add(_wrenches(problem), 1.0, std, torques, of_channels[problem.base].sum(axis=0), 0.0)
     if len(known):
         source = "the inertias of the robot's file" if system.dataset.scaled_by_file else "known parameters"

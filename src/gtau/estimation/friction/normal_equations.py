@@ -111,10 +111,11 @@ def columns_along(joints: Sequence[FrictionJoint], dataset: Dataset, run: int) -
     states = [PreslidingState(joint.widths) for joint in joints]
 
     def above(joint: FrictionJoint, time: np.ndarray) -> np.ndarray | float:
-        if warm is None or not joint.warm or prepared.run.temperature is None or joint.motor is None:
+        temperature = prepared.run.side.get("temperature")
+        if warm is None or not joint.warm or temperature is None or joint.motor is None:
             return 0.0
         motor = dataset.model.actuated[joint.motor]
-        return prepared.run.temperature.at(motor, time) - warm.reference[motor]
+        return temperature.at(motor, time) - warm.reference[motor]
 
     def columns(time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
         q, parts, speeds = prepared.path(time), [], []

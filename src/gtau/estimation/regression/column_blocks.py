@@ -250,21 +250,21 @@ class Temperatures:
     def between(self, run: int, begin: float, end: float) -> np.ndarray:
         """Average the differences (n,) between two instants of a run."""
         logged, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
-        assert logged.temperature is not None  # all runs have one
-        means = {joint: logged.temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
+        temperature = logged.side["temperature"]  # all runs have one
+        means = {joint: temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
         return np.array([means.get(joint, 0.0) for joint in logged.joints])
 
 
 def temperatures_of(prepared: PreparedRuns) -> Temperatures | None:
     """Compute the differences in all runs; None without temperatures. Raises GtauError."""
-    logged = [run.run.temperature for run in prepared if run.run.temperature is not None]
+    logged = [run.run.side["temperature"] for run in prepared if "temperature" in run.run.side]
     if not logged:
         return None
     if len(logged) < len(prepared):
-        lacking = next(run.run.name for run in prepared if run.run.temperature is None)
+        lacking = next(run.run.name for run in prepared if "temperature" not in run.run.side)
         raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
     joints, means = prepared[0].run.joints, []
-    known = [joint for joint in joints if all(joint in temperature.of_joint for temperature in logged)]
+    known = [joint for joint in joints if all(joint in temperature.by_joint for temperature in logged)]
     for run, temperature, cut in zip(prepared, logged, prepared.edges, strict=True):
         share = np.interp(np.linspace(0, BLOCKS, BLOCKS * INSTANTS), np.arange(BLOCKS + 1), cut)
         time = run.time[0] + share * (run.time[-1] - run.time[0])

@@ -57,7 +57,7 @@ def _check_units(robot: Robot, run: Run, span: np.ndarray, speeds: np.ndarray) -
         if not joints:
             continue
         widest = max(joints, key=lambda j: span[j])
-        stated = {units.of_position(run.joints[j]) for j in joints} if units else {None}
+        stated = {units.position_unit(run.joints[j]) for j in joints} if units else {None}
         declared = {unit or basic for unit in stated}
         size = 1.0 if kind == "revolute" else characteristic_length(robot)
         moved = f"{span[widest]:.3g} {basic}"

@@ -180,12 +180,12 @@ class Problem:
     def sensor_channels(self) -> list[int]:
         """Numbers of the channels that measure a joint's torque itself, with the gain 1."""
         kinds = [channel.kind for channel in self.channels]
-        return [k for k, kind in enumerate(kinds) if kind.of_joint and not kind.unknown_gain]
+        return [k for k, kind in enumerate(kinds) if kind.measures_joint and not kind.unknown_gain]
 
     @cached_property
     def base(self) -> list[int]:
         """Numbers of the channels that are rows of a floating base."""
-        return [k for k, channel in enumerate(self.channels) if not channel.kind.of_joint]
+        return [k for k, channel in enumerate(self.channels) if not channel.kind.measures_joint]
 
     @cached_property
     def unknown_gains(self) -> np.ndarray:

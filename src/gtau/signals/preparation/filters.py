@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 from math import ceil
 from typing import Literal
 
@@ -68,17 +68,10 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
 
     The gain at frequency f is ``1 / (1 + (f / cutoff)^8)``: 1 - 1e-8 at a tenth of the cut-off.
     """
-    from scipy.signal import sosfiltfilt
+    from scipy.signal import butter, sosfiltfilt
 
     edge = min(len(x) - 1, filter_edge(rate, cutoff))
-    return sosfiltfilt(_butterworth(cutoff / rate), x, axis=0, padlen=edge)
-
-
-@lru_cache
-def _butterworth(cutoff: float) -> np.ndarray:
-    from scipy.signal import butter
-
-    return butter(4, 2 * cutoff, output="sos")
+    return sosfiltfilt(butter(4, 2 * cutoff / rate, output="sos"), x, axis=0, padlen=edge)
 
 
 def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, stop: int) -> np.ndarray:
@@ -170,6 +163,22 @@ class Decimator:
         """Compute the cut-off of the low-pass, Hz, for a log sampled at ``rate`` (Hz)."""
         return PASSED / 2 * rate / self.factor if self.factor > 1 else rate / 2
 
+    @cached_property
+    def kernel(self) -> np.ndarray:
+        """Taps of the FIR, preceded by zeros so that their number less one is a multiple of the factor."""
+        from scipy.signal import firwin
+
+        half = ceil(1.5 * self.factor)
+        # beta = 5: side lobes 50 dB down, and a main lobe as narrow as so short a filter allows.
+        taps = firwin(2 * half + 1, PASSED / self.factor, window=("kaiser", 5.0))
+        return np.concatenate([np.zeros(-2 * half % self.factor), taps])
+
+    def _chebyshev(self, columns: np.ndarray) -> np.ndarray:
+        """Filter columns (..., M) forward and backward."""
+        from scipy.signal import cheby1, sosfiltfilt
+
+        return sosfiltfilt(cheby1(8, 0.05, PASSED / self.factor, output="sos"), columns, axis=-1)
+
     @property
     def support(self) -> int:
         """Number of samples that a log needs on either side of an output."""
@@ -220,15 +229,12 @@ class Decimator:
         if self.factor == 1 or count == 0:
             return columns[..., at]
         if self.kind == "chebyshev":
-            from scipy.signal import sosfiltfilt
-
-            return sosfiltfilt(_chebyshev(self.factor), columns, axis=-1)[..., at]
+            return self._chebyshev(columns)[..., at]
         from scipy.signal import upfirdn
 
         # The padded kernel puts the outputs on multiples of the factor, the only ones upfirdn computes.
-        taps = _kernel(self.factor)
-        skipped = (len(taps) - 1) // self.factor
-        return upfirdn(taps, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
+        skipped = (len(self.kernel) - 1) // self.factor
+        return upfirdn(self.kernel, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
 
     def smooth(self, columns: np.ndarray, first: int, count: int) -> np.ndarray:
         """Filter without decimation: compute the outputs at ``count`` samples of a block from its ``first`` on.
@@ -237,47 +243,25 @@ class Decimator:
         is repeated; see :meth:`near`.
         """
         if self.factor == 1 or self.kind == "chebyshev":
-            from scipy.signal import sosfiltfilt
-
-            filtered = columns if self.factor == 1 else sosfiltfilt(_chebyshev(self.factor), columns, axis=-1)
-            return filtered[..., first : first + count]
+            return (columns if self.factor == 1 else self._chebyshev(columns))[..., first : first + count]
         from scipy.signal import oaconvolve
 
         lacking = max(self.support - first, 0), max(first + count + self.support - columns.shape[-1], 0)
         ends = [(0, 0)] * (columns.ndim - 1)
         seen = np.pad(columns, [*ends, lacking], mode="edge")[..., first + lacking[0] - self.support :]
-        taps = np.trim_zeros(_kernel(self.factor), "f")
+        taps = np.trim_zeros(self.kernel, "f")
         taps = np.reshape(taps, (1,) * (columns.ndim - 1) + (-1,))
         return oaconvolve(seen[..., : count + 2 * self.support], taps, mode="valid", axes=-1)
 
     def near(self, usable: np.ndarray) -> np.ndarray:
         """Mark the samples (N,) or (N, n) with no unusable sample and no end of the log within ``guard``."""
-        masked = np.ones((len(usable) + 2 * self.guard + 1, *usable.shape[1:]), dtype=bool)
-        masked[self.guard + 1 : self.guard + 1 + len(usable)] = ~usable
-        masked = np.cumsum(masked, axis=0)
-        return masked[2 * self.guard + 1 :] == masked[: -2 * self.guard - 1]
+        from scipy.ndimage import minimum_filter1d
+
+        return minimum_filter1d(usable, 2 * self.guard + 1, axis=0, mode="constant", cval=False)
 
     def keep(self, usable: np.ndarray, outputs: slice | None = None) -> np.ndarray:
         """Mark the outputs of a block or a log, (K,) or (K, n), with no unusable sample, (N,) or (N, n), in reach."""
         return self.near(usable)[self.at(outputs or slice(0, self.outputs(len(usable))))]
-
-
-@lru_cache
-def _kernel(factor: int) -> np.ndarray:
-    """Compute the taps of the FIR, preceded by zeros so that its length less one is a multiple of `factor`."""
-    from scipy.signal import firwin
-
-    half = ceil(1.5 * factor)
-    # beta = 5: side lobes 50 dB down, and a main lobe as narrow as so short a filter allows.
-    taps = firwin(2 * half + 1, PASSED / factor, window=("kaiser", 5.0))
-    return np.concatenate([np.zeros(-2 * half % factor), taps])
-
-
-@lru_cache
-def _chebyshev(factor: int) -> np.ndarray:
-    from scipy.signal import cheby1
-
-    return cheby1(8, 0.05, PASSED / factor, output="sos")
 
 
 def decimation_factor(rate: float, bandwidth: float, most: int = MAX_FACTOR) -> int:

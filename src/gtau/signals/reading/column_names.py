@@ -1,10 +1,9 @@
 """Column names: signal kind and joint of a name, and the column presets of common recorders.
 
 These are looked up in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots'
-RTDE client (``timestamp``, ``actual_q_0`` ...), PlotJuggler's parser of ``sensor_msgs/JointState``, and the manual of
-TwinCAT 3 Scope View (export to CSV: rows of channel properties, time in ms, channels named by the user). What drivers
+RTDE client (``timestamp``, ``actual_q_0`` ...), and PlotJuggler's parser of ``sensor_msgs/JointState``. What drivers
 put into ``effort``: UR's ROS 2 driver (#1551: currents, or torques without gravity), franka_ros2 and ros2_kortex
-(sensors of the joints, with gravity). LeRobot's lists are those of its data sets; currents in them are a plugin's.
+(sensors of the joints, with gravity). LeRobot's data sets hold the lists; currents in them come from a plugin.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 
+from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.reading.written_units import WrittenUnit, read_unit, split_unit
 
 WORDS: dict[str, frozenset[str]] = {
@@ -29,16 +29,16 @@ WORDS: dict[str, frozenset[str]] = {
         "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente",
         "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza",
         "motor": "motor",
-        "other": "ext external mocap grav gravity temp temperature err error latency voltage rate success filtered age "
+        "other": "ext external mocap grav gravity err error latency voltage rate success filtered age "
         "fric friction comp compensation coriolis ff feedforward limit limits enable enabled mode status flag",
     }.items()
 }
+WORDS["other"] |= frozenset[str]().union(*(signal.words for signal in SIDE_SIGNALS)) - WORDS["time"]  # temps
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
 REFERENCE = frozenset(
     "ref reference target desired des cmd commanded con demand demanded setpoint goal d soll".split()  # noqa: SIM905
 )
 MEASURED = frozenset("meas measured act actual ist present fb feedback".split())  # noqa: SIM905
-TEMPERATURE = frozenset(["temp", "temps", "temperature", "temperatures"])
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
 TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # bodies other than the base
 SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
@@ -51,7 +51,7 @@ COMPONENTS = {  # words before the letter of an axis, and all axes
     "moment": ("m|t|moment|torque", "xyz"),
 }
 COMMAND = frozenset(["v", "u", "control", "action", "command", "load"])  # currents or torques, unless velocities
-NO_UNIT = frozenset[str]().union(*WORDS.values(), REFERENCE, MEASURED, TEMPERATURE)  # words in brackets
+NO_UNIT = frozenset[str]().union(*WORDS.values(), REFERENCE, MEASURED)  # words in brackets
 OF_JOINT = ("position", "velocity", "acceleration", "current", "torque")
 OF_ANY = frozenset(
     ["joint", "joints", "axis", "axes", "link", "motor", "actual", "state", "states", "drive", "encoder"]
@@ -102,8 +102,6 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
     stem = bare
     if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag
-    elif not label and (match := re.fullmatch("time of (.+)", bare)):
-        label, words = match[1], ["time"]  # of a channel of TwinCAT
     elif not label and (match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
         label, stem, words = match[2], f"{match[1]}#]", ["position"]
     elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
@@ -195,19 +193,9 @@ def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnNam
     return replace(column_name, name=column, reference=column_name.reference or feature == "action")
 
 
-def is_measured(name: str) -> bool:
-    """Decide from its name whether a column is said to be a measurement."""
-    return not MEASURED.isdisjoint(_words(name))
-
-
-def is_temperature(name: str) -> bool:
-    """Decide from its name whether a column is a temperature."""
-    return not TEMPERATURE.isdisjoint(_words(name))
-
-
-def is_pose(name: str) -> bool:
-    """Decide from its name whether a column looks like a component of a pose."""
-    return not POSE.isdisjoint(_words(name))
+def has_word(name: str, words: frozenset[str]) -> bool:
+    """Decide whether the name of a column holds one of some words, such as ``MEASURED`` or ``POSE``."""
+    return not words.isdisjoint(_words(name))
 
 
 def base_like(names: Sequence[str]) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, FiniteFloat, Tag, create_model, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive, text_or_group
-from gtau.signals.channel import LINK_SIDE, Channel, ChannelKind, channels_of
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
 
 # Hz; of drives that are logged. Logs polled at 10 Hz reach 9; those of 5 kHz in ms look like 5 Hz in s.
@@ -33,7 +33,6 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "lerobot": {"time": "timestamp", "position": "observation.state[{n}]", "current": "observation.current[{n}]"},
     "franka": {"time": "time", "units": {"time": "ms"}, "position": "state.q[{k}]", "torque": "state.tau_J[{k}]"},
     "plotjuggler": {"time": "__time", "position": "/joint_states/{joint}/position", "torque": _EFFORT},
-    "twincat_scope": {"time": "time", "units": {"time": "ms"}},
 }
 """Entries of an experiment file: the time column and its unit, columns by joint, its number from 0 (``{k}``) or 1
 (``{n}``) or its name, and the gravity of a robot whose controller compensates it in the torques."""
@@ -85,16 +84,21 @@ class StampsOfEach(Keys):
     command: TimeColumns
 
 
-def of_link_side(entry: Any) -> type[Keys]:
-    """Make the keys of all sensors on the link side, None where left out."""
-    fields: Any = {kind.calibration: (entry | None, None) for kind in LINK_SIDE}
-    return create_model("LinkSide", __base__=Keys, **fields)
+def optional_keys(entries: Mapping[str, Any]) -> type[Keys]:
+    """Make a group with keys of these types, None where left out."""
+    fields: Any = {key: (entry | None, None) for key, entry in entries.items()}
+    return create_model("OptionalKeys", __base__=Keys, **fields)
+
+
+def by_link_side(entry: Any) -> dict[str, Any]:
+    """Return entries of one type for all kinds of sensor on the link side."""
+    return {kind.calibration: entry for kind in LINK_SIDE}
 
 
 Share = Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
 
 
-class Calibration(of_link_side(Share), Keys):  # type: ignore[misc]
+class Calibration(optional_keys(by_link_side(Share)), Keys):  # type: ignore[misc]
     """Relative standard deviations of readings: of each sensor on the link side, and of all wrenches together."""
 
     wrenches: Share | None = None
@@ -104,13 +108,21 @@ EXACT = Calibration()
 """Sensors that read without an error of scale."""
 
 
-class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
+OneOrByJoint = Annotated[
+    Annotated[str, Tag("text")] | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)
+]
+SENSORS = by_link_side(dict[str, str])
+SIDE = {signal.key: OneOrByJoint for signal in SIDE_SIGNALS}
+
+
+class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
-    the gears, of all joints or some. A ``pose`` tests the robot's geometry, friction may depend on a ``temperature``.
-    ``base`` is the pose of a floating base with its wrenches; ``wrenches`` are external wrenches on other bodies;
-    ``calibration`` is the accuracy of the sensors. A ``preset`` fills in the columns of a manufacturer's log.
+    the gears, of all joints or some. A ``pose`` tests the robot's geometry. Side signals, such as ``temperature``, have
+    their keys, too. ``base`` is the pose of a floating base with its wrenches; ``wrenches`` are external wrenches on
+    other bodies; ``calibration`` is the accuracy of the sensors. A ``preset`` fills in the columns of a manufacturer's
+    log.
     """
 
     time: Annotated[
@@ -130,10 +142,6 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
     calibration: Calibration = EXACT
     preset: str | None = None
     pose: PoseColumns | None = None
-    temperature: (
-        Annotated[Annotated[str, Tag("text")] | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)]
-        | None
-    ) = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -182,12 +190,10 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
         stds = dict(self.calibration)
         return tuple(replace(channel, std=stds.get(channel.kind.calibration) or 0.0) for channel in channels)
 
-    @property
-    def temperature_columns(self) -> dict[str, str]:
-        """Columns of temperatures by joint, or of the time since start; empty where there are none."""
-        if isinstance(self.temperature, str):
-            return dict.fromkeys(self.position, self.temperature)
-        return self.temperature or {}
+    def side_columns(self, signal: SideSignal) -> dict[str, str]:
+        """Return the columns of a side signal by joint, empty where there are none."""
+        columns = getattr(self, signal.key) or {}
+        return dict.fromkeys(self.position, columns) if isinstance(columns, str) else columns
 
     @property
     def time_columns(self) -> tuple[str, ...]:
@@ -279,7 +285,7 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
         return self
 
     @model_validator(mode="after")
-    def _temperatures_and_ratios_of_joints(self) -> Signals:
+    def _side_signals_and_ratios(self) -> Signals:
         ratios = self.gear_ratio or {}
         if self.motor_torque is None and ratios:
             raise ValueError(
@@ -291,7 +297,7 @@ class Signals(of_link_side(dict[str, str]), Keys):  # type: ignore[misc]
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        for key, joints in (("temperature", self.temperature_columns), ("gear_ratio", ratios)):
+        for key, joints in {"gear_ratio": ratios, **{one.key: self.side_columns(one) for one in SIDE_SIGNALS}}.items():
             for joint in joints:
                 if joint not in self.position:
                     raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from gtau.errors import GtauError, short
-from gtau.findings.words import counted
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import base_like, is_pose, is_temperature, resembling, wrench_like
+from gtau.signals.channel import SIDE_SIGNALS
+from gtau.signals.reading.column_names import POSE, base_like, has_word, wrench_like
+from gtau.signals.reading.draft import QUESTIONS, Draft, DraftedSignals, Reasons, Unused
+from gtau.signals.reading.joint_columns import matched, renamed_labels
 from gtau.signals.reading.log_contents import COMMANDS, Group, LogContents
 from gtau.signals.reading.masses import masses_in_name
 from gtau.signals.reading.units import si_factor
@@ -30,85 +31,6 @@ ALIKE = 0.1  # by which the derivative of positions may differ from the velociti
 # behind a low-pass of 10 Hz: 0.07 and 0.21; rounded to tenths of their standard deviation: 0.03.
 COMPUTED = 0.3
 
-UNSURE = {
-    "masses": "write the payload masses ('or' in the file) that file names give in several ways: they set the scale of "
-    "all drive gains",
-    "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
-    "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
-    "unmatched": "joints that the log lacks are held at home, but columns move that are not used; if they are of such "
-    "a joint, write them at its name",
-    "counts": "replace counts and unknown units by the size of one count (units: {current: 0.00269 A}); for shares add "
-    "the rated values (units: {rated: {JOINT: 5.2}})",
-    "joints": "confirm which columns are of which joint",
-    "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
-    "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
-    "unit": "confirm the unit of the positions (units: {position: ...}), or, of motors before their gears, the "
-    "joint's angle for one unit (0.01 rad)",
-    "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
-    "'gear_ratio:'",
-    "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
-    "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
-    "received": "messages without measurement stamps get receipt stamps, with the jitter of the middleware",
-    "clock": "confirm the time column, as other columns increase too",
-    "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
-    "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
-    "(--payload LOG=KG)",
-    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
-    "(docs/lookup/experiment-file.md, 'A base that floats')",
-    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a floating "
-    "base under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
-    "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
-}
-"""Questions to the user, by the open points of a draft, in the order in which they are asked."""
-
-
-@dataclass(frozen=True)
-class Draft:
-    """Drafted experiment file, with the ``reasons`` of its entries by key, and undetermined entries (``open``).
-
-    ``logs`` are one file or two of each run; ``signals``, ``units`` and ``robot`` are as under these keys of the file,
-    but ``robot`` has no ``file`` where it is unknown, and a rate is None. ``masses`` (kg) of payloads by log come from
-    the names of the files where they are not ``stated``; NaN is to be weighed. ``readings`` are those of names with
-    several. ``beside`` are columns that are not used, some by joint: ``temperature``, ``torques`` that may be of
-    sensors, a ``pose``, the ``motion`` of a base, ``wrenches``, and ``others`` that might be meant instead, torques
-    that are ``still``. ``urdf`` is the text of the robot's file where a bag holds it.
-    """
-
-    logs: tuple[tuple[Path, ...], ...]
-    signals: Mapping[str, Any]
-    units: Mapping[str, Any]
-    robot: Mapping[str, Any]
-    masses: Mapping[Path, float]
-    reasons: Mapping[str, str]
-    open: tuple[str, ...]
-    readings: Mapping[Path, tuple[float, ...]] = field(default_factory=dict)
-    stated: frozenset[Path] = frozenset()
-    beside: Mapping[str, Any] = field(default_factory=dict)
-    urdf: str | None = None
-
-    @property
-    def kind(self) -> str:
-        """Kind of the commands."""
-        return "current" if "current" in self.signals else "torque"
-
-    @property
-    def command(self) -> Mapping[str, str]:
-        """Columns of the commands by joint."""
-        return self.signals[self.kind]
-
-    @property
-    def time(self) -> tuple[str, ...]:
-        """Columns of the positions' time, one or two, or none."""
-        time = self.signals["time"]
-        time = time.get("position", ()) if isinstance(time, Mapping) else time
-        return (time,) if isinstance(time, str) else tuple(time)
-
-    @property
-    def rate(self) -> float | None:
-        """Sampling rate of a log without time column, Hz, where it is known."""
-        time = self.signals["time"]
-        return time.get("rate") if isinstance(time, Mapping) else None
-
 
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
     """Infer the signals of logs recorded with the same layout, one for each run, or positions and then commands.
@@ -117,163 +39,213 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     ``source`` is its entry in the experiment file. Where the placement of its ``base`` is given, no columns are taken
     for the motion of a base. Raises GtauError where a log cannot be read, or holds no positions or no commands.
     """
-    position_log, command_log, runs = _sources(paths, robot)
-    positions, commands = position_log.group("position"), command_log.command_group()
+    log, command_log, runs = _sources(paths, robot)
+    positions, commands = _groups(log, command_log, robot)
+    joints = matched(positions, commands, robot)
+    clock, why_time, open_ = _clock(log, command_log, positions)
+    kind, open_of_command = _kind(commands, command_log, joints.command)
+    sensors, still = _sensors(command_log, "sensor", joints.labels)
+    signals = DraftedSignals(kind, joints.position, joints.command, sensors, *clock)
+    used = {*positions.columns.values(), *commands.columns.values()}
+    unused = _unused(log, command_log, signals, joints.labels, used, moving_base=base is None)
+    unused = replace(unused, still=(*still, *unused.still), moving=unused.moving if robot else ())
+    unit, why_unit = _position_unit(log, positions, joints.position, robot)
+    written = _units(log, "position", joints.position)
+    units = {"time": log.time_unit()[0]} if log.time else {}
+    units |= written or ({"position": unit} if unit else {})
+    units |= _units(command_log, kind, joints.command) | _units(command_log, "joint_torque", sensors)
+    if unit and not written and positions.unit is None:
+        open_["unit"] = f"positions are assumed to be in {unit}: {why_unit}"
+    units = {
+        key: unit for key, unit in units.items() if unit not in tuple(SI) or (key == "position" and "unit" in open_)
+    }
+    payloads = {run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))}
+    moving = list(joints.position) if robot and len(joints.position) < len(robot.actuated) else None
+    gravity = [0, 0, 0] if "gravity" in open_of_command else None
+    entries = {"file": source, "base": base, "gravity": gravity, "joints": moving}
+    draft = Draft(
+        logs=tuple(runs),
+        signals=signals,
+        units=units,
+        robot={key: entry for key, entry in entries.items() if entry is not None},
+        payloads=payloads,
+        reasons=Reasons(why_time, joints.how, "units as written in the log" if written else why_unit, log.velocity),
+        open=open_ | open_of_command,
+        unused=unused,
+    )
+    open_ = draft.open | _open_points(draft, joints.by_name)
+    return replace(draft, open={key: open_[key] for key in QUESTIONS if key in open_})
+
+
+def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
+    """List what is assumed of joints, units, payloads, the robot and unused columns, where that is to be confirmed."""
+    signals, unused, how = draft.signals, draft.unused, draft.reasons.position
+    order = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
+    columns = ", ".join(f"{joint}: {column}" for joint, column in signals.position.items())
+    units = listed_units(draft.units)
+    computed = ": they are a straight line of the currents, from which they may be computed" * unused.computed
+    several = any(len(masses) > 1 for masses in draft.payloads.values())
+    points = {
+        "masses": (several, ""),
+        "mass": (draft.payloads, ""),
+        "robot": ("file" not in draft.robot, ""),
+        "unmatched": (unused.moving and "joints" in draft.robot, ""),
+        "counts": (
+            any(_unread(key, unit) for key, unit in draft.units.items()),
+            f"the log gives counts, shares or unknown units ({units})",
+        ),
+        "joints": (not by_name, f"columns were assigned to the joints{order}: {columns}"),
+        "torques": (unused.torques, f"{listed(unused.torques.values())} are not used{computed}"),
+        "base": (unused.motion, f"{listed(unused.motion)} are not used: the base is assumed to be fixed"),
+        "wrenches": (unused.wrenches, f"{listed(unused.wrenches)} are not used: no external contact is assumed"),
+    }
+    return {key: assumed for key, (is_open, assumed) in points.items() if is_open}
+
+
+def listed(columns: Iterable[str]) -> str:
+    """List some columns, the first eight of many."""
+    columns = tuple(columns)
+    return ", ".join(map(short, columns[:8])) + (", ..." if len(columns) > 8 else "")
+
+
+def listed_units(units: Mapping[str, Any]) -> str:
+    """List units, by joint where they differ."""
+    by_joint = {
+        key: unit if isinstance(unit, str) else ", ".join(f"{one} ({joint})" for joint, one in unit.items())
+        for key, unit in units.items()
+    }
+    return ", ".join(f"{key} in {unit}" for key, unit in by_joint.items())
+
+
+def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:
+    """List the logs of the first run's positions and commands, often one, and the files of every run."""
+    runs: list[tuple[Path, ...]] = [(path,) for path in paths]
+    first, half = LogContents.read(paths[0], robot), len(paths) // 2
+    if first.group("position"):
+        if first.command_group():
+            return first, first, runs
+        if (other := first.command_topic(robot)) is not None:
+            return first, other, runs
+    if not half or len(paths) % 2:
+        return first, first, runs
+    second = LogContents.read(paths[half], robot)
+    if second.group("position") and not first.group("position"):
+        return second, first, list(zip(paths[half:], paths[:half], strict=True))
+    return first, second, list(zip(paths[:half], paths[half:], strict=True))
+
+
+def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> tuple[Group, Group]:
+    """Select the columns of positions and of commands; raises GtauError where a log has none."""
+    positions, commands = log.group("position"), command_log.command_group()
     if positions is None or commands is None:
-        names = position_log.table.columns
-        listed = ", ".join(map(short, names[:20])) + (", ..." if len(names) > 20 else "")
+        names = log.table.columns
+        columns = ", ".join(map(short, names[:20])) + (", ..." if len(names) > 20 else "")
         what = "positions" if positions is None else "currents or torques"
         still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
-        listed += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)
+        columns += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)
         named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
         raise GtauError(
-            f"no columns of {what} are recognised among {listed}; {named}write the experiment file by hand "
+            f"no columns of {what} are recognised among {columns}; {named}write the experiment file by hand "
             "(docs/lookup/experiment-file.md), or rename columns or arrays, such as q1 and current1.",
-            source=paths[0],
+            source=log.table.path,
         )
-    reasons, units = dict(position_log.reasons), dict[str, Any]()
-    if position_log.elsewhere and len(positions.columns) == 1:
-        listed = ", ".join((positions.first, *position_log.elsewhere[:7]))
+    if log.elsewhere and len(positions.columns) == 1:
         raise GtauError(
-            f"every joint has a topic of its own ({listed}), but gtau takes the positions of a run from one; merge the "
-            "topics into a table with one clock.",
-            source=paths[0],
+            f"every joint has a topic of its own ({listed((positions.first, *log.elsewhere[:7]))}), but gtau takes the "
+            "positions of a run from one; merge the topics into a table with one clock.",
+            source=log.table.path,
         )
-    alike = dict[str, str]()
-    if robot:
-        positions, commands = (_alike(group, robot.actuated, alike) for group in (positions, commands))
-    joints, reasons["position"], by_order = _joints(positions, commands, robot)
-    reasons["position"] += "".join(f", {label} taken for {joint}" for label, joint in alike.items())
-    unsure = {"joints"} if by_order or alike else set()
-    columns, currents = ({joint: pair[k] for joint, pair in joints.items()} for k in (0, 1))
-    time = _time(position_log, command_log, positions, units, reasons, unsure)
-    if written := _units(position_log, "position", columns):
-        units, reasons["unit"] = units | written, "units as written in the log"
-    elif unit := _position_unit(position_log, positions, columns, robot, reasons):
-        units["position"] = unit
-        unsure |= {"unit"} if positions.unit is None else set()
-    kind, doubts = _kind(commands, command_log, currents)
-    compensated = "current_as_torque" in commands.first.lower()
-    unsure |= doubts | ({"gravity"} if compensated else set()) | ({"reference"} if commands.reference else set())
-    units |= _units(command_log, kind, currents)
-    labels = {name: label for label, name in positions.columns.items()}
-    logged = {joint: labels[column] for joint, column in columns.items()}
-    sensors, still = _sensors(command_log, "sensor", logged)
-    torques = dict[str, str]()
-    if not sensors and kind == "current":
-        torques, others = _sensors(command_log, "torque", logged)
-        still += others
-    if _computed(command_log, currents, torques):
-        reasons["torques"] = "a straight line of the currents, from which they may be computed"
-    units |= _units(command_log, "joint_torque", sensors)
-    unsure |= {"counts"} if any(_unread(key, unit) for key, unit in units.items()) else set()
-    logs = {log.table.path: log for log in (position_log, command_log)}.values()
-    taken, known = (*columns.values(), *currents.values()), (*logged, *logged.values())
-    lonely = [column for log in logs for column in log.moving_beside(taken, known, commands.kind)]
-    lonely += position_log.elsewhere
-    if robot and lonely:
-        reasons["unmatched"] = ", ".join(lonely)
-        unsure |= {"unmatched"} if len(joints) < len(robot.actuated) else set()
-    used = {*positions.columns.values(), *commands.columns.values()}
-    beside = _unused(position_log, command_log, used, columns, torques, base is not None) | {"still": still}
-    readings = {run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))}
-    several = {log: masses for log, masses in readings.items() if len(masses) > 1}
-    doubtful = beside | {"base": beside["motion"], "mass": readings, "masses": several, "robot": source is None}
-    unsure |= {key for key in ("torques", "wrenches", "base", "mass", "masses", "robot") if doubtful[key]}
-    moving = list(joints) if robot and len(joints) < len(robot.actuated) else None
-    entries = {"file": source, "base": base, "gravity": [0, 0, 0] if compensated else None, "joints": moving}
-    return Draft(
-        logs=tuple(runs),
-        signals={"time": time, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {}),
-        units={
-            key: unit
-            for key, unit in units.items()
-            if unit not in ("s", "rad", "m", "A", "N m", "N") or (key == "position" and "unit" in unsure)
-        },
-        robot={key: entry for key, entry in entries.items() if entry is not None},
-        masses={log: masses[0] for log, masses in readings.items()},
-        readings=several,
-        reasons=reasons,
-        open=tuple(key for key in UNSURE if key in unsure),
-        beside=beside,
-    )
+    return positions, commands
 
 
-def _time(
-    log: LogContents,
-    command_log: LogContents,
-    positions: Group,
-    units: dict[str, Any],
-    reasons: dict[str, str],
-    unsure: set[str],
-) -> Any:
-    """Find the time columns of positions, and of commands with stamps of their own, or the sampling rate."""
+def _clock(
+    log: LogContents, command_log: LogContents, positions: Group
+) -> tuple[tuple[tuple[str, ...], tuple[str, ...], float | None], str, dict[str, str]]:
+    """Find the time columns of positions, of commands with time stamps of their own, or the rate; why; open points."""
     if not log.time:
-        rate = log.rate
-        reasons["time"] = f"no time column; {rate or 0:g} Hz by the description of the data set (meta/info.json)"
-        if rate is None:
-            rate, reasons["time"] = log.rate_from_velocities(positions)
-            unsure.add("rate" if rate is None else "velocities")
-        return {"rate": rate}
-    unit, reasons["time"] = log.time_unit()
-    units |= {"time": unit} if unit != "s" else {}
+        if log.rate:
+            how = f"no time column; {log.rate:g} Hz by the description of the data set (meta/info.json)"
+            return ((), (), log.rate), how, {}
+        rate, how = log.rate_from_velocities(positions)
+        points = {"velocities": f"the sampling rate is assumed to be {rate:g} Hz"} if rate else {"rate": ""}
+        return ((), (), rate), how, points
+    reason, open_ = log.time_unit()[1], dict[str, str]()
     apart = command_log.table.path == log.table.path or command_log.rows != log.rows
     stamps = command_log.time if command_log is not log and apart else ()
     if unstamped := [name for name in (*log.time[:1], *stamps[:1]) if name.endswith("/received")]:
-        reasons["received"] = " and ".join(unstamped)
-        unsure.add("received")
+        open_["received"] = f"time is {' and '.join(unstamped)}, the receipt stamps"
     elif log.time[0].endswith("/header/stamp"):
-        reasons["time"] += "; measurement stamps, not receipt stamps"
+        reason += "; measurement stamps, not receipt stamps"
     if clocks := log.other_clocks():
-        reasons["time"] += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
-        unsure.add("clock")
-    time, command_time = (times[0] if len(times) == 1 else list(times) for times in (log.time, stamps))
-    return {"position": time, "command": command_time} if stamps else time
+        reason += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
+        open_["clock"] = f"time is {' and '.join(log.time)}, but other columns increase too"
+    return (log.time, stamps, None), reason, open_
 
 
-def _kind(commands: Group, log: LogContents, columns: Mapping[str, str]) -> tuple[str, set[str]]:
-    """Decide whether commands are currents or torques, and whether that is to be confirmed."""
+def _kind(
+    commands: Group, log: LogContents, columns: Mapping[str, str]
+) -> tuple[Literal["current", "torque"], dict[str, str]]:
+    """Decide whether commands are currents or torques, and list what is to be confirmed of them."""
     written = [read_unit(log.units[column]) for column in columns.values() if column in log.units]
     in_amperes = any(unit and unit.measures == "current" for unit in written)
-    if commands.kind == "torque":  # efforts of ROS are what the driver writes
-        return "current" if in_amperes else "torque", {"kind"} if "effort" in commands.first.lower() else set()
-    if commands.kind == "motor" and not in_amperes:
-        return "current", {"motor"}
+    kind: Literal["current", "torque"] = "torque" if commands.kind == "torque" and not in_amperes else "current"
     if commands.kind == "command" and not in_amperes:
         reach = max(float(np.nanmax(np.abs(log.values[column]))) for column in columns.values())
-        return "torque" if reach > LARGEST_CURRENT else "current", {"kind"}
-    return "current", set()
+        kind = "torque" if reach > LARGEST_CURRENT else "current"
+    names = list(dict.fromkeys([*columns.values()][:: max(len(columns) - 1, 1)]))
+    first, are = " ... ".join(names), "are" if len(columns) > 1 else "is"
+    effort = commands.kind == "torque" and "effort" in commands.first.lower()  # in ROS what the driver writes
+    points = {
+        "kind": (effort or (commands.kind == "command" and not in_amperes), f"assumed to be {kind}s"),
+        "motor": (commands.kind == "motor" and not in_amperes, "assumed to be currents"),
+        "gravity": ("current_as_torque" in commands.first.lower(), "assumed to be torques without gravity"),
+        "reference": (commands.reference, "references, not measurements"),
+    }
+    return kind, {key: f"{first} {are} {assumed}" for key, (is_open, assumed) in points.items() if is_open}
 
 
 def _unused(
     log: LogContents,
     command_log: LogContents,
+    signals: DraftedSignals,
+    labels: Mapping[str, str],
     used: set[str],
-    joints: Mapping[str, str],
-    torques: Mapping[str, str],
-    placed: bool,
-) -> dict[str, Any]:
-    """List the columns that are not used, by what they may hold; no motion of a base that is ``placed``."""
+    moving_base: bool,
+) -> Unused:
+    """List the columns that are not ``used``, by what they may hold."""
     columns = [name for name in log.table.columns if name not in log.time]
     unused = [name for name in columns if name not in used]
-    motion, wrenches = () if placed else base_like(unused), wrench_like(unused)
+    motion, wrenches = base_like(unused) if moving_base else (), wrench_like(unused)
+    torques, still = {}, list[str]()
+    if not signals.joint_torque and signals.kind == "current":
+        torques, still = _sensors(command_log, "torque", labels)
     if torques and (group := command_log.group("torque")):
         used = used | set(group.columns.values())
     groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
-    candidates = {listed: group for listed, group in groups.items() if group.kind not in ("other", "sensor")}
-    named = {*used, *motion, *wrenches}
-    temperatures = [name for name in columns if is_temperature(name)]
-    temperature: Any = temperatures[0] if len(temperatures) == 1 else None  # ambiguous
-    if len(temperatures) == len(joints):
-        temperature = dict(zip(joints, temperatures, strict=True))
-    return {
-        "temperature": temperature,
-        "torques": torques,
-        "pose": tuple(name for name in unused if is_pose(name)),
-        "motion": motion,
-        "wrenches": wrenches,
-        "others": tuple(listed for listed, group in candidates.items() if not set(group.columns.values()) <= named),
-    }
+    candidates = {name: group for name, group in groups.items() if group.kind not in ("other", "sensor")}
+    side: dict[str, Any] = {}
+    for signal in SIDE_SIGNALS:
+        names = [name for name in columns if has_word(name, signal.words)]
+        if len(names) == len(signals.position):
+            side[signal.key] = dict(zip(signals.position, names, strict=True))
+        elif len(names) == 1:  # more are ambiguous
+            side[signal.key] = names[0]
+    taken, known = (*signals.position.values(), *signals.command.values()), (*labels, *labels.values())
+    command_kind = next((group.kind for group in command_log.groups if taken[-1] in group.columns.values()), None)
+    logs = {log.table.path: log for log in (log, command_log)}.values()
+    return Unused(
+        side=side,
+        torques=torques,
+        computed=_computed(command_log, signals.command, torques),
+        pose=tuple(name for name in unused if has_word(name, POSE)),
+        motion=motion,
+        wrenches=wrenches,
+        still=tuple(still),
+        moving=(*(name for log in logs for name in log.moving_beside(taken, known, command_kind)), *log.elsewhere),
+        others=tuple(
+            name for name, group in candidates.items() if not set(group.columns.values()) <= {*used, *motion, *wrenches}
+        ),
+    )
 
 
 def _sensors(log: LogContents, kind: str, labels: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
@@ -281,7 +253,7 @@ def _sensors(log: LogContents, kind: str, labels: Mapping[str, str]) -> tuple[di
     group = log.group(kind)
     if group is None or group.reference:
         return {}, []
-    group = _alike(group, list(labels.values()), {})
+    group = renamed_labels(group, list(labels.values()))[0]
     columns = {joint: group.columns[label] for joint, label in labels.items() if label in group.columns}
     still = [column for column in columns.values() if log.is_still(column)]
     return {joint: column for joint, column in columns.items() if column not in still}, still
@@ -296,88 +268,6 @@ def _computed(log: LogContents, commands: Mapping[str, str], torques: Mapping[st
         if finite.sum() > 2 and np.ptp(x[finite]) and np.ptp(y[finite]):
             rests.append(np.sqrt(max(0.0, 1 - np.corrcoef(x[finite], y[finite])[0, 1] ** 2)))
     return bool(rests) and float(np.median(rests)) < COMPUTED
-
-
-def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:
-    """List the logs of the first run's positions and commands, often one, and the files of every run."""
-    runs: list[tuple[Path, ...]] = [(path,) for path in paths]
-    first, half = LogContents.read(paths[0], robot), len(paths) // 2
-    if first.group("position"):
-        if first.command_group():
-            return first, first, runs
-        if (other := first.of_another_topic(robot)) is not None:
-            return first, other, runs
-    if not half or len(paths) % 2:
-        return first, first, runs
-    second = LogContents.read(paths[half], robot)
-    if second.group("position") and not first.group("position"):
-        return second, first, list(zip(paths[half:], paths[:half], strict=True))
-    return first, second, list(zip(paths[:half], paths[half:], strict=True))
-
-
-def _joints(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
-    """Match columns of positions and commands to joints, of a robot without loops some of them.
-
-    Also return how they were matched, and whether by their order alone.
-    """
-    common = [label for label in positions.columns if label in commands.columns]
-    pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
-    by_order = False
-    if not common and len(positions.columns) == len(commands.columns):
-        columns = zip(_ordered(positions.columns), _ordered(commands.columns), strict=True)
-        pairs = {q: (positions.columns[q], commands.columns[v]) for q, v in columns}
-        by_order = True
-    if robot is None:
-        named = {f"j{label or 1}" if label.isdigit() or not label else label: pair for label, pair in pairs.items()}
-        return named, "joint names from the log", by_order
-    joints = robot.actuated
-    known, unknown = [joint for joint in joints if joint in pairs], [name for name in pairs if name not in joints]
-    some = known and not robot.closures and not any(name.isdigit() for name in unknown)
-    if some or len(known) == len(joints):
-        how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
-        return {joint: pairs[joint] for joint in known}, how, by_order
-    if 0 < len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
-        joints = chain
-    if len(pairs) < len(joints):
-        listed = f" ({', '.join(pairs)})" if pairs and all(pairs) else ""
-        raise GtauError(
-            f"the log has positions and commands of {counted(len(pairs), 'joint')}{listed}, but robot "
-            f"'{robot.name}' has {len(joints)} actuated ones; "
-            + (f"name the columns after their joints (q_{joints[0]}), or " if not robot.closures else "")
-            + "give matching logs and robot."
-        )
-    numbers = {joint: int(digits[-1]) for joint in joints if (digits := re.findall(r"\d+", joint))}
-    how = "matched by column order"
-    if len(set(numbers.values())) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
-        by_number = tuple(sorted(joints, key=numbers.__getitem__))
-        how = how if by_number == joints else "matched by the numbers in the joints' names"
-        joints = by_number
-    ordered = _ordered(pairs)
-    assigned = {joint: pairs[label] for joint, label in zip(joints, ordered, strict=False)}
-    return assigned, how, True
-
-
-def _alike(group: Group, joints: Sequence[str], alike: dict[str, str]) -> Group:
-    """Rename labels that are no joint's name but nearly, and collect them in ``alike``."""
-    unknown = [label for label in group.columns if label not in joints and not label.isdigit()]
-    renamed = resembling(unknown, [joint for joint in joints if joint not in group.columns])
-    alike |= renamed
-    return replace(group, columns={renamed.get(label, label): column for label, column in group.columns.items()})
-
-
-def _chain(robot: Robot) -> tuple[str, ...]:
-    """List the actuated joints that carry the tool; none where another branch has as many."""
-    chains: dict[str, tuple[str, ...]] = {}
-    for joint in robot.joints:
-        chains[joint.name] = chains.get(joint.antecedent, ()) + (joint.name,) * joint.actuated
-    chain = chains.get(robot.tool, ())
-    return chain if sum(len(other) == len(chain) for other in set(chains.values())) == 1 else ()
-
-
-def _ordered(labels: Iterable[str]) -> list[str]:
-    """Sort labels by their number; keep the order of those without."""
-    labels = list(labels)
-    return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels
 
 
 def _units(log: LogContents, key: str, columns: Mapping[str, str]) -> dict[str, Any]:
@@ -400,34 +290,29 @@ def _unread(key: Any, units: Any) -> bool:
 
 
 def _position_unit(
-    log: LogContents, positions: Group, columns: Mapping[str, str], robot: Robot | None, reasons: dict[str, str]
-) -> str | None:
-    """Determine the unit of the positions, as written or from velocities and range; None for rad and m as usual."""
+    log: LogContents, positions: Group, columns: Mapping[str, str], robot: Robot | None
+) -> tuple[str | None, str]:
+    """Determine the unit of the positions by names, velocities and range, None for rad and m as usual; and why."""
     if positions.unit in ("deg", "rad", "mm", "m"):
-        reasons["unit"] = "unit in the columns' names"
-        return positions.unit
+        return positions.unit, "unit in the columns' names"
     reach, joint = max((float(np.nanmax(np.abs(log.values[column]))), joint) for joint, column in columns.items())
     kinds = {robot.joint(name).kind for name in columns} if robot else {"revolute"}
     ratio, fastest = log.slope(positions) if kinds == {"revolute"} else (None, 0.0)
     for unit, per_velocity in (("deg", 180 / np.pi), ("rad", np.pi / 180)):
         if ratio is not None and abs(ratio / per_velocity - 1) < ALIKE:
-            reasons["unit"] = f"their derivative is {ratio:.4g} times the velocities"
-            return unit
+            return unit, f"their derivative is {ratio:.4g} times the velocities"
     if not reach > TURNS or len(kinds) > 1:
-        reasons["unit"] = f"positions reach {reach:.4g}"
-        return None
-    reasons["unit"] = f"joint '{joint}' reaches {reach:.4g}, too far for SI units"
+        return None, f"positions reach {reach:.4g}"
+    far = f"joint '{joint}' reaches {reach:.4g}"
     if kinds != {"revolute"}:
-        return "mm"
+        return "mm", f"{far}, too far for SI units"
     limits = {name: robot.joint(name).limits.position for name in columns} if robot else {}
     beyond = any(  # where deg are taken for rad, joints with limits are far outside
         limit and float(np.nanmax(np.abs(log.values[columns[name]]))) > 2 * max(map(abs, limit))
         for name, limit in limits.items()
     )
-    alike = ratio is not None and abs(ratio - 1) < ALIKE and fastest < FASTEST and not beyond
-    if beyond or not (alike or reach > MOST_DEGREES):
-        return "deg"
-    reasons["unit"] = f"joint '{joint}' reaches {reach:.4g}, " + (
-        f"but the velocities are the derivative and reach only {fastest:.4g}" if alike else "too far even for deg"
-    )
-    return "rad"
+    if ratio is not None and abs(ratio - 1) < ALIKE and fastest < FASTEST and not beyond:
+        return "rad", f"{far}, but the velocities are the derivative and reach only {fastest:.4g}"
+    if reach > MOST_DEGREES and not beyond:
+        return "rad", f"{far}, too far even for deg"
+    return "deg", f"{far}, too far for SI units"

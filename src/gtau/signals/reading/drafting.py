@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from math import isfinite, nan
 from pathlib import Path
@@ -13,12 +13,15 @@ from zlib import crc32
 
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
-from gtau.errors import GtauError, printable, short
+from gtau.errors import GtauError, printable
 from gtau.findings import Finding, Grade
+from gtau.findings.words import counted
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
+from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.reading.columns import PRESETS
-from gtau.signals.reading.discovery import UNSURE, Draft, discover
+from gtau.signals.reading.discovery import discover, listed
+from gtau.signals.reading.draft import QUESTIONS, Draft
 from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
 
@@ -55,28 +58,38 @@ def draft_logs(
     draft = replace(discover(logs, known, URDF if urdf is not None else robot, base), urdf=urdf)
     draft = draft if preset is None else with_preset(draft, preset)
     draft = draft if kind is None else with_kind(draft, kind)
-    return with_masses(draft, _of_logs(draft, masses or {}))
+    return with_masses(draft, _by_log(draft, masses or {}))
 
 
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     """Return the draft with commands of known kind."""
-    signals = {kind if key == draft.kind else key: entry for key, entry in draft.signals.items()}
-    units = {key: unit for key, unit in draft.units.items() if key != draft.kind or key == kind}
-    return replace(_settled(draft, "kind", "motor"), signals=signals, units=units)
+    old = draft.signals.kind
+    units = {key: unit for key, unit in draft.units.items() if key != old or key == kind}
+    return replace(_settled(draft, "kind", "motor"), signals=replace(draft.signals, kind=kind), units=units)
 
 
 def _settled(draft: Draft, *keys: str) -> Draft:
-    return replace(draft, open=tuple(key for key in draft.open if key not in keys))
+    return replace(draft, open={key: assumed for key, assumed in draft.open.items() if key not in keys})
+
+
+def with_rate(draft: Draft, rate: float) -> Draft:
+    """Return the draft with a sampling rate, Hz."""
+    return replace(_settled(draft, "rate"), signals=replace(draft.signals, rate=rate))
 
 
 def with_sensors(draft: Draft) -> Draft:
     """Return the draft with logged torques beside currents as sensor torques where no payload gives a scale."""
-    torques = draft.beside.get("torques")
-    if not torques or draft.masses or "torques" in draft.reasons:
+    torques = draft.unused.torques
+    if not torques or draft.payloads or draft.unused.computed:
         return draft
-    open_ = tuple("sensors" if key == "torques" else key for key in draft.open)
-    beside = {**draft.beside, "torques": {}}
-    return replace(draft, signals={**draft.signals, "joint_torque": torques}, beside=beside, open=open_)
+    assumed = f"{listed(torques.values())} are assumed to be torque sensors behind the gears, which set the scale"
+    points = draft.open | {"sensors": assumed}
+    return replace(
+        draft,
+        signals=replace(draft.signals, joint_torque=torques),
+        unused=replace(draft.unused, torques={}),
+        open={key: points[key] for key in QUESTIONS if key in points and key != "torques"},
+    )
 
 
 def with_preset(draft: Draft, name: str) -> Draft:
@@ -84,41 +97,36 @@ def with_preset(draft: Draft, name: str) -> Draft:
     if name not in PRESETS:
         raise GtauError(f"there is no preset '{name}'; choose from {', '.join(PRESETS)}.")
     preset = PRESETS[name]
-    for kind in preset.keys() & {"current", "torque"}:
-        for k, (joint, column) in enumerate(draft.command.items()):
-            if column != preset[kind].format(k=k, n=k + 1, joint=joint):
-                raise GtauError(
-                    f"the logs have no columns of the preset '{name}', as '{column}' is not '{preset[kind]}'; leave "
-                    "out --preset, and state in the draft whether these are currents or torques."
-                )
-        draft = with_kind(draft, "current" if kind == "current" else "torque")
+    kind: Literal["current", "torque"] = "current" if "current" in preset else "torque"
+    for k, (joint, column) in enumerate(draft.signals.command.items()):
+        if column != preset[kind].format(k=k, n=k + 1, joint=joint):
+            raise GtauError(
+                f"the logs have no columns of the preset '{name}', as '{column}' is not '{preset[kind]}'; leave "
+                "out --preset, and state in the draft whether these are currents or torques."
+            )
     robot = {key: entry for key, entry in draft.robot.items() if key != "gravity"} | preset.get("robot", {})
-    return replace(_settled(draft, "gravity"), robot=robot)
+    return replace(_settled(with_kind(draft, kind), "gravity"), robot=robot)
 
 
 def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
     """Return the draft with payloads, kg, of logs where they are known, 0 for none."""
-    kept = {log: mass for log, mass in ({**draft.masses, **masses}).items() if mass > 0}
+    payloads = {**draft.payloads, **{log: (mass,) for log, mass in masses.items()}}
+    payloads = {log: readings for log, readings in payloads.items() if readings[0] > 0}
     stated = draft.stated.union(masses)
-    readings = {log: several for log, several in draft.readings.items() if log not in stated}
-    settled = ["masses"] * (not readings) + ["mass"] * stated.issuperset(kept)
-    return replace(_settled(draft, *settled), masses=kept, stated=stated, readings=readings)
+    settled = ["masses"] * all(len(readings) == 1 for readings in payloads.values())
+    settled += ["mass"] * stated.issuperset(payloads)
+    return replace(_settled(draft, *settled), payloads=payloads, stated=stated)
 
 
-def listed_units(draft: Draft) -> str:
-    """List the units of a draft, those of a joint where they differ."""
-    return ", ".join(f"{key} in {_flow(unit)}" for key, unit in draft.units.items())
+def to_weigh(draft: Draft) -> Draft:
+    """Return the draft with an unknown payload, of mass NaN, for every log that neither option nor name says one of."""
+    unknown = (run[0] for run in draft.logs if run[0] not in draft.stated.union(draft.payloads))
+    return replace(draft, payloads={**draft.payloads, **dict.fromkeys(unknown, (nan,))})
 
 
 def alternatives(masses: Sequence[float]) -> str:
     """Write masses of which one is right, in kg."""
     return " or ".join(f"{mass:g}" for mass in masses)
-
-
-def to_weigh(draft: Draft) -> Draft:
-    """Return the draft with an unknown payload, of mass NaN, for every log that neither option nor name says one of."""
-    unknown = (run[0] for run in draft.logs if run[0] not in draft.stated.union(draft.masses))
-    return replace(draft, masses={**draft.masses, **dict.fromkeys(unknown, nan)})
 
 
 def write_draft(draft: Draft, file: Path) -> list[Path]:
@@ -160,7 +168,7 @@ def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> Robot:
             raise GtauError(f"{where}; correct it, or give the robot (--robot ROBOT).") from None
 
 
-def _of_logs(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
+def _by_log(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
     by_log = {}
     for name, mass in masses.items():
         logs = [run[0] for run in draft.logs if any(name in (str(log), log.name, log.stem) for log in run)]
@@ -182,15 +190,15 @@ def draft_text(draft: Draft, folder: Path) -> str:
 
     Guesses are marked ``CHECK``.
     """
-    count = f"{len(draft.logs)} log{'s' * (len(draft.logs) != 1)}"
     doubt = _question(draft, "robot", "unmatched") or "the other joints are held at home" * ("joints" in draft.robot)
     lines = [
-        f"# Drafted by gtau from {count}. Edit the lines marked CHECK, then run gtau check.",
+        f"# Drafted by gtau from {counted(len(draft.logs), 'log')}. Edit the lines marked CHECK, then run gtau check.",
         "",
         _line(f"robot: {_flow(_robot_entry(draft, folder))}", doubt),
         "",
         "signals:",
         *_signals(draft),
+        *_unused(draft),
         "",
         *_units(draft),
         "",
@@ -199,19 +207,10 @@ def draft_text(draft: Draft, folder: Path) -> str:
     for run in draft.logs:
         paths = [_relative(path, folder) for path in run]
         log = _flow(paths[0] if len(paths) == 1 else paths)
-        payload = []
-        if (mass := draft.masses.get(run[0])) is not None:
-            known = isfinite(mass)
-            entry = _flow({"name": f"load_{1000 * mass:.0f}g", "mass": mass} if known else {"name": run[0].stem})
-            doubt = "" if run[0] in draft.stated else f"{CHECK}kg, from the file name" if known else "to be weighed"
-            if several := draft.readings.get(run[0]):
-                entry = _flow({"name": "load", "mass": alternatives(several)})
-                doubt = f"{CHECK}write one of them, kg; without a payload remove this line"
-            payload = [_line(f"    payload: {entry}", doubt)]
         for episode in find_columns(run[0]).episodes or (None,):
             numbered = [] if episode is None else [f"    episode: {episode}"]
-            lines += [f"  - log: {log}", *numbered, *payload]
-    if draft.kind == "current" and not draft.masses and "joint_torque" not in draft.signals:
+            lines += [f"  - log: {log}", *numbered, *_payload(draft, run[0])]
+    if draft.signals.kind == "current" and not draft.payloads and not draft.signals.joint_torque:
         lines += [
             "# Drive gains need the mass (kg) of the payload of at least one run, and a run with a different payload "
             "or none:",
@@ -220,112 +219,97 @@ def draft_text(draft: Draft, folder: Path) -> str:
     return "\n".join(map(printable, lines)) + "\n"  # a name with a line break begins no line
 
 
+def _payload(draft: Draft, log: Path) -> list[str]:
+    if log not in draft.payloads:
+        return []
+    mass, *more = draft.payloads[log]
+    entry, doubt = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}, f"{CHECK}kg, from the file name"
+    if more:
+        entry = {"name": "load", "mass": alternatives(draft.payloads[log])}
+        doubt = f"{CHECK}write one of them, kg; without a payload remove this line"
+    elif not isfinite(mass):
+        entry, doubt = {"name": log.stem}, "to be weighed"
+    return [_line(f"    payload: {_flow(entry)}", "" if log in draft.stated else doubt)]
+
+
 def _signals(draft: Draft) -> Iterator[str]:
-    """Write the columns used, and as comments those that are not."""
-    why, beside, time = draft.reasons, draft.beside, draft.signals["time"]
+    """Write the columns used."""
+    signals, why = draft.signals, draft.reasons
     doubtful = not {"clock", "received", "velocities"}.isdisjoint(draft.open)
-    written = _flow(time) if draft.time else f"{{rate: {1000 if draft.rate is None else draft.rate:g}}}"
-    yield _line(f"  time: {written}", _question(draft, "rate") or CHECK * doubtful + why.get("time", ""))
-    yield from _by_joint("position", draft.signals["position"], CHECK * ("joints" in draft.open) + why["position"])
-    yield from _by_joint(draft.kind, draft.command, _question(draft, "kind", "motor", "reference", "gravity"))
-    if beside.get("temperature"):
-        yield f"  # temperature: {_flow(beside['temperature'])}  # friction may depend on it: remove the first '#'"
-    if pose := beside.get("pose"):
-        yield f"  # A pose tests the robot's geometry; if {_first(pose)} hold one, describe it under 'pose:'."
-    if motion := beside.get("motion"):
-        yield f"  # {CHECK}{_first(motion)} look like the motion of a base. If it moved, write"
+    time = _flow(signals.entries()["time"]) if signals.time else f"{{rate: {signals.rate or 1000:g}}}"
+    yield _line(f"  time: {time}", _question(draft, "rate") or CHECK * doubtful + why.time)
+    yield from _by_joint("position", signals.position, CHECK * ("joints" in draft.open) + why.position)
+    yield from _by_joint(signals.kind, signals.command, _question(draft, "kind", "motor", "reference", "gravity"))
+    if signals.joint_torque:
+        doubt = _question(draft, "sensors") or "torque sensors behind the gears (by name)"
+        yield from _by_joint("joint_torque", signals.joint_torque, doubt)
+
+
+def _unused(draft: Draft) -> Iterator[str]:
+    """Write the columns that are not used, as comments."""
+    unused, velocity = draft.unused, draft.reasons.velocity
+    for signal in SIDE_SIGNALS:
+        if columns := unused.side.get(signal.key):
+            yield f"  # {signal.key}: {_flow(columns)}  # {signal.effect}: remove the first '#'"
+    if unused.pose:
+        yield f"  # A pose tests the robot's geometry; if {listed(unused.pose)} hold one, describe it under 'pose:'."
+    if unused.motion:
+        yield f"  # {CHECK}{listed(unused.motion)} look like the motion of a base. If it moved, write"
         yield "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here"
         yield "  # (docs/lookup/experiment-file.md, 'A base that floats')."
-    if wrenches := beside.get("wrenches"):
-        yield f"  # {CHECK}{_first(wrenches)} look like forces and moments. Describe those that act"
+    if unused.wrenches:
+        yield f"  # {CHECK}{listed(unused.wrenches)} look like forces and moments. Describe those that act"
         yield "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'"
         yield "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies')."
-    if sensors := draft.signals.get("joint_torque"):
-        doubt = _question(draft, "sensors") or "torque sensors behind the gears (by name)"
-        yield from _by_joint("joint_torque", sensors, doubt)
-    if torques := beside.get("torques"):
+    if unused.torques:
         yield f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
         yield "  # gains; if these columns are such torques, remove the '#':"
-        yield from (f"  #{line[1:]}" for line in _by_joint("joint_torque", torques, ""))
-    if others := beside.get("others"):
-        yield f"  # Not used: columns {'; '.join(others)}."
-    if still := beside.get("still"):
-        yield f"  # Not used, as they never change: columns {_first(still)}."
-    if velocity := why.get("velocity"):
+        yield from (f"  #{line[1:]}" for line in _by_joint("joint_torque", unused.torques, ""))
+    if unused.others:
+        yield f"  # Not used: columns {'; '.join(unused.others)}."
+    if unused.still:
+        yield f"  # Not used, as they never change: columns {listed(unused.still)}."
+    if velocity:
         yield f"  # {velocity[0].upper()}{velocity[1:]}."
 
 
 def _question(draft: Draft, *keys: str) -> str:
     """Write the question on the first of these points that is open."""
-    return next((CHECK + UNSURE[key] for key in keys if key in draft.open), "")
+    return next((CHECK + QUESTIONS[key] for key in keys if key in draft.open), "")
 
 
 def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     """List the guesses of a draft, each with the entry to change in its ``file``."""
-    signals, beside = draft.signals, draft.beside
-    commands = list(draft.command.values())
-    columns = ", ".join(f"{joint}: {column}" for joint, column in signals["position"].items())
-    torques, sensors = beside.get("torques", {}), signals.get("joint_torque", {})
-    first = " ... ".join(dict.fromkeys((commands[0], commands[-1])))
-    are = "are" if len(commands) > 1 else "is"
-    how = draft.reasons["position"]
-    nearly = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
-    assumed = {
-        "joints": f"columns were assigned to the joints{nearly}: {columns}",
-        "unit": f"positions are assumed to be in {draft.units.get('position')}: {draft.reasons.get('unit')}",
-        "counts": f"the log gives counts, shares or unknown units ({listed_units(draft)})",
-        "velocities": f"the sampling rate is assumed to be {draft.rate or 0:g} Hz",
-        "kind": f"{first} {are} assumed to be {draft.kind}s",
-        "motor": f"{first} {are} assumed to be currents",
-        "gravity": f"{first} {are} assumed to be torques without gravity",
-        "clock": f"time is {' and '.join(draft.time)}, but other columns increase too",
-        "received": f"time is {draft.reasons.get('received', '')}, the receipt stamps",
-        "torques": f"{_first(torques.values())} are not used"
-        + (f": they are {draft.reasons['torques']}" if "torques" in draft.reasons else ""),
-        "sensors": f"{_first(sensors.values())} are assumed to be torque sensors behind the gears, which set the scale",
-        "base": f"{_first(beside.get('motion', ()))} are not used: the base is assumed to be fixed",
-        "wrenches": f"{_first(beside.get('wrenches', ()))} are not used: no external contact is assumed",
-        "reference": f"{first} {are} references, not measurements",
-    }
-    other = "torque" if draft.kind == "current" else "current"
-    advice = UNSURE | {"kind": f"if they are {other}s, state --kind {other}"}
-    moving = draft.robot.get("joints", ())
+    signals, unused, moving = draft.signals, draft.unused, draft.robot.get("joints", ())
+    other = "torque" if signals.kind == "current" else "current"
+    advice = QUESTIONS | {"kind": f"if they are {other}s, state --kind {other}"}
     notes = []
-    if unknown := draft.reasons.get("unmatched"):
+    if columns := ", ".join(unused.moving):
         held = f"the log has {', '.join(moving)}, and other joints are held at home, but " * bool(moving)
-        notes.append(
-            (f"{held}columns {unknown} move, too, and are not used, as no joint with a motor has their names", RENAME)
-        )
-    notes += [(assumed[key], advice[key]) for key in draft.open if key in assumed]
+        text = f"{held}columns {columns} move, too, and are not used, as no joint with a motor has their names"
+        notes.append((text, "if they are of a joint, write them at its name in that file"))
+    notes += [(assumed, advice[key]) for key, assumed in draft.open.items() if assumed]
     named = [run[0] for run in draft.logs if run[0] not in draft.stated]
-    if loads := [f"{path.name} {mass:g} kg" for path in named if isfinite(mass := draft.masses.get(path, nan))]:
-        notes.append((f"payload masses come from the file names: {', '.join(loads)}", STATE))
-    if empty := [path.name for path in named if path not in draft.masses]:
-        notes.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", STATE))
+    state = "correct this by --payload LOG=KG (0 for none)"
+    if loads := [f"{log.name} {mass:g} kg" for log in named if isfinite(mass := draft.payloads.get(log, (nan,))[0])]:
+        notes.append((f"payload masses come from the file names: {', '.join(loads)}", state))
+    if empty := [log.name for log in named if log not in draft.payloads]:
+        notes.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", state))
     for log, *_ in draft.logs:
         if episodes := find_columns(log).episodes:
-            what = f"each of the {len(episodes)} episodes in {log.name} is a run"
-            notes.append((what, "remove unwanted episodes from 'runs', where each may have a 'payload' of its own"))
+            text = f"each of the {len(episodes)} episodes in {log.name} is a run"
+            notes.append((text, "remove unwanted episodes from 'runs', where each may have a 'payload' of its own"))
     if draft.urdf is not None:
         notes.append(("the robot comes from /robot_description of the bag", "for a different robot give --robot"))
-    if moving and not unknown:
+    if moving and not unused.moving:
         notes.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
-    if still := beside.get("still"):
-        notes.append((f"columns that never change are no torque sensors: {_first(still)}", ""))
-    if draft.time and draft.time[0].endswith("/header/stamp"):
-        notes.append((f"time is {draft.time[0]}, measurement stamps, not receipt stamps", ""))
+    if unused.still:
+        notes.append((f"columns that never change are no torque sensors: {listed(unused.still)}", ""))
+    if signals.time and signals.time[0].endswith("/header/stamp"):
+        notes.append((f"time is {signals.time[0]}, measurement stamps, not receipt stamps", ""))
     return tuple(
         Finding(DRAFT, text=text, advice=advice, grade=Grade.INFORMATION, source=str(file)) for text, advice in notes
     )
-
-
-RENAME = "if they are of a joint, write them at its name in that file"
-STATE = "correct this by --payload LOG=KG (0 for none)"
-
-
-def _first(columns: Iterable[str]) -> str:
-    columns = tuple(columns)
-    return ", ".join(map(short, columns[:8])) + (", ..." if len(columns) > 8 else "")
 
 
 def _robot_entry(draft: Draft, folder: Path) -> Any:
@@ -337,15 +321,14 @@ def _robot_entry(draft: Draft, folder: Path) -> Any:
 
 
 def _units(draft: Draft) -> Iterator[str]:
-    reason = draft.reasons.get("unit", "")
+    reason = draft.reasons.unit
     if not draft.units:
         yield f"# SI units ({reason}). For others, for example: units: {{position: deg, current: mA}}"
         return
     yield "units:"
     for key, unit in draft.units.items():
         comment = CHECK * ("unit" in draft.open) + reason if key == "position" else ""
-        comment = comment if "counts" not in draft.open else f"{CHECK}{UNSURE['counts']}"
-        yield _line(f"  {key}: {_flow(unit)}", comment)
+        yield _line(f"  {key}: {_flow(unit)}", _question(draft, "counts") or comment)
 
 
 def _line(text: str, comment: str) -> str:

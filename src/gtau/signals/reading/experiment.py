@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.channel import LINK_SIDE
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
 from gtau.signals.reading.columns import SampleRate, Signals
 from gtau.signals.reading.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.reading.statements import (
@@ -85,13 +85,11 @@ class Experiment(Keys):
                 raise ValueError(
                     f"a unit of '{kind.calibration}' is given, but the signals hold no {kind.name}; remove it"
                 )
-        if "pose" in units.model_fields_set and signals.pose is None:
-            raise ValueError("units of a 'pose' are given, but the signals hold none; remove them")
-        if "wrenches" in units.model_fields_set and not signals.all_wrenches:
-            raise ValueError("units of 'wrenches' are given, but the signals hold none; remove them")
-        if "temperature" in units.model_fields_set and signals.temperature is None:
-            raise ValueError("a unit of 'temperature' is given, but the signals hold none; remove it")
-        for by_joint in (signals.temperature, *vars(units).values()):
+        side = {signal.key: signals.side_columns(signal) for signal in SIDE_SIGNALS}
+        for key, columns in {"pose": signals.pose, "wrenches": signals.all_wrenches, **side}.items():
+            if key in units.model_fields_set and not columns:
+                raise ValueError(f"units of '{key}' are given, but the signals hold none; remove them")
+        for by_joint in vars(units).values():
             if isinstance(by_joint, dict):
                 _known_joints(by_joint, signals)
         return units
@@ -250,7 +248,7 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
             raise GtauError(
                 f"signals.position lacks the actuated joint '{joint}' of robot '{robot.name}'; add its column."
             )
-        kind, unit = robot.joint(joint).kind, experiment.units.of_position(joint)
+        kind, unit = robot.joint(joint).kind, experiment.units.position_unit(joint)
         if unit is not None and is_angle(unit) != (kind == "revolute"):
             raise GtauError(
                 f"units.position is '{unit}' for joint '{joint}', which is {kind}; write "

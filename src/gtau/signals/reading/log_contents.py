@@ -12,8 +12,17 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import ColumnName, by_words, is_measured, is_pose, parse_column_name, parse_item
+from gtau.signals.reading.column_names import (
+    MEASURED,
+    POSE,
+    ColumnName,
+    by_words,
+    has_word,
+    parse_column_name,
+    parse_item,
+)
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
+from gtau.signals.reading.derivatives import DERIVATIVE, correlation, rate_of_derivative
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
@@ -21,13 +30,13 @@ from gtau.signals.reading.registers import register_of
 from gtau.signals.reading.samples import refuse_short
 
 ROWS = 200_000  # of a log that are evaluated
-DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
+
 # Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
 # Positions that lag by 20 to 120 ms on sines of up to 0.9 Hz: 0.02 to 0.14, references of a quadruped 0.23; currents
 # and torques of eight measured logs 1.2 to 1270.
 FOLLOWED = 0.3
-ADDED = 50  # samples over which velocities are integrated
-WRAPS = 5.0  # steps that 95 % stay below; a larger one by a turn is a wrap (300 to 1000 of a Gen3), not a motion in deg
+
+
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
 COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, those preferred first
 FORWARD = 0.98  # share of the steps of a time that are not back: a row out of order is sorted, or refused, at reading
@@ -61,17 +70,18 @@ class Group:
 class LogContents:
     """A log with its columns by kind, and the values of the first rows (N,) by column; ``rate`` (Hz) if described.
 
-    ``units`` are those written in the log, by column; ``elsewhere`` are positions of other joints in other topics.
+    ``units`` are written in the log, by column; ``elsewhere`` are positions of other joints in other topics;
+    ``velocity`` says which columns without names are the velocities.
     """
 
     table: LogTable
     values: Mapping[str, np.ndarray]
     time: tuple[str, ...]
     groups: tuple[Group, ...]
-    reasons: Mapping[str, str] = field(default_factory=dict)
     rate: float | None = None
     units: Mapping[str, str] = field(default_factory=dict)
     elsewhere: tuple[str, ...] = ()
+    velocity: str = ""
 
     @classmethod
     def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
@@ -90,8 +100,8 @@ class LogContents:
             return _numbered(path, table, len(joints))
         topics, elsewhere = _topics(table), list[str]()
         if len(topics) > 1:
-            of_kind = (_topic(group.first, topics) for group in groups if group.kind in kinds)
-            main = next((topic for topic in of_kind if topic != but), None)
+            suitable = (_topic(group.first, topics) for group in groups if group.kind in kinds)
+            main = next((topic for topic in suitable if topic != but), None)
             positions = [name for name in names if name.kind == "position" and not name.reference]
             names = [name for name in names if _topic(name.name, topics) == main] or names[:1]
             groups, known = _grouped(names), {name.label for name in names}
@@ -101,9 +111,9 @@ class LogContents:
         values |= {name.name: _signed(values[name.name]) for name in wanted if name.kind != "time"}
         time = _time_columns(wanted, values)
         units = {name.name: name.unit for name in names if name.unit}
-        return cls(table, values, time, tuple(_classified(groups, values, path)), {}, rate, units, tuple(elsewhere))
+        return cls(table, values, time, tuple(_classified(groups, values, path)), rate, units, tuple(elsewhere))
 
-    def of_another_topic(self, robot: Robot | None) -> LogContents | None:
+    def command_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
         topics = _topics(self.table)
         positions = self.group("position")
@@ -115,7 +125,7 @@ class LogContents:
     @property
     def rows(self) -> int:
         """Number of rows that were read."""
-        return max((len(column) for column in self.values.values()), default=0)
+        return max(map(len, self.values.values()), default=0)
 
     def is_still(self, column: str) -> bool:
         """Return whether a column that was read never changes."""
@@ -127,14 +137,13 @@ class LogContents:
 
         Constant and boolean columns, such as switches of torques, come last.
         """
-        of_kind = [
-            group for group in self.groups if group.kind == kind and set(group.columns.values()) <= set(self.values)
-        ]
+        groups = (group for group in self.groups if group.kind == kind)
 
         def rank(group: Group) -> tuple[bool, bool, int, bool]:
-            return self._is_switch(group), group.reference, -len(group.columns), not is_measured(group.stem)
+            return self._is_switch(group), group.reference, -len(group.columns), not has_word(group.stem, MEASURED)
 
-        return min(of_kind, key=rank, default=None)
+        readable = (group for group in groups if set(group.columns.values()) <= set(self.values))
+        return min(readable, key=rank, default=None)
 
     def _is_switch(self, group: Group) -> bool:
         """Return whether no column of commands takes other values than one, or 0 and 1."""
@@ -157,7 +166,7 @@ class LogContents:
             for group in self.groups
             if group.kind in ("position", kind) and not group.reference
             for label, column in group.columns.items()
-            if label and label not in labels and column in self.values.keys() - used and not is_pose(column)
+            if label and label not in labels and column in self.values.keys() - used and not has_word(column, POSE)
             if not self.is_still(column)
         ]
 
@@ -206,7 +215,7 @@ class LogContents:
         """Find the rates at which the velocities of the joints are the derivatives of their positions."""
         velocities = self.group("velocity")
         pairs = [] if velocities is None else _pairs(positions, velocities, self.values)
-        return [rate for pair in pairs if (rate := _rate(*pair)) is not None]
+        return [rate for pair in pairs if (rate := rate_of_derivative(*pair)) is not None]
 
     def slope(self, positions: Group) -> tuple[float | None, float]:
         """Compute the ratio of the positions' derivatives to the velocities, None if unknown, and the largest speed."""
@@ -217,23 +226,6 @@ class LogContents:
         step = (np.nanmax(time) - np.nanmin(time)) * TIME_UNITS[self.time_unit()[0]] / max(len(time) - 1, 1)
         fastest = max(float(np.nanmax(np.abs(self.values[column]))) for column in velocities.columns.values())
         return 1 / (float(step) * float(np.median(rates))), fastest
-
-
-def _rate(position: np.ndarray, velocity: np.ndarray) -> float | None:
-    """Find the rate, Hz, at which the integrated velocities match the positions; None where none does.
-
-    Over some samples, as from one to the next a position moves little more than its noise, which makes the rate small:
-    of 240 logs simulated at 97 Hz with noise of up to a step, central differences found 56 to 97 Hz, this 96.8 to 97.3.
-    """
-    span, position = min(ADDED, len(position) // 4), continuous(position)
-    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num((velocity[1:] + velocity[:-1]) / 2))])
-    moved, added = position[span:] - position[:-span], total[span:] - total[:-span]
-    finite = np.isfinite(moved)
-    moved, added = moved[finite], added[finite]
-    along = float(added @ moved)
-    if along <= 0 or along**2 < DERIVATIVE**2 * float(added @ added) * float(moved @ moved):
-        return None
-    return float(added @ added) / along
 
 
 def _topics(table: LogTable) -> list[str]:
@@ -308,8 +300,8 @@ def _grows(column: np.ndarray, forward: float = 1.0) -> bool:
 def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> Iterator[Group]:
     """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
     positions = next((group for group in groups if group.kind == "position" and not group.reference), None)
-    if len(groups) == 1 and groups[0].kind is None and (of_file := _kind_of(path)):
-        groups = [replace(groups[0], kind=of_file)]
+    if len(groups) == 1 and groups[0].kind is None and (kind := _kind_of(path)):
+        groups = [replace(groups[0], kind=kind)]
     for group in groups:
         pairs = [] if positions is None or group.kind != "command" else list(_pairs(positions, group, values))
         if pairs and np.median([correlation(*pair) for pair in pairs]) > DERIVATIVE:
@@ -348,29 +340,6 @@ def _distances(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[float]:
     ]
 
 
-def continuous(position: np.ndarray) -> np.ndarray:
-    """Unwrap positions (N,) in rad or deg where they jump by a turn, WRAPS times as far as usual."""
-    step = np.diff(position, prepend=position[:1])
-    usual = np.nanquantile(np.abs(step), 0.95)
-    for turn in (2 * np.pi, 360.0):
-        wraps = (np.abs(np.abs(step) - turn) < 0.08 * turn) & (np.abs(step) > WRAPS * usual)
-        position = position - turn * np.cumsum(np.where(wraps, np.sign(step), 0.0))
-    return position
-
-
-def correlation(position: np.ndarray, other: np.ndarray, time: np.ndarray | None = None) -> float:
-    """Correlate a column (N,) with the numerical derivative of another; 0 where one of them never changes."""
-    position = continuous(position)
-    slope, value = (position[2:] - position[:-2]), other[1:-1]
-    if time is not None:
-        step = time[2:] - time[:-2]
-        slope = np.where(step > 0, slope / np.where(step > 0, step, 1.0), np.nan)
-    finite = np.isfinite(slope) & np.isfinite(value)
-    if finite.sum() < 10 or not np.ptp(slope[finite]) or not np.ptp(value[finite]):
-        return 0.0
-    return float(np.corrcoef(slope[finite], value[finite])[0, 1])
-
-
 def _numbered(path: Path, table: LogTable, joints: int) -> LogContents:
     """Group columns without names: time increases, velocities are derivatives of columns n to their left."""
     values = _values(path, table.columns, table)
@@ -378,35 +347,35 @@ def _numbered(path: Path, table: LogTable, joints: int) -> LogContents:
     time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()
     stamps = values[time[0]] if time else None
     rest = names[len(time) :]
-    best, width = 0.0, 0
-    for n in [joints] if joints else range(1, min(len(rest) // 2, 12) + 1):
-        if 2 * n <= len(rest):
-            scores = [correlation(values[rest[k]], values[rest[n + k]], stamps) for k in range(n)]
-            if (score := float(np.median(scores))) > max(best, DERIVATIVE):
-                best, width = score, n
-    if not width and len(names) == 1:
+    widths = [joints] if joints else range(1, min(len(rest) // 2, 12) + 1)
+    scores = {
+        n: float(np.median([correlation(values[rest[k]], values[rest[n + k]], stamps) for k in range(n)]))
+        for n in widths
+        if 2 * n <= len(rest)
+    }
+    if len(names) == 1:
         raise GtauError(
             f"{path} holds a single column without a header; put time, positions and currents of a run side by side in "
             "one file, with names in its first line (t,q1,q2,current1,current2)."
         )
-    if not width:
+    width = max(scores, key=scores.__getitem__, default=0)
+    if scores.get(width, 0.0) <= DERIVATIVE:
         lacks, advice = "has no header", "write a first line with names (t,q1,q2,current1,current2)"
         if not table.numbered:
             lacks, advice = "is one array without names", "save arrays with names (t, q, current) in its place"
         raise GtauError(
-            f"{path} {lacks}, and among its {len(names)} columns no positions are recognised by their velocities; "
-            + (advice if joints else f"{advice}, or give the robot (--robot ROBOT)")
-            + "."
+            f"{path} {lacks}, and among its {len(names)} columns no positions are recognised by their "
+            f"velocities; {advice}{'' if joints else ', or give the robot (--robot ROBOT)'}."
         )
     kinds = ["position", "velocity"]
     blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
     for block in blocks[2:]:
         still = any(not np.ptp(values[name]) for name in block)
-        slopes = [correlation(values[qd], values[other], stamps) for qd, other in zip(blocks[1], block, strict=True)]
+        slopes = [correlation(values[qd], values[column], stamps) for qd, column in zip(blocks[1], block, strict=True)]
         kinds.append("other" if still else "acceleration" if np.median(slopes) > DERIVATIVE else "command")
     groups = [
         Group(kind, f"block {k + 1}", {str(i + 1): name for i, name in enumerate(block)})
         for k, (kind, block) in enumerate(zip(kinds, blocks, strict=True))
     ]
-    reasons = {"velocity": f"columns {groups[1].listed} are the velocities (correlation {best:.3f})"}
-    return LogContents(table, values, time, tuple(groups), reasons)
+    velocity = f"columns {groups[1].listed} are the velocities (correlation {scores[width]:.3f})"
+    return LogContents(table, values, time, tuple(groups), velocity=velocity)

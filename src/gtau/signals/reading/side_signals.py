@@ -1,8 +1,8 @@
-"""Signals beside positions and commands, in the rows of a log: poses, and temperatures or the time since the start."""
+"""Signals in the rows of a log beside positions and commands: poses and side signals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
+from gtau.signals.channel import SIDE_SIGNALS, SideValues
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.logs import instants, read_log
 from gtau.signals.reading.samples import WHOLE, Part
@@ -52,34 +53,27 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
 KEPT = 2000  # instants of a run: its effects are slow
 
 
-@dataclass(frozen=True, eq=False)
-class Temperature:
-    """Temperatures in ``unit`` by joint, (K,) each, at instants ``time`` (K,) in s."""
-
-    time: np.ndarray
-    of_joint: Mapping[str, np.ndarray]
-    unit: str
-
-    def at(self, joint: str, time: np.ndarray) -> np.ndarray:
-        """Interpolate the temperatures of a joint linearly at other instants (N,)."""
-        return np.interp(time, self.time, self.of_joint[joint])
-
-
-def read_temperature(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> Temperature:
-    """Read the temperatures of a run from the log of its positions."""
-    of_joint = signals.temperature_columns
-    columns = list(dict.fromkeys(of_joint.values()))
-    table = _complete_rows(Path(paths[0]), columns, signals, units, part)
-    if not len(table):
-        raise GtauError(
-            f"no row holds a number in the temperature columns ({', '.join(columns)}); correct them, or "
-            "remove 'temperature' from the signals.",
-            source=paths[0],
-        )
-    parts = np.array_split(table, min(KEPT, len(table)))
-    means = np.array([rows.mean(axis=0) for rows in parts])
-    by_joint = {joint: means[:, columns.index(column)] for joint, column in of_joint.items()}
-    return Temperature(means[:, -1], by_joint, units.temperature)
+def read_side_signals(
+    paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE
+) -> dict[str, SideValues]:
+    """Read the side signals of a run, by key, from the log of its positions, as means over up to ``KEPT`` parts."""
+    values = {}
+    for signal in SIDE_SIGNALS:
+        by_joint = signals.side_columns(signal)
+        columns = list(dict.fromkeys(by_joint.values()))
+        if not columns:
+            continue
+        table = _complete_rows(Path(paths[0]), columns, signals, units, part)
+        if not len(table):
+            raise GtauError(
+                f"no row holds a number in the {signal.key} columns ({', '.join(columns)}); correct them, or "
+                f"remove '{signal.key}' from the signals.",
+                source=paths[0],
+            )
+        means = np.array([rows.mean(axis=0) for rows in np.array_split(table, min(KEPT, len(table)))])
+        joints = {joint: means[:, columns.index(column)] for joint, column in by_joint.items()}
+        values[signal.key] = SideValues(means[:, -1], joints, getattr(units, signal.key) or signal.units[0])
+    return values
 
 
 def _complete_rows(

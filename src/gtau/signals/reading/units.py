@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
@@ -13,10 +13,10 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.signals.channel import LINK_SIDE
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
 from gtau.signals.reading.column_names import parse_column_name
-from gtau.signals.reading.columns import PRESETS, Signals, of_link_side
+from gtau.signals.reading.columns import PRESETS, Signals, by_link_side, optional_keys
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.written_units import SI
 
@@ -43,7 +43,6 @@ NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?\s*", re.IGNORECASE)
 UNIT = re.compile(r"[^\W\d_][^\W\d_/*^· -]*|[/*^· -]+|\d\b|[()]|°")
 
 
-@lru_cache(maxsize=64)
 def si_factor(text: str, kind: Kind) -> float:
     """Convert a unit, or a quantity such as ``0.0012 A`` (of one count), to the SI unit of its kind.
 
@@ -52,7 +51,6 @@ def si_factor(text: str, kind: Kind) -> float:
     return _measured(text, kind)[1]
 
 
-@lru_cache(maxsize=64)
 def is_angle(text: str) -> bool:
     """Decide whether a unit of positions is an angle and not a length."""
     return _measured(text, "position")[0] == "angle"
@@ -104,7 +102,7 @@ def _measured(text: str, kind: Kind) -> tuple[str, float]:
     raise ValueError(f"write {choices}, or another unit of {' or '.join(QUANTITIES[kind])}, not '{text}'")
 
 
-@lru_cache(maxsize=1)
+@cache
 def _registry() -> Any:
     import pint
 
@@ -153,7 +151,11 @@ def _one_or_by_joint(kind: Kind) -> Any:
     ]
 
 
-class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[misc]
+SENSORS = by_link_side(_one_or_by_joint("torque"))
+SIDE = {signal.key: Literal[signal.units] for signal in SIDE_SIGNALS}
+
+
+class Units(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
     """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
 
     ``joint_torque`` is that of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
@@ -168,12 +170,11 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
     base: BaseUnits = BaseUnits()
     pose: PoseUnits = PoseUnits()
     wrenches: WrenchUnits = WrenchUnits()
-    temperature: Literal["degC", "K", "s", "min", "h"] = "degC"
 
     @model_validator(mode="after")
     def _rated_values_of_shares(self) -> Units:
-        of_command = self.current if self.torque is None else self.torque
-        units = of_command.values() if isinstance(of_command, dict) else [of_command]
+        command_units = self.current if self.torque is None else self.torque
+        units = command_units.values() if isinstance(command_units, dict) else [command_units]
         if self.rated and not any(unit in SHARES for unit in units):
             raise ValueError("'rated' is given, but no unit is '%' or '‰'; remove it, or give that unit")
         if not self.rated and any(unit in SHARES for unit in units):
@@ -182,27 +183,27 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
             )
         return self
 
-    def of_position(self, joint: str) -> str | None:
+    def position_unit(self, joint: str) -> str | None:
         """Return the position unit of a joint; None where nothing is stated."""
-        return _of(self.position, joint)
+        return _unit(self.position, joint)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
         """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
 
         Raises GtauError where a share of a rated value is logged, but the rated value is not given.
         """
-        positions = [si_factor(self.of_position(joint) or "rad", "position") for joint in signals.position]
+        positions = [si_factor(self.position_unit(joint) or "rad", "position") for joint in signals.position]
         positions += self.base.scale(signals.base) if signals.base else []
-        commands = [self._of_command(joint, signals) for joint in signals.position]
+        commands = [self._command_factor(joint, signals) for joint in signals.position]
         for kind in LINK_SIDE:
             units = getattr(self, kind.calibration)
-            commands += [si_factor(_of(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
+            commands += [si_factor(_unit(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
         commands += [factor for wrench in signals.all_wrenches for factor in self.wrenches.scale(wrench)]
         preset = PRESETS[signals.preset] if signals.preset else {}
         return positions, commands, si_factor(self.time or preset.get("units", {}).get("time", "s"), "time")
 
-    def _of_command(self, joint: str, signals: Signals) -> float:
-        unit = _of(self.current if signals.kind == "current" else self.torque, joint)
+    def _command_factor(self, joint: str, signals: Signals) -> float:
+        unit = _unit(self.current if signals.kind == "current" else self.torque, joint)
         ratio = (signals.gear_ratio or {}).get(joint, 1.0)
         if unit is None:
             return ratio
@@ -215,7 +216,7 @@ class Units(of_link_side(_one_or_by_joint("torque")), Keys):  # type: ignore[mis
         return ratio * SHARES[unit] * self.rated[joint]
 
 
-def _of(units: str | dict[str, str] | None, joint: str) -> str | None:
+def _unit(units: str | dict[str, str] | None, joint: str) -> str | None:
     return units.get(joint) if isinstance(units, dict) else units
 
 
@@ -232,7 +233,7 @@ def refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Un
         columns += [("time", "", column) for column in signals.time_columns]
     for key, joint, column in columns:
         unit = parse_column_name(column, [joint] if joint else [], written.get(column)).unit
-        if unit and unit not in SI and _of(getattr(units, key), joint) is None:
+        if unit and unit not in SI and _unit(getattr(units, key), joint) is None:
             raise GtauError(
                 f"column '{column}' is in '{unit}' by the log, but the experiment file states no unit; write units: "
                 f"{{{key}: {unit}}}, or the SI unit if the log is wrong. Of counts state the size of one, as in "

@@ -89,7 +89,7 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
     if still.all():
         raise GtauError("no position ever changes; give a log of a moving robot.", source=samples.name)
     for channel, column, least, most in zip(samples.channels, samples.columns[n:-1], low[n:], high[n:], strict=True):
-        if least < most or not channel.kind.of_joint:
+        if least < most or not channel.kind.measures_joint:
             continue
         if channel.kind.link_side or not still[channel.row]:  # a locked joint may have no current
             raise GtauError(
@@ -97,7 +97,7 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
                 "give the column with the measured values, or record the log again."
             )
     resting = (channel for channel, stands in zip(samples.channels, still, strict=False) if stands)
-    if names := tuple(channel.joint for channel in resting if channel.kind.of_joint):
+    if names := tuple(channel.joint for channel in resting if channel.kind.measures_joint):
         text = f"the position of {listed(names)} never changes: it yields no rows"
         kind, rest = "position that never changes", "joint at rest"
         notes.append(Finding(kind, names, text=text, grade=Grade.INFORMATION, shown_as=rest))

@@ -72,7 +72,7 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
         return enough and lasts > STAYS and spell.moved > MOVED * (last - first)[channel.row]
 
     spells = {j: [spell for spell in own if in_motion(spell)] for j, own in equal.items()}
-    acting = [j for j, channel in enumerate(channels) if channel.kind.of_joint and not channel.kind.link_side]
+    acting = [j for j, channel in enumerate(channels) if channel.kind.measures_joint and not channel.kind.link_side]
     moving = [j for j in acting if last[channels[j].row] > first[channels[j].row]]
     coarse, quanta = coarse_steps(holds, ends), quanta_of(holds)
 
@@ -116,7 +116,7 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
 
 def _spells(samples: Samples, noise: np.ndarray | None = None) -> Iterator[Spell]:
     """Yield the spells of more than FROZEN equal commands; commands below the ``noise`` (c,) of theirs count as 0."""
-    columns = [(j, channel.row) for j, channel in enumerate(samples.channels) if channel.kind.of_joint]
+    columns = [(j, channel.row) for j, channel in enumerate(samples.channels) if channel.kind.measures_joint]
     running: dict[int, list[float]] = {}  # begin, value, lowest and highest position, value before
     for start, stop in spans(len(samples.time)):
         command, position = block(samples.command, start, stop), block(samples.position, start, stop)
@@ -223,7 +223,7 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
     """
     count, clips, steps = len(samples.time), [], coarse_steps(holds, ends).tolist()
     for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
-        if low == high or not channel.kind.of_joint:
+        if low == high or not channel.kind.measures_joint:
             continue
         joints, what = (channel.joint,), f"the {channel.kind.name} of joint '{channel.joint}'"
         if steps[j] and low != 0:  # whether zeros are magnitudes is judged below

@@ -62,7 +62,7 @@ def open_text(path: Path) -> LogTable:
             f"{len(fields[header])}; correct the line (a header must name every column)."
         )
 
-    columns = numbers(width) if header is None else _names(fields[header], width)
+    columns = numbers(width) if header is None else (*fields[header], *[""] * (width - len(fields[header])))
     first_byte += sum(map(len, lines[:begin]))
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
@@ -158,15 +158,6 @@ def _header(texts: Sequence[str], fields: Sequence[tuple[str, ...]], first: int)
     alike = _separator(texts[nearest]) == _separator(texts[first])
     # One that lacks names, which is refused, or a title.
     return nearest if alike and 2 * len(fields[nearest]) >= width else None
-
-
-def _names(fields: tuple[str, ...], width: int) -> tuple[str, ...]:
-    """Name the columns; TwinCAT Scope calls a column of times ``Name``, and the channels after it by theirs."""
-    names = [*fields, *[""] * (width - len(fields))]
-    if names[0] != "Name":
-        return tuple(names)
-    times = (f"time of {following}" if k else "time" for k, following in enumerate([*names[1:], ""]))
-    return tuple(time if name == "Name" else name for name, time in zip(names[:width], times, strict=False))
 
 
 def _refuse_long_line(path: Path, length: int, number: int | None = None) -> None:
