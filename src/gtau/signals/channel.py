@@ -17,8 +17,8 @@ from gtau.robots.placement import WRENCH, WrenchFrame
 class ChannelKind:
     """A kind of channel.
 
-    ``name`` (beside that of its joint or body) and ``group`` (all columns that a log updates together with those of
-    this kind) are words of messages. ``calibration`` is its key under ``calibration`` of the signals, for the accuracy
+    Messages name it by ``name``, beside its joint or body, and by ``group``, all columns that a log updates together
+    with it. ``calibration`` is its key under ``calibration`` of the signals, for the accuracy
     of its scale, ``""`` where the gain is to be found; on the ``link_side`` its columns and their units have this key
     too. ``modelled``: it has equations, a row of the model explains it; otherwise the model takes it as given.
     ``measures_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a limit.
@@ -100,10 +100,10 @@ class Channel:
     """A motor, the torque sensor of a joint, a row of a floating base, or a component of a measured wrench.
 
     ``name`` is the suffix of its own parameters (``off_2_sensor``), ``joint`` the one whose torque it measures, or the
-    body of a wrench, ``row`` that of the model with that torque (number of the joint), or the number of its component.
-    Of its values, ``unit`` ``N m`` stands for that of the joint's torque (N where it is prismatic), ``delay`` (s) is by
+    body of a wrench, ``row`` the number of the joint, or of the component.
+    Its ``unit`` is ``A``, or ``N m`` for the unit of the joint's torque (N where it is prismatic), ``delay`` (s) is by
     what it lagged behind the positions in the log, and is compensated, ``std`` is the relative standard deviation of
-    its scale, 0 where none is stated. ``frame`` is that of a wrench.
+    its scale, 0 where none is stated. A wrench has a ``frame``.
     """
 
     name: str
@@ -125,9 +125,9 @@ def channels_of(
 ) -> tuple[Channel, ...]:
     """List the channels of a run, in the order of its columns.
 
-    ``joints`` are the rows of the model, ``base`` those of a floating base among them; ``sensors`` are joints by the
-    kind of their sensor on the link side; measured ``wrenches`` have six components each; ``unit`` is that of the
-    commands.
+    ``joints`` are the rows of the model, ``base`` the rows of a floating base among them; ``sensors`` are joints by the
+    kind of their sensor on the link side; measured ``wrenches`` have six components each; ``unit`` is the
+    commands' unit.
     """
     return (
         *(Channel(joint, BASE if joint in base else MOTOR, joint, row, unit) for row, joint in enumerate(joints)),

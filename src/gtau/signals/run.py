@@ -31,7 +31,7 @@ from gtau.signals.storage import blocks, store
 class Log:
     """Origin of a run: files, one or two, and their columns and units; none where it was built of arrays or a table.
 
-    ``settings`` are those of the preparation made by hand, ``notes`` report repairs, ``whole_share`` is the share of
+    ``settings`` of the preparation were made by hand, ``notes`` report repairs, ``whole_share`` is the share of
     whole numbers among the joints' commands before they were resampled (None: they were not), ``side`` are the values
     of side signals by key, and ``window`` (s) is the length of a moving average that had smoothed the commands.
     """
@@ -115,8 +115,8 @@ class Run:
         if problem := name_problem(name):
             raise GtauError(f"run: {problem}.")
         base = next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ())
-        of_log: Any = {key: more[key] for key in ("settings", "notes", "side") if key in more}
-        log = replace(more.get("log", Log()), **of_log)
+        changes: Any = {key: more[key] for key in ("settings", "notes", "side") if key in more}
+        log = replace(more.get("log", Log()), **changes)
         channels = tuple(more.get("channels") or channels_of(joints, base, {SENSOR: more.get("sensors", ())}))
         unit = "A" if kind == "current" else "N m"
         channels = tuple(replace(channel, unit=unit) if channel.name in joints else channel for channel in channels)
@@ -165,7 +165,7 @@ class Run:
 
     @property
     def given(self) -> slice:
-        """The columns of ``command`` that the model takes as given, those of the wrenches, after all others."""
+        """The columns of ``command`` that the model takes as given, the wrenches, after all others."""
         return slice(sum(channel.kind.modelled for channel in self.channels), len(self.channels))
 
     @property
@@ -270,7 +270,7 @@ def read_parts(
     samples = replace(samples, channels=channels)
     side, runs = read_side_signals(paths, signals, units, part), []
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
-        checked, whole_share, window = check(piece, notes, settings.clock)
+        checked, valid, whole_share, window = check(piece, notes, settings.clock)
         runs.append(
             Run(
                 (paths[0].name if paths[0].is_dir() else paths[0].stem) + checked.part.label,
@@ -280,7 +280,7 @@ def read_parts(
                 checked.command,
                 signals.kind,
                 as_payload(payload),
-                valid=checked.valid,
+                valid=valid,
                 channels=channels,
                 log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window),
             )

@@ -108,7 +108,7 @@ def store(parts: Iterable[np.ndarray], width: tuple[int, ...] = (), dtype: type 
 
 
 def stored_like(array: np.ndarray, parts: Iterable[np.ndarray]) -> np.ndarray:
-    """Store blocks of rows of the shape and type of those of an array."""
+    """Store blocks of rows with the shape and type of an array's rows."""
     return store(parts, array.shape[1:], array.dtype.type)
 
 

@@ -33,7 +33,7 @@ NOISE = 0.25  # of the sampling rate: the noise of a position is measured above
 # others, have 3 to 90, those that move 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
 LEAST_RANGE = 150.0
 LEAST_SIGNAL = 100.0  # or least signal-to-noise ratio of its speed; rest has 40 and less
-FAR_ABOVE = 1e3  # density of a motion over that of such noise
+FAR_ABOVE = 1e3  # density of a motion over the density of such noise
 WHITE = -1.0  # noise is flat in the position's spectrum, or nearly so, where motions fall with f^-2 and faster
 ROUNDING = 1e-9  # of a position, by arithmetic: a range that is no motion
 # Commands smoothed offline: rms share above ``NOISE`` of the sampling rate, and fall of the density within an octave.
@@ -129,7 +129,7 @@ def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -
 
 
 def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """List of each joint frequencies, density of the accelerations, and the gain of two differences, in bands."""
+    """For each joint, list frequencies, density of the accelerations and gain of two differences, in bands."""
     frequency, density = _accelerations(run.position, run.rate)
     gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2
     bands = [_in_bands(frequency, column) for column in density.T]
@@ -159,11 +159,11 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
     from scipy.ndimage import grey_closing
     from scipy.signal import find_peaks
 
-    centre, of_band = _in_bands(frequency, density)
+    centre, band_means = _in_bands(frequency, density)
     band_gain = np.interp(centre, frequency, gain)
     if not density.any():
-        return JointSpectrum(centre, of_band, of_band, np.nan, np.nan, 0.0)
-    level = -np.log(np.maximum(grey_closing(of_band, size=CLOSING, mode="nearest"), 1e-30 * of_band.max()))
+        return JointSpectrum(centre, band_means, band_means, np.nan, np.nan, 0.0)
+    level = -np.log(np.maximum(grey_closing(band_means, size=CLOSING, mode="nearest"), 1e-30 * band_means.max()))
     bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls throughout ends at its last frequency
     valleys = find_peaks(np.r_[bottom, level, bottom], prominence=np.log(PROMINENCE))[0] - 1
     speed = density / gain
@@ -176,15 +176,15 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
             break
         last -= 1
     end = int(valleys[last])
-    of_signal = int(np.searchsorted(frequency, centre[end], side="right"))
-    edge = int(np.searchsorted(held[:of_signal], SPEED_POWER * held[of_signal - 1]))
-    noise = np.exp(-level[end]) / band_gain[end] ** 2 * gain[:of_signal].sum()  # white, of the level in the valley
-    ratio = float(held[of_signal - 1] / noise)
+    signal_end = int(np.searchsorted(frequency, centre[end], side="right"))
+    edge = int(np.searchsorted(held[:signal_end], SPEED_POWER * held[signal_end - 1]))
+    noise = np.exp(-level[end]) / band_gain[end] ** 2 * gain[:signal_end].sum()  # white, of the level in the valley
+    ratio = float(held[signal_end - 1] / noise)
     moves = moves or ratio > LEAST_SIGNAL
     return JointSpectrum(
         frequency=centre,
-        speed=of_band / band_gain,
-        acceleration=of_band,
+        speed=band_means / band_gain,
+        acceleration=band_means,
         end=float(centre[end]) if moves else np.nan,
         bandwidth=float(frequency[edge]) if moves else np.nan,
         signal_to_noise=ratio,
@@ -194,7 +194,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
 def _is_white(frequency: np.ndarray, position: np.ndarray, valley: int, end: int) -> bool:
     """Decide whether the spectrum between a valley and the ``end`` is white noise of the position, low-passed.
 
-    Its level equals that of the valley and is far below the motion's ``position`` density.
+    Its level equals the valley's and is far below the motion's ``position`` density.
     """
     hump = position[valley : end + 1]
     top = int(np.argmax(hump * frequency[valley : end + 1] ** 4))

@@ -28,7 +28,7 @@ from gtau.signals.storage import spans
 # Orthoglide's gains from 1.3 to 2.8 N per A.
 KEPT = 0.85
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves if the logs have them
-# Least cut-off of the positions over that of the low-pass of decimated rows, whose torques would else keep what the
+# Least cut-off of the positions over the cut-off of the decimated rows, whose torques would otherwise keep what the
 # positions lose. A five-bar of 200 s (rows below 9 Hz): 0.3 leaves 1.6 % of unused torques and gains contradict the
 # description, 1.1 leaves 0.54, 1.5 0.47, 2.2 0.40 %. Rokae with sensors (8.3 Hz): 0.4 leaves 20.1 %, 2 16.8 %.
 ABOVE_ROWS = 2.0
@@ -53,8 +53,8 @@ def choose_preparation(
     """
     settings = runs[0].log.settings
     slowest = min(run.rate for run in runs)
-    of_runs = [moving_spectra(run) for run in runs]
-    moving = [spectrum for of_run in of_runs for spectrum in of_run if spectrum.moves]
+    run_spectra = [moving_spectra(run) for run in runs]
+    moving = [spectrum for joints in run_spectra for spectrum in joints if spectrum.moves]
     longest = max(len(run.time) / run.rate for run in runs)
     for key, least in (("bandwidth", 1 / longest), ("position_filter", 0.0)):
         given = getattr(settings, key)
@@ -71,16 +71,16 @@ def choose_preparation(
         cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
     fraction = SPEED_FRACTION if settings.least_speed is None else settings.least_speed
     chosen = Preparation(bandwidth, cutoff, Decimator(1, decimator), fraction, slowest, settings.given)
-    chosen = _decimated(runs, of_runs, chosen)
+    chosen = _decimated(runs, run_spectra, chosen)
     if judge is None or chosen.given:
         return chosen
     judged = judge(chosen)
     # what trials have lowered stays
-    return chosen if judged == chosen else replace(_decimated(runs, of_runs, judged), cutoff=judged.cutoff)
+    return chosen if judged == chosen else replace(_decimated(runs, run_spectra, judged), cutoff=judged.cutoff)
 
 
 def _decimated(
-    runs: Sequence[Run], of_runs: Sequence[Sequence[JointSpectrum]], preparation: Preparation
+    runs: Sequence[Run], run_spectra: Sequence[Sequence[JointSpectrum]], preparation: Preparation
 ) -> Preparation:
     """Choose the decimation, and raise the cut-off above the rows' low-pass."""
     kind, rate, bandwidth = preparation.decimator.kind, preparation.rate, preparation.bandwidth
@@ -88,7 +88,7 @@ def _decimated(
     if factor is None and kind == "chebyshev":
         factor = decimation_factor(rate, bandwidth)
     elif factor is None:
-        factor = _affordable(runs, of_runs, preparation, decimation_factor(rate, bandwidth, LARGEST_FACTOR))
+        factor = _affordable(runs, run_spectra, preparation, decimation_factor(rate, bandwidth, LARGEST_FACTOR))
     decimator = Decimator(factor, kind)
     cutoff = preparation.cutoff
     if cutoff is not None and "position_filter" not in preparation.given and factor > 1:
@@ -108,12 +108,12 @@ def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
 
 
 def _affordable(
-    runs: Sequence[Run], of_runs: Sequence[Sequence[JointSpectrum]], preparation: Preparation, most: int
+    runs: Sequence[Run], run_spectra: Sequence[Sequence[JointSpectrum]], preparation: Preparation, most: int
 ) -> int:
     """Find the largest decimation, up to ``most``, that leaves the slowest run enough rows."""
     n = len(runs[0].joints)
     blocks: list[tuple[int, float, np.ndarray]] = []  # joint, rate of the run, lengths of its usable blocks
-    for run, spectra_of_run in zip(runs, of_runs, strict=True):
+    for run, spectra_of_run in zip(runs, run_spectra, strict=True):
         ratio = run.rate / preparation.rate
         for j, lengths in enumerate(_usable_blocks(run, preparation.at(run.rate))):
             if spectra_of_run[j].moves:
@@ -146,8 +146,8 @@ def _usable_blocks(run: Run, preparation: Preparation) -> list[np.ndarray]:
     lengths: list[list[np.ndarray]] = [[] for _ in run.joints]
     for speed, part in zip(speeds, parts, strict=True):
         usable = (speed >= limit) & valid_samples(run, preparation, *part)[:, : len(run.joints)]
-        for j, of_joint in enumerate(lengths):
+        for j, joint_lengths in enumerate(lengths):
             edges = np.flatnonzero(np.diff(np.r_[False, usable[:, j], False]))
-            of_joint.append(edges[1::2] - edges[::2])
+            joint_lengths.append(edges[1::2] - edges[::2])
     scale = len(run.time) / sum(stop - start for start, stop in parts)
-    return [np.repeat(np.concatenate(of_joint), round(scale)) for of_joint in lengths]
+    return [np.repeat(np.concatenate(joint_lengths), round(scale)) for joint_lengths in lengths]

@@ -2,7 +2,7 @@
 
 Parallel decimation is one low-pass for the command and for every column of the regressor. Decimators stream:
 `Decimator.blocks` cuts the outputs of a log into blocks; the columns at the `samples` of one block at a time are
-computed and handed to `Decimator.apply`, and the outputs are those of the whole log.
+computed and handed to `Decimator.apply`, and the outputs equal the outputs of the whole log.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STENCIL = 2  # samples that a central difference reaches to either side
 # exp(-2.4 cutoff t). With two periods errors of the Panda rise from 2.0 to 2.2 % (geometric mean).
 EDGE = 3.0
 # Cut-offs from this share of the sampling rate on, 0.8 of the Nyquist frequency, are no filter. One there would leave
-# 94 % of the rms noise of the speeds and 64 % of that of the accelerations, of positions with white noise (one at 0.25:
+# 94 % of the rms noise of the speeds and 64 % of the noise of the accelerations, if positions have white noise (at 0.25:
 # 57 and 21 %), while its ends cost rows all the same.
 HIGHEST_CUTOFF = 0.4
 LARGEST_ENDS = 0.12  # share of the samples that may be lost at both ends
@@ -123,7 +123,7 @@ def position_filter(
     """Compute filtered positions, speeds and accelerations, each (stop - start, n), of positions (N, n).
 
     ``rate`` and ``cutoff`` (of all columns or of each; None for no filter) are in Hz. A part from ``start`` to before
-    ``stop`` equals that of the whole log; only samples within reach of the filters are read.
+    ``stop`` equals the same part of the filtered log; only samples within reach of the filters are read.
     """
     stop = len(position) if stop is None else stop
     margin = filter_edge(rate, cutoff, FORGOTTEN)

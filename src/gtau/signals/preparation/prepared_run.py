@@ -37,8 +37,8 @@ NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than
 class Preparation:
     """Preparation of the runs of an experiment.
 
-    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator`` is
-    that of runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); others are decimated to the same row rate. A
+    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator`` suits
+    runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); other runs are decimated to the same row rate. A
     joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
     settings made by hand. ``prediction_cutoffs`` (Hz) and ``position_noise`` of each joint, where they are known, are
     for predicted torques: see :func:`gtau.uses.prediction_filter.with_prediction_cutoffs` and
@@ -123,8 +123,8 @@ class PreparedRun:
     move; ``speeds`` (n, n) is the mean of ``qd qd^T`` over these samples, the reference of the joints' speed
     thresholds. ``motor_to_joint_speed`` (n_y, n) gives joint speeds from motor speeds; it is nonzero where a joint's
     friction appears in the motor's row: for the motor's own joint, and for others in coupled chains. ``peaks`` (PARTS,
-    n) are the largest speeds in equal parts of the run; ``notes`` report omitted parts. ``cutoffs`` (Hz) are those of
-    the position filter of each joint; empty for that of the preparation.
+    n) are the largest speeds in equal parts of the run; ``notes`` report omitted parts. ``cutoffs`` (Hz) of
+    the position filter hold for each joint; if empty, the cut-off of the preparation holds for all.
     """
 
     run: Run
@@ -195,7 +195,7 @@ class PreparedRun:
         for frame, six in wrenches:
             if frame.body in run.base:
                 continue
-            # noise of other wrenches is on the model's side of the equations, as that of the positions
+            # noise of other wrenches is on the model's side of the equations, as the positions' noise is
             along = position_filter(run.command[:, six], run.rate, preparation.cutoff, at.start, at.stop)
             for array, filtered in zip((command, command_d, command_dd), along, strict=True):
                 array[:, six] = filtered
@@ -234,8 +234,8 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     is shorter than its filters.
     """
     samples, n, fraction = len(run.time), len(run.joints), preparation.speed_fraction
-    of_joints = spectra(run)
-    moves = np.array([spectrum.moves for spectrum in of_joints])
+    joint_spectra = spectra(run)
+    moves = np.array([spectrum.moves for spectrum in joint_spectra])
     edges, peaks = _parts(samples), np.zeros((PARTS, n))
 
     def speed(start: int, stop: int) -> np.ndarray:
@@ -280,7 +280,7 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
         speeds=np.sum(moved, axis=0) / len(kept),
         motor_to_joint_speed=ratios,
         peaks=peaks,
-        notes=tuple(_notes(run, of_joints, preparation, np.any(ratios, axis=0))),
+        notes=tuple(_notes(run, joint_spectra, preparation, np.any(ratios, axis=0))),
     )
 
 
@@ -290,11 +290,11 @@ def _parts(samples: int) -> np.ndarray:
 
 
 def _notes(
-    run: Run, of_joints: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray
+    run: Run, joint_spectra: Sequence[JointSpectrum], preparation: Preparation, rubbing: np.ndarray
 ) -> Iterator[Finding]:
     """List notes on the motion and its noise."""
     noisy = dict[str, float]()  # per cent
-    for joint, spectrum, rubs in zip(run.joints, of_joints, rubbing, strict=True):
+    for joint, spectrum, rubs in zip(run.joints, joint_spectra, rubbing, strict=True):
         if spectrum.moves and spectrum.signal_to_noise < NOISY:
             noisy[joint] = 100 / float(np.sqrt(max(spectrum.signal_to_noise, 1)))
         elif rubs and not spectrum.moves:

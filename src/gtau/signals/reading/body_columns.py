@@ -84,7 +84,7 @@ def _refuse_repeated(columns: tuple[str, ...]) -> None:
             raise ValueError(f"the column '{column}' is given twice; give each component its own")
 
 
-STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times those of the base
+STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times the base's
 UNIT = 0.01  # tolerance of a quaternion's norm: logs round to 2 digits and more
 
 
@@ -151,6 +151,8 @@ class BaseColumns(Keys):
 
     def _angles(self, quaternion: np.ndarray) -> np.ndarray:
         """Convert quaternions to angles (M, 3) about x, the rotated y and the twice rotated z; NaN stays NaN."""
+        from scipy.spatial.transform import Rotation
+
         norms = np.linalg.norm(quaternion, axis=1)
         known = np.isfinite(norms)
         if (wrong := known & (np.abs(norms - 1.0) > UNIT)).any():
@@ -158,24 +160,19 @@ class BaseColumns(Keys):
                 f"the quaternion {', '.join(self.quaternion or ())} has the length {norms[wrong][0]:.3g} in "
                 f"{int(wrong.sum())} rows; give the columns of w, x, y and z of an orientation, in this order."
             )
-        w, x, y, z = (quaternion / np.where(known, norms, 1.0)[:, None]).T
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        columns = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
-        R = np.einsum("ij,jkm->ikm", [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]], columns)
-        pitch = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
-        if known.any() and (steep := np.nanmax(np.abs(pitch))) > STEEPEST:
+        angles = np.full((len(quaternion), 3), np.nan)
+        if not known.any():
+            return angles
+        turned = Rotation.from_rotvec(self.yaw * VERTICAL) * Rotation.from_quat(np.roll(quaternion[known], -1, axis=1))
+        pitch = np.arcsin(np.clip(turned.as_matrix()[:, 0, 2], -1.0, 1.0))
+        if (steep := np.max(np.abs(pitch))) > STEEPEST:
             raise GtauError(
                 f"the z axis of the base comes within {90 - np.degrees(steep):.0f} degrees of the x axis of the world, "
                 "where the angles of the base are singular; turn the world about the vertical, by 'yaw: 1.57' under "
                 "'base', or leave out the part of the log in which the base turns over ('from', 'to')."
             )
-        return np.stack([np.arctan2(-R[1, 2], R[2, 2]), pitch, np.arctan2(-R[0, 1], R[0, 0])], axis=1)
+        angles[known] = turned.as_euler("XYZ")
+        return angles
 
 
 class Angles(Keys):
@@ -248,7 +245,7 @@ class PoseColumns(Keys):
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """All columns: the position's, then those of turning angles, of w, x, y and z, or of the vector."""
+        """All columns: of the position, then of turning angles, of w, x, y and z, or of the vector."""
         angles = () if self.angles is None else self.angles.turning[1]
         turned = () if self.quaternion is None else tuple(self.quaternion[axis] for axis in ("w", "x", "y", "z"))
         return (*self.position.values(), *angles, *turned, *(self.rotation_vector or ()))

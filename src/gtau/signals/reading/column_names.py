@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
@@ -52,11 +53,11 @@ COMPONENTS = {  # words before the letter of an axis, and all axes
 }
 COMMAND = frozenset(["v", "u", "control", "action", "command", "load"])  # currents or torques, unless velocities
 NO_UNIT = frozenset[str]().union(*WORDS.values(), REFERENCE, MEASURED)  # words in brackets
-OF_JOINT = ("position", "velocity", "acceleration", "current", "torque")
-OF_ANY = frozenset(
+JOINT_KINDS = ("position", "velocity", "acceleration", "current", "torque")
+JOINT_WORDS = frozenset(
     ["joint", "joints", "axis", "axes", "link", "motor", "actual", "state", "states", "drive", "encoder"]
 )
-SIGNAL_WORDS = NO_UNIT | COMMAND | OF_ANY
+SIGNAL_WORDS = NO_UNIT | COMMAND | JOINT_WORDS
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
 AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
 ODD = re.compile(
@@ -131,8 +132,8 @@ def _named(name: str) -> tuple[str, str]:
     """Find the only part of a name that is no word of signals, and the stem: ``elbow`` in ``elbow_pos``; or none."""
     words = [(match.span(), _words(match[0])) for match in re.finditer(r"[A-Z]+(?![a-z])|[A-Z]?[^\W\d_A-Z]+|\d+", name)]
     odd = [k for k, (_, word) in enumerate(words) if SIGNAL_WORDS.isdisjoint(word)]
-    of_joint = any(not WORDS[kind].isdisjoint(word) for _, word in words for kind in OF_JOINT)
-    if not odd or not of_joint or odd[-1] - odd[0] >= len(odd) or not WORDS["other"].isdisjoint(_words(name)):
+    has_kind = any(not WORDS[kind].isdisjoint(word) for _, word in words for kind in JOINT_KINDS)
+    if not odd or not has_kind or odd[-1] - odd[0] >= len(odd) or not WORDS["other"].isdisjoint(_words(name)):
         return "", name
     start, stop = words[odd[0]][0][0], words[odd[-1]][0][1]
     return name[start:stop], f"{name[:start]}#{name[stop:]}"
@@ -157,16 +158,16 @@ def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
 
     def alike(label: str, joint: str) -> bool:
         parts = [re.findall(r"[a-z]+|\d+", name.lower()) for name in (label, joint)]
-        names = [[word for word in words if word not in OF_ANY] for words in parts]
+        names = [[word for word in words if word not in JOINT_WORDS] for words in parts]
         a, b = map(set, names)
         numbers = [{word for word in words if word.isdigit()} for words in (a, b)]
         if not a or not b or (all(numbers) and numbers[0] != numbers[1]):
             return False
         return a <= b or b <= a or SequenceMatcher(None, "".join(names[0]), "".join(names[1])).ratio() >= ALIKE
 
-    of_label = {label: [joint for joint in joints if alike(label, joint)] for label in labels}
-    of_joint = [joint for candidates in of_label.values() for joint in candidates]
-    return {label: found[0] for label, found in of_label.items() if len(found) == 1 and of_joint.count(found[0]) == 1}
+    candidates = {label: [joint for joint in joints if alike(label, joint)] for label in labels}
+    counts = Counter(joint for similar in candidates.values() for joint in similar)
+    return {label: similar[0] for label, similar in candidates.items() if len(similar) == 1 == counts[similar[0]]}
 
 
 def _by_unit(kind: str | None, measures: str | None) -> str | None:

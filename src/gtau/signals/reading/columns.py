@@ -12,7 +12,7 @@ from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
 
-# Hz; of drives that are logged. Logs polled at 10 Hz reach 9; those of 5 kHz in ms look like 5 Hz in s.
+# Hz; of drives that are logged. Logs polled at 10 Hz reach 9; logs of 5 kHz in ms look like 5 Hz in s.
 LEAST_RATE, LARGEST_RATE = 6.0, 5e4
 
 _JOINT_STATES = {"time": "/joint_states/header/stamp", "position": "/joint_states/{joint}/position"}
@@ -145,7 +145,7 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the joints, in the order of the file, after those of a floating base."""
+        """Names of the joints, in the order of the file, after the joints of a floating base."""
         return (*(self.base.joints if self.base else ()), *self.position)
 
     @property
@@ -237,7 +237,7 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
         if missing and extra:
             raise ValueError(
                 f"joint '{missing[0]}' has a position but no {kind}, and '{extra[0]}' a {kind} but no position; give "
-                "both the same joints, those of the robot's motors"
+                "both the same joints, the joints with motors"
             )
         if missing:
             raise ValueError(f"joint '{missing[0]}' has a position but no {kind}; add its {kind} column")
@@ -297,7 +297,7 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        for key, joints in {"gear_ratio": ratios, **{one.key: self.side_columns(one) for one in SIDE_SIGNALS}}.items():
+        for key, joints in (("gear_ratio", {*ratios}), *((one.key, {*self.side_columns(one)}) for one in SIDE_SIGNALS)):
             for joint in joints:
                 if joint not in self.position:
                     raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")

@@ -73,7 +73,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         open=open_ | open_of_command,
         unused=unused,
     )
-    open_ = draft.open | _open_points(draft, joints.by_name)
+    open_ = {**draft.open} | _open_points(draft, joints.by_name)
     return replace(draft, open={key: open_[key] for key in QUESTIONS if key in open_})
 
 
@@ -124,8 +124,8 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
     if first.group("position"):
         if first.command_group():
             return first, first, runs
-        if (other := first.command_topic(robot)) is not None:
-            return first, other, runs
+        if (commands := first.command_topic(robot)) is not None:
+            return first, commands, runs
     if not half or len(paths) % 2:
         return first, first, runs
     second = LogContents.read(paths[half], robot)
@@ -216,7 +216,7 @@ def _unused(
     columns = [name for name in log.table.columns if name not in log.time]
     unused = [name for name in columns if name not in used]
     motion, wrenches = base_like(unused) if moving_base else (), wrench_like(unused)
-    torques, still = {}, list[str]()
+    torques, still = dict[str, str](), list[str]()
     if not signals.joint_torque and signals.kind == "current":
         torques, still = _sensors(command_log, "torque", labels)
     if torques and (group := command_log.group("torque")):
@@ -280,7 +280,7 @@ def _units(log: LogContents, key: str, columns: Mapping[str, str]) -> dict[str, 
 
 
 def _unread(key: Any, units: Any) -> bool:
-    """Decide whether an experiment file refuses one of these units, as that of a count."""
+    """Decide whether an experiment file refuses one of these units, such as counts."""
     try:
         for unit in units.values() if isinstance(units, Mapping) else [units]:
             si_factor(unit, "torque" if key == "joint_torque" else key)

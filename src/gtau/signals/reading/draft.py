@@ -43,7 +43,7 @@ QUESTIONS = {
 class DraftedSignals:
     """Columns of a draft: by joint, of the time of the positions, and of commands with time stamps of their own.
 
-    The ``rate`` (Hz) is that of a log without time column, None where it is unknown.
+    The ``rate`` (Hz) is given for a log without time column, None where it is unknown.
     """
 
     kind: Literal["current", "torque"]

@@ -83,7 +83,7 @@ def with_sensors(draft: Draft) -> Draft:
     if not torques or draft.payloads or draft.unused.computed:
         return draft
     assumed = f"{listed(torques.values())} are assumed to be torque sensors behind the gears, which set the scale"
-    points = draft.open | {"sensors": assumed}
+    points = {**draft.open} | {"sensors": assumed}
     return replace(
         draft,
         signals=replace(draft.signals, joint_torque=torques),
@@ -119,7 +119,7 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
 
 
 def to_weigh(draft: Draft) -> Draft:
-    """Return the draft with an unknown payload, of mass NaN, for every log that neither option nor name says one of."""
+    """Return the draft with an unknown payload, of mass NaN, for every log without a mass by option or name."""
     unknown = (run[0] for run in draft.logs if run[0] not in draft.stated.union(draft.payloads))
     return replace(draft, payloads={**draft.payloads, **dict.fromkeys(unknown, (nan,))})
 
@@ -130,7 +130,7 @@ def alternatives(masses: Sequence[float]) -> str:
 
 
 def write_draft(draft: Draft, file: Path) -> list[Path]:
-    """Write the experiment file of a draft, and the robot file from a bag, replacing those of earlier drafts.
+    """Write the experiment file of a draft, and the robot file from a bag, replacing earlier drafts.
 
     Raises GtauError where other files with these names exist, or an earlier draft has been edited.
     """

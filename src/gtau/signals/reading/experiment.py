@@ -36,7 +36,7 @@ class Experiment(Keys):
     """An experiment file; once read, its paths are absolute or relative to the working directory.
 
     ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
-    ``priors`` are those of standard parameters, by name, ``drives`` the data sheets of motors and gears,
+    ``priors`` hold for standard parameters, by name, ``drives`` the data sheets of motors and gears,
     by joint, ``prior_inertias`` the relative standard deviation with which the inertias of the robot's file are priors,
     ``preparation`` what is set of it by hand, ``require`` what the result is to meet, and ``tolerances`` what a
     watched robot may change.
@@ -127,7 +127,7 @@ class Experiment(Keys):
 
     @property
     def stated_gains(self) -> dict[str, StatedGain]:
-        """Gains known beforehand: ``prior_gains``, and those of data sheets."""
+        """Gains known beforehand, from ``prior_gains`` and data sheets."""
         sheets = {joint: drive.gain for joint, drive in self.drives.items()}
         stated = {joint: StatedGain(value=gain[0], std=gain[1]) for joint, gain in sheets.items() if gain is not None}
         return self.prior_gains | stated
@@ -149,7 +149,7 @@ class Experiment(Keys):
         if info.context is not None:
             runs = tuple(entry for run in runs for entry in run.each())
         for k, run in enumerate(runs):
-            if any(run.overlaps(other) for other in runs[:k]):
+            if any(run.overlaps(earlier) for earlier in runs[:k]):
                 raise ValueError(
                     f"the log '{run.log[0]}' is listed twice; remove one of them, or give parts (from, to) that do not "
                     "overlap"
@@ -223,7 +223,7 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
             "'base' with the columns of its 'position' and 'quaternion', and of the 'wrenches' on it."
         )
     if base is not None and base.body != robot.floating:
-        that = f"signals.base is of a floating base '{base.body}', but that of robot '{robot.name}' is"
+        that = f"signals.base describes a floating base '{base.body}', but the base of robot '{robot.name}' is"
         if robot.floating:
             raise GtauError(f"{that} called '{robot.floating}'; write 'body: {robot.floating}' there.")
         raise GtauError(f"{that} fixed; write 'robot: {{file: ..., base: floating}}', or remove 'base'.")
@@ -234,7 +234,7 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
         )
     if pose is not None and pose.body is not None and pose.body not in robot.bodies:
         raise GtauError(
-            f"signals.pose names the body '{pose.body}', but those of robot '{robot.name}' are "
+            f"signals.pose names the body '{pose.body}', but the bodies of robot '{robot.name}' are "
             f"{', '.join(robot.bodies)}; correct the name."
         )
     for joint in signals.joints:

@@ -119,8 +119,8 @@ class LogContents:
         positions = self.group("position")
         if len(topics) < 2 or positions is None:
             return None
-        other = LogContents.read(self.table.path, robot, COMMANDS, but=_topic(positions.first, topics))
-        return other if other.command_group() else None
+        topic = LogContents.read(self.table.path, robot, COMMANDS, but=_topic(positions.first, topics))
+        return topic if topic.command_group() else None
 
     @property
     def rows(self) -> int:
@@ -153,7 +153,7 @@ class LogContents:
         )
 
     def command_group(self) -> Group | None:
-        """Select currents before torques, and torques of motors before those of joints, which sensors may give."""
+        """Select currents before torques, and torques of motors before torques of joints, which sensors may give."""
         position = self.group("position")
         groups = [group for kind in COMMANDS if (group := self.group(kind)) is not None and not self._is_switch(group)]
         alike = (group for group in groups if position is None or len(group.columns) >= len(position.columns))
@@ -174,12 +174,12 @@ class LogContents:
         """List further increasing columns with time names, except the message stamps of a bag."""
         if len(self.time) != 1:
             return []
-        own = self.values[self.time[0]]
+        time = self.values[self.time[0]]
         return [
             name
             for name, values in self.values.items()
             if name not in self.time and not name.startswith("/") and parse_column_name(name).kind == "time"
-            if _grows(values) and not np.array_equal(values, own, equal_nan=True)
+            if _grows(values) and not np.array_equal(values, time, equal_nan=True)
         ]
 
     def seconds(self) -> np.ndarray:
@@ -239,7 +239,7 @@ def _topic(name: str, topics: Sequence[str]) -> str:
 
 
 def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.ndarray]:
-    """Read the first rows; of several episodes, those of the first one."""
+    """Read the first rows, of the first episode where there are several."""
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
     parts = [values for values, _ in log.blocks(rows[:ROWS])]
@@ -260,12 +260,12 @@ def _grouped(names: Sequence[ColumnName]) -> list[Group]:
     """
     names = [name for name in names if name.kind != "time"]
     stems = Counter(name.stem.casefold() for name in names)
-    others = {name: other for name in names if stems[name.stem.casefold()] == 1 and (other := by_words(name))}
-    stems += Counter(other.stem.casefold() for other in others.values())
+    renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := by_words(name))}
+    stems += Counter(name.stem.casefold() for name in renamed.values())
     groups: dict[str, dict[str, ColumnName]] = {}
     for parsed in names:
-        other = others.get(parsed)
-        name = other if other and stems[other.stem.casefold()] > 1 else parsed
+        name = renamed.get(parsed, parsed)
+        name = name if stems[name.stem.casefold()] > 1 else parsed
         stem = name.stem.casefold()
         stem += f" [{name.unit}]" if name.label in groups.get(stem, ()) else ""
         groups.setdefault(stem, {})[name.label] = name
@@ -325,7 +325,7 @@ def _is_matrix(groups: Sequence[Group], path: Path) -> bool:
 def _pairs(
     positions: Group, others: Group, values: Mapping[str, np.ndarray]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Pair the columns of positions with those of the same label, where both were read."""
+    """Pair the columns of positions with columns of the same label, where both were read."""
     for label, column in positions.columns.items():
         if label in others.columns and column in values and others.columns[label] in values:
             yield values[column], values[others.columns[label]]

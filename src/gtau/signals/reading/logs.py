@@ -30,7 +30,7 @@ from gtau.signals.reading.notes import reading
 from gtau.signals.reading.registers import with_signs
 from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
 from gtau.signals.reading.units import Units, refuse_unstated_units
-from gtau.signals.storage import Store, block, blocks, store
+from gtau.signals.storage import Store, block, blocks, spans, store
 
 GROUP = "gtau.log_formats"
 """Of the entry points of other distributions."""
@@ -58,8 +58,8 @@ def find_columns(path: Path) -> LogTable:
     with system_refusals(path):
         if not path.is_dir():
             path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        of_folder = ".db3" if is_rosbag(path) else ".parquet"
-        reader = reader_of(of_folder if path.is_dir() else path.suffix.lower()) or open_text
+        folder_ending = ".db3" if is_rosbag(path) else ".parquet"
+        reader = reader_of(folder_ending if path.is_dir() else path.suffix.lower()) or open_text
         table = reader(path)
     if len(table.columns) > MOST_COLUMNS:
         raise GtauError(
@@ -166,18 +166,18 @@ def read_logs(
 def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
     """Prepend the base's six coordinates, whose commands are 0; move the wrenches to the origins of their axes.
 
-    The columns (M, .) are those of positions, pose, commands and sensors, and wrenches.
+    The columns (M, .) hold positions, pose, commands and sensors, and wrenches.
     """
     base, acting = signals.base, signals.all_wrenches
     if base is None and not acting:
         return values
     joints, pose = len(signals.position), len(base.pose) if base else 0
     modelled = len(signals.measured) - sum(len(wrench.columns) for wrench in acting)
-    q, of_base, commands, wrenches = np.split(values, np.cumsum([joints, pose, modelled]), axis=1)
+    q, base_pose, commands, wrenches = np.split(values, np.cumsum([joints, pose, modelled]), axis=1)
     wrenches = at_origins(acting, wrenches, base.yaw if base else 0.0)
     if base is None:
         return np.hstack([q, commands, wrenches])
-    return np.hstack([base.positions(of_base), q, np.zeros((len(values), len(base.joints))), commands, wrenches])
+    return np.hstack([base.positions(base_pose), q, np.zeros((len(values), len(base.joints))), commands, wrenches])
 
 
 def _labels(signals: Signals) -> Iterator[str]:
@@ -189,34 +189,24 @@ def _labels(signals: Signals) -> Iterator[str]:
     yield from (label for wrench in acting for label in wrench.labels)
 
 
-def _side_by_side(files: Sequence[LogTable], wanted: range) -> Iterator[tuple[np.ndarray, float]]:
-    """Join rows of logs that were sampled together, with the fraction of the first read so far."""
+def _side_by_side(files: Sequence[LogTable], rows: range) -> Iterator[tuple[np.ndarray, float]]:
+    """Join rows of logs that were sampled together, with the fraction read so far; one may lack the last row."""
     if len(files) == 1:
-        yield from files[0].blocks(wanted)
+        yield from files[0].blocks(rows)
         return
-    streams = [file.blocks(wanted) for file in files]
-    waiting = [np.empty((0, len(file.columns))) for file in files]
-    counts, done = [0] * len(files), 0.0
-    while True:
-        for k, stream in enumerate(streams):
-            if not len(waiting[k]) and (read := next(stream, None)) is not None:
-                waiting[k], counts[k] = read[0], counts[k] + len(read[0])
-                done = read[1] if k == 0 else done
-        count = min(map(len, waiting))
-        if not count:
-            break
-        yield np.hstack([values[:count] for values in waiting]), done
-        waiting = [values[count:] for values in waiting]
-    counts = [count + sum(len(values) for values, _ in stream) for count, stream in zip(counts, streams, strict=True)]
-    if abs(counts[0] - counts[1]) == 1:
-        yield (
-            np.hstack([values[:1] if len(values) else np.full((1, values.shape[1]), np.nan) for values in waiting]),
-            1.0,
-        )
-    elif counts[0] != counts[1]:
+    logs = [store((values for values, _ in file.blocks(rows)), (len(file.columns),)) for file in files]
+    counts = [len(log) for log in logs]
+    if abs(counts[0] - counts[1]) > 1:
         raise GtauError(
             f"{files[0].path} has {counts[0]} rows but {files[1].path} has {counts[1]}; give two logs that were "
             "sampled together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
+        )
+    for start, stop in spans(max(counts)):
+        parts = [block(log, start, stop) for log in logs]
+        lacking = [[(0, stop - start - len(part)), (0, 0)] for part in parts]
+        yield (
+            np.hstack([np.pad(part, ends, constant_values=np.nan) for part, ends in zip(parts, lacking, strict=True)]),
+            (stop / max(counts)),
         )
 
 
@@ -266,7 +256,7 @@ def _aligned(
 ) -> tuple[range, Callable[[np.ndarray], np.ndarray]]:
     """Find the rows of positions between the first and the last command in the other log, and what interpolates these.
 
-    ``scale`` is that of the columns of both times.
+    ``scale`` converts the columns of both times to s.
     """
     what = f"{signals.kind}s"
     log = _stamped(other_path, signals.command_time_columns, signals.measured, scale, what)
@@ -300,7 +290,7 @@ def _distance(time: np.ndarray, stamps: np.ndarray) -> float:
 
 
 def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
-    """Read the times in s of all rows of a log, (N,); ``scale`` is that of their columns."""
+    """Read the times in s of all rows of a log, (N,); ``scale`` converts their columns."""
     table = read_log(path, signals.time_columns or list(signals.position.values())[:1])
     row, times = 0, Store()
     for values, _ in table.blocks():

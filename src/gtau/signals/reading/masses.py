@@ -37,9 +37,9 @@ def masses_in_name(name: str) -> tuple[float, ...]:
     name = FRACTION.sub(_decimal, DATE.sub(" ", name))
     matches = list(MASS.finditer(name))
     readings = [_readings(match) for match in matches]
-    masses = {mass: None for of_match in readings for mass in of_match}
+    masses = dict.fromkeys(mass for several in readings for mass in several)
     if len(matches) > 1:
-        masses |= {round(sum(of_match[0] for of_match in readings), 6): None}
+        masses |= {round(sum(several[0] for several in readings), 6): None}
     if any(NO.search(name[: match.start()]) for match in matches):
         masses |= {0.0: None}
     likely = [mass for mass in masses if mass == 0 or LEAST <= mass <= MOST]

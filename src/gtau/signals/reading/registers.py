@@ -101,8 +101,8 @@ def _registers(array: np.ndarray, columns: Mapping[int, float]) -> dict[int, Reg
     low, high = extremes(array)
     ends = {j: sorted((low[j] / size, high[j] / size)) for j, size in columns.items()}
     bits = {j: int(np.rint(most)).bit_length() for j, (least, most) in ends.items() if least >= 0 and most >= LEAST}
-    found = (register_of(np.concatenate([part[:, j] for part in blocks(array)]) / columns[j]) for j in bits)
-    common = {register.bits: register for register in found if register}
+    registers = (register_of(np.concatenate([part[:, j] for part in blocks(array)]) / columns[j]) for j in bits)
+    common = {register.bits: register for register in registers if register}
     return {j: common[width] for j, width in bits.items() if width in common}
 
 

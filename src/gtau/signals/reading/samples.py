@@ -89,10 +89,9 @@ def _none(dtype: type = float) -> np.ndarray:
 class Samples:
     """Complete samples of a log, SI units: ``time`` (N,), ``position`` (N, n) and ``command`` (N, c) of ``channels``.
 
-    Messages call the log by its ``name``, the columns of positions, channels and time by those of ``columns``, and
-    ``rows`` (N,), from which they come, as the ``table`` of the positions does. On a uniform grid ``valid`` (N, c) is
-    False where a command was interpolated or clipped. They are those of a ``part``, whose times count from
-    ``origin`` (s).
+    Messages name the log by ``name``, its columns of positions, channels and time by ``columns``, and samples by
+    ``rows`` (N,) of the file, in which the ``table`` of the positions counts, too. They belong to a ``part`` of the
+    log, whose times count from ``origin`` (s).
     """
 
     name: str
@@ -103,7 +102,6 @@ class Samples:
     position: np.ndarray = field(default_factory=_none)
     command: np.ndarray = field(default_factory=_none)
     rows: np.ndarray = field(default_factory=lambda: _none(int))
-    valid: np.ndarray = field(default_factory=lambda: _none(bool))
     origin: float = 0.0
     part: Part = WHOLE
 

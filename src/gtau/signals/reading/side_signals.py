@@ -24,7 +24,7 @@ FEWEST = 20  # rows of a run that hold a pose
 class LoggedPoses:
     """Complete rows of a log: ``time`` (N,) in s, ``q`` (N, n) in the order of the signals, ``values`` (N, columns).
 
-    The values are those of :attr:`gtau.signals.reading.body_columns.PoseColumns.columns`, SI units.
+    The values are in the order of :attr:`gtau.signals.reading.body_columns.PoseColumns.columns`, SI units.
     """
 
     run: str

@@ -81,17 +81,17 @@ def no_body(parameters: Mapping[str, float], mass: float | None) -> str:
     have, or a product of two axes is larger than half the moment about the third.
     """
     x, y, z = (parameters.get(kind, 0.0) for kind in FIRST_MOMENTS)
-    others = {"xx": ("yy", "zz", "yz", y, z), "yy": ("xx", "zz", "xz", x, z), "zz": ("xx", "yy", "xy", x, y)}
-    for kind, (one, other, product, a, b) in others.items():
+    axes = {"xx": ("yy", "zz", "yz", y, z), "yy": ("xx", "zz", "xz", x, z), "zz": ("xx", "yy", "xy", x, y)}
+    for kind, (first, second, product, a, b) in axes.items():
         moment = parameters.get(kind)
         if moment is None:
             continue
         least = (a * a + b * b) / mass if mass else 0.0
         if moment < 0 or moment < (1 - ROUNDED) * least:
             return f"{kind} is {moment:g} kg m2" + (f", and {least:.3g} by mass and centre alone" if least else "")
-        most = parameters.get(one, np.inf) + parameters.get(other, np.inf)
+        most = parameters.get(first, np.inf) + parameters.get(second, np.inf)
         if moment > (1 + ROUNDED) * most:
-            return f"{kind} is {moment:g} kg m2, and {one} and {other} together {most:g}"
+            return f"{kind} is {moment:g} kg m2, and {first} and {second} together {most:g}"
         if 2 * abs(parameters.get(product, 0.0)) > (1 + ROUNDED) * moment:
             return f"{product} is {parameters[product]:g} kg m2, and {kind} {moment:g}"
     return ""
@@ -147,7 +147,7 @@ class Drive(Keys):
     """A motor and its gear, from their data sheets.
 
     ``gear_ratio`` is rad of the motor per rad (or m) of the joint, negative where they turn in opposite directions;
-    ``torque_constant`` N m/A and ``rotor_inertia`` kg m2 are those of the motor; ``uncertainty`` is the relative
+    ``torque_constant`` (N m/A) and ``rotor_inertia`` (kg m2) belong to the motor; ``uncertainty`` is the relative
     standard deviation of the expected values.
     """
 

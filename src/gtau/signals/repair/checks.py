@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,15 +38,27 @@ LATEST = 0.25
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
-def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[Samples, float, float | None]:
+class Checked(NamedTuple):
+    """Checked samples on a uniform grid; ``valid`` (N, c) is False where a command was interpolated or clipped.
+
+    Of the joints' commands as logged ``whole_share`` are whole numbers; a moving average over ``window`` (s) had
+    smoothed them.
+    """
+
+    samples: Samples
+    valid: np.ndarray
+    whole_share: float
+    window: float | None
+
+
+def check(samples: Samples, notes: list[Finding], given: Given = None) -> Checked:
     """Check the complete samples of a log, repair what is safe, and put them on a uniform grid.
 
     Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
     clipped at a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the
     mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
     samples' instants are, unless that is ``given``. ``notes`` report every repair. Raises GtauError where values cannot
-    be right, or too many are missing. Also returns, of the joints' commands as logged, the share of whole numbers, and
-    the window of a moving average that they are behind.
+    be right, or too many are missing.
     """
     ends = extremes(samples.command)  # repairs leave them
     _refuse_stuck(samples, ends, notes)
@@ -72,7 +85,7 @@ def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[
     clips = clipped(samples, ends, holds, notes)
     whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
     window = window_of_commands(samples.command, clock.rate)
-    return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share, window
+    return Checked(*uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share, window)
 
 
 def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:

@@ -41,7 +41,7 @@ WHITE = 1.394
 class Clock:
     """Sampling instants of a log, s.
 
-    The ``period`` is that of a regular clock, or the mean step. ``regular``: instants are its multiples, by which the
+    The ``period`` is the step of a regular clock, or the mean step. ``regular``: instants are its multiples, by which the
     time column is corrected; otherwise they are the stamps. ``start`` is the instant of the first sample. Steps above
     ``longest_step`` miss samples. A regular clock has ``gaps``, pairs of a sample and the number missing before it (-1
     where it repeats the previous one), and its stamps are up to ``late`` late relative to the earliest; 0 if only
@@ -133,9 +133,9 @@ def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "r
     )
     if given == "stamps":
         return stamps
-    rough, of_stamps = (_roughness(time, position, clock) for clock in (regular, stamps))
-    # Equal stamps are not those of both samples, so that the others must show that they are true.
-    true = of_stamps * SMOOTHER < rough if steps.min() == 0 else of_stamps < SMOOTHER * rough
+    rough, stamped = (_roughness(time, position, clock) for clock in (regular, stamps))
+    # Equal stamps cannot be right for both samples, so that the remaining stamps must show that they are true.
+    true = stamped * SMOOTHER < rough if steps.min() == 0 else stamped < SMOOTHER * rough
     return stamps if true else regular
 
 

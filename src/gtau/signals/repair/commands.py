@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from gtau.signals.storage import block, blocks, spans
 Ends = tuple[np.ndarray, np.ndarray]  # smallest and largest values of the commands
 # A command stays where it is equal for more than FROZEN samples, twice as long as held signals are, and STAYS (s),
 # while its joint covers MOVED of its range. In 44 shared logs of ten robots none does: in motion, equal ones of up to
-# 38 samples last 0.03 s (sensors of a Rokae), those of 0.1 s have 6 samples (an xMate 7 at 50 Hz). Nor does one of a
+# 38 samples last 0.03 s (sensors of a Rokae), spells of 0.1 s have 6 samples (an xMate 7 at 50 Hz). Nor does one of a
 # double pendulum, but where its motors are off: 999 and 1543 samples, 0.5 to 0.9 of the path.
 STAYS, MOVED = 0.1, 0.02
 # It is then a fault where it jumps by JUMP of its steps before or after that, as a slow one that is rounded changes by
@@ -71,7 +72,7 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
         lasts = instants[spell.end - 1] - instants[spell.begin]
         return enough and lasts > STAYS and spell.moved > MOVED * (last - first)[channel.row]
 
-    spells = {j: [spell for spell in own if in_motion(spell)] for j, own in equal.items()}
+    spells = {j: [spell for spell in spells if in_motion(spell)] for j, spells in equal.items()}
     acting = [j for j, channel in enumerate(channels) if channel.kind.measures_joint and not channel.kind.link_side]
     moving = [j for j in acting if last[channels[j].row] > first[channels[j].row]]
     coarse, quanta = coarse_steps(holds, ends), quanta_of(holds)
@@ -88,7 +89,7 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
         together = len(moving) > 1 and all(any(map(spell.beside, spells.get(k, ()))) for k in moving)
         return spell.value != 0 or together or all(ALONE * other.samples < spell.samples for other in zeros)
 
-    held = [spell for own in spells.values() for spell in own if at_fault(spell)]
+    held = [spell for spell in chain(*spells.values()) if at_fault(spell)]
     noise = OFF * np.maximum(-ends[0], ends[1])
     off = [spell for spell in _spells(samples, noise) if in_motion(spell)]
     off = [spell for spell in off if spell.value == 0 and noise[spell.channel] > quanta[spell.channel]]

@@ -74,7 +74,7 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> Glitche
         off = np.abs(cubic_residuals(time, position, period))
         following = np.r_[numbers[1:], numbers[-1] + 1]
         for j, column in enumerate(position.T):
-            for k, value in _of_joint(time, column, off[:, j], float(scale[j]), period):
+            for k, value in _joint_outliers(time, column, off[:, j], float(scale[j]), period):
                 if mine[k]:  # samples that repeat a glitch are as wrong
                     glitches |= {(number, j): value for number in range(int(numbers[k]), int(following[k]))}
     return dict(sorted(glitches.items()))
@@ -93,7 +93,7 @@ def _blocks(
         yield numbers, block(instants, begin, end)[fresh], position[fresh], (numbers >= start) & (numbers < stop)
 
 
-def _of_joint(
+def _joint_outliers(
     time: np.ndarray, position: np.ndarray, off: np.ndarray, scale: float, period: float
 ) -> list[tuple[int, float]]:
     """List the outliers of one joint (M,), by sample number, with the values expected there."""
@@ -145,8 +145,8 @@ def _judge(
     clean[inside] = values.ravel()
     moved = np.abs(np.diff(clean, axis=1)).max(axis=1)
     gapless = time[window[:, -1]] - time[window[:, 0]] < 2 * (count - 1) * period  # where none are missing
-    of_its_own = gapless & (np.abs(ends).min(axis=1) > STEPS * moved)
-    excess = np.where(of_its_own, distance / np.maximum(misfit, scale), 0.0)
+    real = gapless & (np.abs(ends).min(axis=1) > STEPS * moved)
+    excess = np.where(real, distance / np.maximum(misfit, scale), 0.0)
     return excess, distance / np.maximum(misfit, 1e-3 * scale), values
 
 
@@ -186,34 +186,12 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     The catch-up after a stale position is no jump.
     """
     n, stride = len(samples.joints), stride_of(len(samples.time))
-    usual: list[np.ndarray] = []
-    fast: list[np.ndarray] = []
+    usual, fast = list[np.ndarray](), list[np.ndarray]()
     largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
-    median = None
-    for start, stop in spans(len(samples.time)):
-        begin = max(0, start - 7 - held.longest)
-        time, position = block(instants, begin, stop), block(samples.position, begin, stop)
-        step = np.diff(time)
-        median = np.median(step[step > 0]) if median is None else median
-        # Stamps that are the same, of a sample that repeats another, are no step.
-        moving, fresh = position, held.fresh(position)
-        if not fresh.all():
-            columns = position[fresh].T
-            moving = np.column_stack([np.interp(time, time[fresh], column) for column in columns])
-        speed = np.diff(moving, axis=0) / np.maximum(step, 0.1 * median)[:, None]
-        fast.append(np.abs(speed[max(start - 1, 0) - begin :: stride]))
-        if len(step) < 7:
-            continue
-        # The way of three steps against the steps around them: what was stale or a glitch is made up for there.
-        over = (moving[4:-1] - moving[1:-4]) - (time[4:-1] - time[1:-4])[:, None] * (speed[:-4] + speed[4:]) / 2
-        change = over / median
-        regular = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
-        change[~np.all([regular[k : len(regular) - 4 + k] for k in range(5)], axis=0)] = 0.0
-        three = np.stack([change[:-2], change[1:-1], change[2:]])
-        change = np.where((np.sign(three) == np.sign(three[1])).all(axis=0), np.abs(three).min(axis=0), 0.0)
+    for begin, new, step, speed, change in _changes_of_speed(samples, instants, held):
+        fast.append(np.abs(speed[new::stride]))
         usual.append(change[::stride].copy())
-        at = np.argmax(change, axis=0)
-        for j, k in enumerate(at):
+        for j, k in enumerate(np.argmax(change, axis=0) if len(change) else ()):
             if change[k, j] > largest[j]:
                 jump = speed[k + 3, j] - (speed[k + 2, j] + speed[k + 4, j]) / 2
                 largest[j], places[j], jumps[j] = change[k, j], begin + k + 4, jump * step[k + 3]
@@ -231,17 +209,48 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
         k = int(places[j])
         together = [samples.joints[i] for i in slips if abs(places[i] - k) <= 1]
         at = f"at {samples.time[k]:.9g} s"
+        what = (
+            f"the position of joint '{samples.joints[j]}' jumps by {jumps[j]:.3g} (rad or m) {at}, which is not a "
+            "motion; check the coupling and the counter of its encoder, or cut the log there into two runs"
+        )
         if len(together) > 1:
             what = (
                 f"the positions of joints {' and '.join(map(repr, together))} jump together {at}, so rows are missing, "
                 "or all encoders were reset; cut the log there into two runs (from: and to:)"
             )
-        else:
-            what = (
-                f"the position of joint '{samples.joints[j]}' jumps by {jumps[j]:.3g} (rad or m) {at}, which is not a "
-                "motion; check the coupling and the counter of its encoder, or cut the log there into two runs"
-            )
         raise GtauError(f"{samples.name}, {samples.place(k)}: {what}.")
+
+
+def _changes_of_speed(
+    samples: Samples, instants: np.ndarray, held: Held
+) -> Iterator[tuple[int, int, np.ndarray, np.ndarray, np.ndarray]]:
+    """Yield blocks of samples: number of the first, the first new step, steps (M,), speeds (M, n) and their lasting changes (M - 6, n).
+
+    A change is what three steps move against the speeds around them, as stale samples and glitches are made up for
+    there.
+    """
+    median = None
+    for start, stop in spans(len(samples.time)):
+        begin = max(0, start - 7 - held.longest)
+        time, position = block(instants, begin, stop), block(samples.position, begin, stop)
+        step = np.diff(time)
+        median = float(np.median(step[step > 0])) if median is None else median
+        # Equal stamps, of a sample that repeats the one before, are no step.
+        moving, fresh = position, held.fresh(position)
+        if not fresh.all():
+            moving = np.column_stack([np.interp(time, time[fresh], column) for column in position[fresh].T])
+        speed = np.diff(moving, axis=0) / np.maximum(step, 0.1 * median)[:, None]
+        new = max(start - 1, 0) - begin  # earlier steps are in the block before, too
+        if len(step) < 7:
+            yield begin, new, step, speed, np.zeros((0, speed.shape[1]))
+            continue
+        over = (moving[4:-1] - moving[1:-4]) - (time[4:-1] - time[1:-4])[:, None] * (speed[:-4] + speed[4:]) / 2
+        change = over / median
+        regular = (step <= MISSING_STEP * median) & (step >= 0.5 * median)
+        change[~np.all([regular[k : len(regular) - 4 + k] for k in range(5)], axis=0)] = 0.0
+        three = np.stack([change[:-2], change[1:-1], change[2:]])
+        same_way = (np.sign(three) == np.sign(three[1])).all(axis=0)
+        yield begin, new, step, speed, np.where(same_way, np.abs(three).min(axis=0), 0.0)
 
 
 def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:

@@ -18,7 +18,7 @@ from gtau.signals.repair.resampling import FROZEN, MAX_GAP
 from gtau.signals.storage import block, blocks, rows_at, spans, stride_of
 
 Given = Literal["stamps", "regular"] | None
-AHEAD = 2.5  # steps by which the time of a row may be behind that of an earlier one, as where two packets change places
+AHEAD = 2.5  # steps by which the time of a row may be behind an earlier row, as where two packets change places
 # s, and of the longest part; parts of a log between gaps that are shorter are left out, as filters take their ends
 SHORTEST, SHARE = 1.0, 0.1
 

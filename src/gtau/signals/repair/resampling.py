@@ -143,8 +143,10 @@ def _period(lengths: np.ndarray) -> int:
 
 def uniform(
     samples: Samples, clock: Clock, instants: np.ndarray, holds: Holds, clips: Clips, notes: list[Finding], given: bool
-) -> Samples:
+) -> tuple[Samples, np.ndarray]:
     """Put samples taken at their ``instants`` onto the uniform grid of a clock that was ``given`` or found.
+
+    Also mark the commands (N, c) that were neither interpolated nor clipped.
 
     The channels say by how much they lag, which is compensated. Raises GtauError where a gap is longer than 0.1 s and
     three steps, or too many samples are missing.
@@ -158,12 +160,12 @@ def uniform(
         )
     time = store(clock.time(*span) for span in spans(count))
     delay = max((channel.delay for channel in samples.channels), key=abs)
-    of_clock = _of_clock(clock, shortest, longest, given)
+    clock_notes = _clock_notes(clock, shortest, longest, given)
     if clock.regular and not (clock.gaps or delay or any(held.stale for held in holds.values())):
         # The samples are on the grid already.
         valid = store((unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
-        notes += of_clock
-        return replace(samples, time=time, valid=valid)
+        notes += clock_notes
+        return replace(samples, time=time), valid
     stores, missing, masked = (Store((len(samples.joints),)), Store((c,)), Store((c,), bool)), 0, 0
     for span in spans(count):
         *arrays, lacking, hidden = _resampled(samples, clock, instants, holds, clips, span)
@@ -181,7 +183,7 @@ def uniform(
         more = f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
         text, advice = f"interpolated {counted(missing, 'missing sample')}{more}", "log every cycle of the controller"
         notes.append(repair("missing samples", missing / count, text=text, advice=advice))
-    notes += of_clock
+    notes += clock_notes
     for signal, held in holds.items():
         if held.period > 1:
             rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
@@ -196,10 +198,10 @@ def uniform(
         text = f"moved the commands {delay * 1e3:.4g} ms forward, as preparation.delay says"
         notes.append(reading("moved commands", text=text))
     position, command, valid = (rows.array() for rows in stores)
-    return replace(samples, time=time, position=position, command=command, valid=valid)
+    return replace(samples, time=time, position=position, command=command), valid
 
 
-def _of_clock(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
+def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
     """List the notes on a clock that differs from the time column."""
     if not clock.regular:
         reason = "the time stamps are used, because a regular clock makes the positions no smoother"

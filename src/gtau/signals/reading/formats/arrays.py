@@ -1,6 +1,6 @@
 """Files of named arrays: NumPy archives (``.npz``), MAT files, and HDF5 files (``.h5``, ``.hdf5``).
 
-MAT files are read up to version 7 by SciPy; those of version 7.3 are HDF5 files.
+SciPy reads MAT files up to version 7; MAT files of version 7.3 are HDF5 files.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _header(archive: Any, file: str) -> tuple[tuple[int, ...], np.dtype[Any]] | 
 
 
 def open_mat(path: Path) -> LogTable:
-    """Find the numeric arrays of a MAT file; those of a struct ``log`` are named ``log.q``.
+    """Find the numeric arrays of a MAT file; the field ``q`` of a struct ``log`` is named ``log.q``.
 
     Only requested variables are read, and each struct once, since its fields exist only in it.
     """
@@ -195,9 +195,9 @@ def _table(
                     frame[name] = np.append(column, [np.nan] * (stop - start - len(column)))
                 yield pl.DataFrame(frame), stop / count
 
-    of_arrays = units or {}
-    of_columns = {name: of_arrays[place[0]] for name, place in places.items() if of_arrays.get(place[0])}
-    return LogTable(path, tuple(places), frames, units=of_columns)
+    array_units = units or {}
+    column_units = {name: array_units[place[0]] for name, place in places.items() if array_units.get(place[0])}
+    return LogTable(path, tuple(places), frames, units=column_units)
 
 
 LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}

@@ -32,7 +32,7 @@ DEPTH = 3  # folders between a file of frames and the data set
 def open_parquet(path: Path) -> LogTable:
     """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
 
-    The folder may be that of a LeRobot data set.
+    The folder may be a LeRobot data set.
     """
     import polars as pl
 

@@ -76,9 +76,9 @@ def open_rosbag(path: Path) -> LogTable:
         topics = [columns[name][0] for name in names]
         count = common_length(path, {name: counts[topic] for name, topic in zip(names, topics, strict=True)})
         if len(set(topics)) > 1:
-            other = next(name for name, topic in zip(names, topics, strict=True) if topic != topics[0])
+            second = next(name for name, topic in zip(names, topics, strict=True) if topic != topics[0])
             raise GtauError(
-                f"'{names[0]}' and '{other}' come from two topics with separate time stamps; give both (time: "
+                f"'{names[0]}' and '{second}' come from two topics with separate time stamps; give both (time: "
                 "{position: COLUMN, command: COLUMN}).",
                 source=path,
             )

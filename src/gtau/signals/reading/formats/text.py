@@ -79,9 +79,9 @@ def open_text(path: Path) -> LogTable:
 
     notes: tuple[Finding, ...] = ()
     below = range(begin if header is None else header + 1, begin)
-    of_units = next((k for k in below if len(fields[k]) == width and unit_row(fields[k])), None)
-    units = dict(zip(columns, () if of_units is None else unit_row(fields[of_units]) or (), strict=False))
-    if skipped := [k + 1 for k in written if k < begin and k not in (header, of_units)]:
+    unit_line = next((k for k in below if len(fields[k]) == width and unit_row(fields[k])), None)
+    units = dict(zip(columns, () if unit_line is None else unit_row(fields[unit_line]) or (), strict=False))
+    if skipped := [k + 1 for k in written if k < begin and k not in (header, unit_line)]:
         which = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
         names = "" if header is None else f", took the names of its columns from line {header + 1}"
         notes = (reading("skipped lines", text=f"skipped {which} before the table{names}"),)
