@@ -68,8 +68,7 @@ class JointSpectrum:
 
 def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     """Estimate spectra, end of the signal and bandwidth of every joint; a long run is read in segments."""
-    frequency, density = _accelerations(run.position, run.rate)
-    gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2  # power of a difference
+    frequency, density, gain = _accelerations(run.position, run.rate)
     high = frequency > NOISE * run.rate
     # The mean of an exponential distribution is its median over ln 2; the median ignores single lines.
     noise = np.sqrt(np.median(density[high] / gain[high, None] ** 2, axis=0) / np.log(2) * run.rate / 2)
@@ -84,8 +83,8 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
 
 def end_of_commands(run: Run) -> float | None:
     """Find the frequency (Hz) above which no command holds anything, not even noise; None where one does."""
-    frequency, density = _accelerations(run.command, run.rate)
-    density = density[:, density.any(axis=0)] / ((2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 4)[:, None]
+    frequency, density, gain = _accelerations(run.command, run.rate)
+    density = density[:, density.any(axis=0)] / gain[:, None] ** 2
     above = np.sqrt(np.cumsum(density[::-1], axis=0)[::-1] / np.maximum(density.sum(axis=0), 1e-300))
     if not above.size or above[np.searchsorted(frequency, NOISE * run.rate)].max() > SMOOTH:
         return None
@@ -130,14 +129,13 @@ def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -
 
 def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """For each joint, list frequencies, density of the accelerations and gain of two differences, in bands."""
-    frequency, density = _accelerations(run.position, run.rate)
-    gain = (2 * run.rate * np.sin(np.pi * frequency / run.rate)) ** 2
+    frequency, density, gain = _accelerations(run.position, run.rate)
     bands = [_in_bands(frequency, column) for column in density.T]
     return [(centre, means, np.interp(centre, frequency, gain)) for centre, means in bands]
 
 
-def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute frequencies (K,) above zero, up to ``TOP``, and the power density of the second differences (K, n)."""
+def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Compute frequencies (K,) up to ``TOP``, power densities of second differences (K, n), and gains of a difference."""
     from scipy.signal.windows import tukey
 
     count = len(position) - 2
@@ -151,7 +149,8 @@ def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.nd
         power += np.abs(np.fft.rfft((part[2:] - 2 * part[1:-1] + part[:-2]) * (rate**2 * window), axis=0)) ** 2
     frequency = np.fft.rfftfreq(length, 1 / rate)
     used = slice(1, int(np.searchsorted(frequency, TOP * rate, side="right")))
-    return frequency[used], power[used] * (2 / (segments * rate * (window**2).sum()))
+    gain = (2 * rate * np.sin(np.pi * frequency[used] / rate)) ** 2
+    return frequency[used], power[used] * (2 / (segments * rate * (window**2).sum())), gain
 
 
 def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: bool) -> JointSpectrum:

@@ -37,9 +37,9 @@ NOISY = 1e3  # signal-to-noise ratios below are noted: noise then adds more than
 class Preparation:
     """Preparation of the runs of an experiment.
 
-    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator`` suits
-    runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); other runs are decimated to the same row rate. A
-    joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
+    ``bandwidth`` of the motion and ``cutoff`` of the position filter (None: no filter) are in Hz. The ``decimator``
+    suits runs with this ``rate`` (Hz, of the slowest run; 0 if unknown); other runs are decimated to the same row rate.
+    A joint's row is left out where its speed is below the ``speed_fraction`` of its rms speed. ``given`` names the
     settings made by hand. ``prediction_cutoffs`` (Hz) and ``position_noise`` of each joint, where they are known, are
     for predicted torques: see :func:`gtau.uses.prediction_filter.with_prediction_cutoffs` and
     :func:`gtau.signals.preparation.bandwidth.position_noise`.
@@ -322,10 +322,10 @@ def _notes(
 
 def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> np.ndarray:
     """Mark where speeds and accelerations depend on valid samples only (stop - start, n)."""
+    from scipy.ndimage import minimum_filter1d
+
     samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
-    begin, end = max(0, start - STENCIL), min(samples, stop + STENCIL)
-    bad = ~block(run.valid, begin, end)
-    bad = np.pad(bad, ((STENCIL - start + begin, STENCIL - end + stop), (0, 0)))
-    near = np.any([bad[k : k + stop - start] for k in range(2 * STENCIL + 1)], axis=0)
-    number = np.arange(start, stop)
-    return ~near & ((number >= edge) & (number < samples - edge))[:, None]
+    begin, number = max(0, start - STENCIL), np.arange(start, stop)
+    valid = block(run.valid, begin, min(samples, stop + STENCIL))
+    near = minimum_filter1d(valid, 2 * STENCIL + 1, axis=0, mode="nearest")[start - begin : stop - begin]
+    return near & ((number >= edge) & (number < samples - edge))[:, None]

@@ -78,10 +78,11 @@ def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 
     return np.hstack(parts) if parts else np.zeros((len(values), 0))
 
 
-def _refuse_repeated(columns: tuple[str, ...]) -> None:
+def refuse_repeated(columns: Sequence[str], measured: Sequence[str] = (), where: str = "") -> None:
+    """Refuse columns that occur twice among those measured, ``where`` these are; raises ValueError."""
     for column in columns:
-        if columns.count(column) > 1:
-            raise ValueError(f"the column '{column}' is given twice; give each component its own")
+        if (measured or columns).count(column) > 1:
+            raise ValueError(f"the column '{column}'{where} is given twice; give each component its own")
 
 
 STEEPEST = np.radians(80.0)  # pitch at which the angles' accelerations are 1 / cos = 6 times the base's
@@ -104,7 +105,7 @@ class BaseColumns(Keys):
     @model_validator(mode="after")
     def _each_column_once(self) -> BaseColumns:
         columns = (*self.pose, *self.forces)
-        _refuse_repeated(columns)
+        refuse_repeated(columns)
         if not columns:
             raise ValueError("it names no columns; give 'position' and 'quaternion', 'wrenches', or both")
         return self
@@ -235,7 +236,7 @@ class PoseColumns(Keys):
             raise ValueError("give the orientation once, as 'angles', as a 'quaternion' or as a 'rotation_vector'")
         if not self.columns:
             raise ValueError("a pose needs columns; give a 'position', 'angles', a 'quaternion' or a 'rotation_vector'")
-        _refuse_repeated(self.columns)
+        refuse_repeated(self.columns)
         return self
 
     @property

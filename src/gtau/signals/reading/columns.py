@@ -10,7 +10,7 @@ from pydantic import Discriminator, Field, FiniteFloat, Tag, create_model, field
 
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
-from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns
+from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns, refuse_repeated
 
 # Hz; of drives that are logged. Logs polled at 10 Hz reach 9; logs of 5 kHz in ms look like 5 Hz in s.
 LEAST_RATE, LARGEST_RATE = 6.0, 5e4
@@ -216,12 +216,10 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
         for joint, column in (columns or {}).items():
-            if column in owners:
+            if (owner := owners.setdefault(column, joint)) != joint:
                 raise ValueError(
-                    f"the column '{column}' is given for joints '{owners[column]}' and '{joint}'; "
-                    "give every joint its own"
+                    f"the column '{column}' is given for joints '{owner}' and '{joint}'; give every joint its own"
                 )
-            owners[column] = joint
         return columns
 
     @model_validator(mode="after")
@@ -232,17 +230,16 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
                 "give the columns of either 'current' or 'torque' (or of 'motor_torque', with a 'gear_ratio'), one of "
                 "them"
             )
-        missing = [joint for joint in self.position if joint not in self.command]
-        extra = [joint for joint in self.command if joint not in self.position]
+        missing = next((joint for joint in self.position if joint not in self.command), None)
+        extra = next((joint for joint in self.command if joint not in self.position), None)
         if missing and extra:
             raise ValueError(
-                f"joint '{missing[0]}' has a position but no {kind}, and '{extra[0]}' a {kind} but no position; give "
+                f"joint '{missing}' has a position but no {kind}, and '{extra}' a {kind} but no position; give "
                 "both the same joints, the joints with motors"
             )
-        if missing:
-            raise ValueError(f"joint '{missing[0]}' has a position but no {kind}; add its {kind} column")
-        if extra:
-            raise ValueError(f"joint '{extra[0]}' has a {kind} but no position; add its position column")
+        if joint := missing or extra:
+            has, lacks = ("position", kind) if missing else (kind, "position")
+            raise ValueError(f"joint '{joint}' has a {has} but no {lacks}; add its {lacks} column")
         return self
 
     @model_validator(mode="after")
@@ -253,11 +250,7 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
                 "'pose' tests the geometry of a fixed-base robot, but 'base' describes a floating one; remove 'pose'"
             )
         for wrench in self.wrenches:
-            for column in wrench.columns:
-                if measured.count(column) > 1:
-                    raise ValueError(
-                        f"the column '{column}' under 'wrenches' is given twice; give each component its own"
-                    )
+            refuse_repeated(wrench.columns, measured, " under 'wrenches'")
         if base is not None and any(wrench.body == base.body for wrench in self.wrenches):
             raise ValueError(
                 f"'wrenches' names the floating base '{base.body}'; describe wrenches on it under 'wrenches' of 'base'"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
@@ -94,26 +95,25 @@ class Experiment(Keys):
                 _known_joints(by_joint, signals)
         return units
 
+    @field_validator("prior_gains", "drives")
+    @classmethod
+    def _joints_of_signals(cls, entries: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        if "signals" in info.data:
+            _known_joints(entries, info.data["signals"])
+        return entries
+
     @field_validator("prior_gains")
     @classmethod
-    def _gains_of_signals(cls, gains: dict[str, StatedGain], info: ValidationInfo) -> dict[str, StatedGain]:
-        signals: Signals | None = info.data.get("signals")
-        if signals is None or not gains:
-            return gains
-        _known_joints(gains, signals)
-        zero = [joint for joint, gain in gains.items() if gain.value == 0]
-        if zero:
+    def _nonzero(cls, gains: dict[str, StatedGain]) -> dict[str, StatedGain]:
+        if zero := [joint for joint, gain in gains.items() if gain.value == 0]:
             raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N per A) of its drive")
         return gains
 
     @field_validator("drives")
     @classmethod
-    def _drives_of_signals(cls, drives: dict[str, Drive], info: ValidationInfo) -> dict[str, Drive]:
+    def _stated_once(cls, drives: dict[str, Drive], info: ValidationInfo) -> dict[str, Drive]:
         signals: Signals | None = info.data.get("signals")
-        if signals is None:
-            return drives
-        _known_joints(drives, signals)
-        for joint, drive in drives.items():
+        for joint, drive in drives.items() if signals else ():
             if drive.gain is not None and signals.kind == "torque":
                 raise ValueError(
                     "the signals hold torques, which need no torque constant; remove the 'torque_constant' of "

@@ -158,8 +158,8 @@ SIDE = {signal.key: Literal[signal.units] for signal in SIDE_SIGNALS}
 class Units(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
     """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
 
-    ``joint_torque`` is the unit of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of which
-    ``%`` and ``‰`` are shares.
+    ``joint_torque`` is the unit of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of
+    which ``%`` and ``‰`` are shares.
     """
 
     time: Annotated[str, checked_unit("time")] | None = None

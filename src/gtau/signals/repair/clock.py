@@ -41,11 +41,11 @@ WHITE = 1.394
 class Clock:
     """Sampling instants of a log, s.
 
-    The ``period`` is the step of a regular clock, or the mean step. ``regular``: instants are its multiples, by which the
-    time column is corrected; otherwise they are the stamps. ``start`` is the instant of the first sample. Steps above
-    ``longest_step`` miss samples. A regular clock has ``gaps``, pairs of a sample and the number missing before it (-1
-    where it repeats the previous one), and its stamps are up to ``late`` late relative to the earliest; 0 if only
-    rounded. ``packets``: samples came in packets with the same stamps, or nearly so.
+    The ``period`` is the step of a regular clock, or the mean step. ``regular``: instants are its multiples, by which
+    the time column is corrected; otherwise they are the stamps. ``start`` is the instant of the first sample. Steps
+    above ``longest_step`` miss samples. A regular clock has ``gaps``, pairs of a sample and the number missing before
+    it (-1 where it repeats the previous one), and its stamps are up to ``late`` late relative to the earliest; 0 if
+    only rounded. ``packets``: samples came in packets with the same stamps, or nearly so.
     """
 
     period: float
