@@ -136,5 +136,5 @@ def test_logs_without_temperatures_are_said_to_be_taken_at_the_reference(found: 
     assert not without_temperature(found, read_group(Signals, "signals", signals | {"temperature": "T"}))
     run = warm("check", seconds=6.0)
     in_kelvin = replace(run, side={"temperature": replace(run.side["temperature"], unit="K")})
-    with pytest.raises(GtauError, match="are in K, but those of the model in degC"):
+    with pytest.raises(GtauError, match="are in K, but the model has degC"):
         found.validate(in_kelvin)

@@ -135,7 +135,7 @@ def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute frequencies (K,) up to ``TOP``, power densities of second differences (K, n), and gains of a difference."""
+    """Compute frequencies (K,) up to ``TOP``, power densities of second differences (K, n), and gains of differences."""
     from scipy.signal.windows import tukey
 
     count = len(position) - 2

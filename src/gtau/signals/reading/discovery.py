@@ -41,26 +41,25 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     """
     log, command_log, runs = _sources(paths, robot)
     positions, commands = _groups(log, command_log, robot)
-    joints = matched(positions, commands, robot)
+    columns, currents, labels, how, by_name = matched(positions, commands, robot)
     clock, why_time, open_ = _clock(log, command_log, positions)
-    kind, open_of_command = _kind(commands, command_log, joints.command)
-    sensors, still = _sensors(command_log, "sensor", joints.labels)
-    signals = DraftedSignals(kind, joints.position, joints.command, sensors, *clock)
+    kind, open_of_command = _kind(commands, command_log, currents)
+    sensors, still = _sensors(command_log, "sensor", labels)
+    signals = DraftedSignals(kind, columns, currents, sensors, *clock)
     used = {*positions.columns.values(), *commands.columns.values()}
-    unused = _unused(log, command_log, signals, joints.labels, used, moving_base=base is None)
+    unused = _unused(log, command_log, signals, labels, used, moving_base=base is None)
     unused = replace(unused, still=(*still, *unused.still), moving=unused.moving if robot else ())
-    unit, why_unit = _position_unit(log, positions, joints.position, robot)
-    written = _units(log, "position", joints.position)
+    unit, why_unit = _position_unit(log, positions, columns, robot)
+    written = _units(log, "position", columns)
     units = {"time": log.time_unit()[0]} if log.time else {}
     units |= written or ({"position": unit} if unit else {})
-    units |= _units(command_log, kind, joints.command) | _units(command_log, "joint_torque", sensors)
+    units |= _units(command_log, kind, currents) | _units(command_log, "joint_torque", sensors)
     if unit and not written and positions.unit is None:
         open_["unit"] = f"positions are assumed to be in {unit}: {why_unit}"
-    units = {
-        key: unit for key, unit in units.items() if unit not in tuple(SI) or (key == "position" and "unit" in open_)
-    }
+    kept = {"position"} if "unit" in open_ else set()
+    units = {key: unit for key, unit in units.items() if key in kept or unit not in tuple(SI)}
     payloads = {run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))}
-    moving = list(joints.position) if robot and len(joints.position) < len(robot.actuated) else None
+    moving = list(columns) if robot and len(columns) < len(robot.actuated) else None
     gravity = [0, 0, 0] if "gravity" in open_of_command else None
     entries = {"file": source, "base": base, "gravity": gravity, "joints": moving}
     draft = Draft(
@@ -69,11 +68,11 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
         units=units,
         robot={key: entry for key, entry in entries.items() if entry is not None},
         payloads=payloads,
-        reasons=Reasons(why_time, joints.how, "units as written in the log" if written else why_unit, log.velocity),
+        reasons=Reasons(why_time, how, "units as written in the log" if written else why_unit, log.velocity),
         open=open_ | open_of_command,
         unused=unused,
     )
-    open_ = {**draft.open} | _open_points(draft, joints.by_name)
+    open_ = {**draft.open} | _open_points(draft, by_name)
     return replace(draft, open={key: open_[key] for key in QUESTIONS if key in open_})
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from gtau.errors import GtauError
 from gtau.findings.words import counted
@@ -13,19 +13,14 @@ from gtau.signals.reading.column_names import resembling
 from gtau.signals.reading.log_contents import Group
 
 
-@dataclass(frozen=True)
-class JointColumns:
-    """Columns of positions and commands by joint, with the joints' labels in them, and how they were matched."""
+def matched(
+    positions: Group, commands: Group, robot: Robot | None
+) -> tuple[dict[str, str], dict[str, str], dict[str, str], str, bool]:
+    """Match columns with joints, also where the joints' names in them are misspelt.
 
-    position: Mapping[str, str]
-    command: Mapping[str, str]
-    labels: Mapping[str, str]
-    how: str
-    by_name: bool
-
-
-def matched(positions: Group, commands: Group, robot: Robot | None) -> JointColumns:
-    """Match columns of positions and commands to joints, also where their names differ a little from the joints'."""
+    Returns, by joint, columns of positions and of commands and the label in their names; how they were matched; and
+    whether by these names.
+    """
     names = dict[str, str]()
     labels = {name: label for label, name in positions.columns.items()}
     if robot:
@@ -37,7 +32,7 @@ def matched(positions: Group, commands: Group, robot: Robot | None) -> JointColu
     how += "".join(f", {label} taken for {joint}" for label, joint in names.items())
     columns, currents = ({joint: pair[k] for joint, pair in pairs.items()} for k in (0, 1))
     logged = {joint: labels[column] for joint, column in columns.items()}
-    return JointColumns(columns, currents, logged, how, not by_order and not names)
+    return columns, currents, logged, how, not by_order and not names
 
 
 def _pairs(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -96,7 +96,8 @@ class LogContents:
             if name and count == 1
         ]
         groups = _grouped(names)
-        if table.numbered or _is_matrix(groups, path):
+        is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not _kind_of(path)
+        if table.numbered or is_matrix:  # one array whose name says nothing of its columns
             return _numbered(path, table, len(joints))
         topics, elsewhere = _topics(table), list[str]()
         if len(topics) > 1:
@@ -108,7 +109,9 @@ class LogContents:
             elsewhere = [name.name for name in positions if name.label not in known]
         wanted = [name for name in names if name.kind not in (None, "other")] or names
         values = _values(path, [name.name for name in wanted], table)
-        values |= {name.name: _signed(values[name.name]) for name in wanted if name.kind != "time"}
+        for name in (name.name for name in wanted if name.kind != "time"):
+            if register := register_of(values[name]):
+                values[name] = register.signed(values[name])
         time = _time_columns(wanted, values)
         units = {name.name: name.unit for name in names if name.unit}
         return cls(table, values, time, tuple(_classified(groups, values, path)), rate, units, tuple(elsewhere))
@@ -147,9 +150,9 @@ class LogContents:
 
     def _is_switch(self, group: Group) -> bool:
         """Return whether no column of commands takes other values than one, or 0 and 1."""
-        columns = group.columns.values()
+        columns = [(name, self.values[name]) for name in group.columns.values()]
         return group.kind in COMMANDS and all(
-            self.is_still(column) or _is_boolean(self.values[column]) for column in columns
+            self.is_still(name) or np.isin(values[np.isfinite(values)], (0, 1)).all() for name, values in columns
         )
 
     def command_group(self) -> Group | None:
@@ -248,11 +251,6 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
     return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}
 
 
-def _signed(column: np.ndarray) -> np.ndarray:
-    register = register_of(column)
-    return column if register is None else register.signed(column)
-
-
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:
     """Group columns of all kinds but time by their stems; the second one of a joint, as in another unit, is apart.
 
@@ -287,10 +285,6 @@ def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray])
     return tuple((stamped or growing)[:1])
 
 
-def _is_boolean(column: np.ndarray) -> bool:
-    return bool(np.all((column == 0) | (column == 1) | ~np.isfinite(column)))
-
-
 def _grows(column: np.ndarray, forward: float = 1.0) -> bool:
     """Decide whether a column increases, by at least the share ``forward`` of its steps."""
     step = np.diff(column[np.isfinite(column)])
@@ -304,9 +298,10 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
         groups = [replace(groups[0], kind=kind)]
     for group in groups:
         pairs = [] if positions is None or group.kind != "command" else list(_pairs(positions, group, values))
+        distances = [(np.sqrt(np.nanmean((q - x) ** 2)), float(np.nanstd(q))) for q, x in pairs]
         if pairs and np.median([correlation(*pair) for pair in pairs]) > DERIVATIVE:
             yield replace(group, kind="velocity")
-        elif np.median(_distances(pairs) or np.inf) < FOLLOWED:
+        elif np.median([rms / std for rms, std in distances if std > 0] or np.inf) < FOLLOWED:
             yield replace(group, kind="position", reference=True)
         else:
             yield group
@@ -317,11 +312,6 @@ def _kind_of(path: Path) -> str | None:
     return kind if kind in ("position", "current", "torque") else None
 
 
-def _is_matrix(groups: Sequence[Group], path: Path) -> bool:
-    """Decide whether a log is one array whose name says nothing of its columns."""
-    return [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not _kind_of(path)
-
-
 def _pairs(
     positions: Group, others: Group, values: Mapping[str, np.ndarray]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -329,15 +319,6 @@ def _pairs(
     for label, column in positions.columns.items():
         if label in others.columns and column in values and others.columns[label] in values:
             yield values[column], values[others.columns[label]]
-
-
-def _distances(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> list[float]:
-    """Compute distances of positions from other columns, rms, over the positions' standard deviation."""
-    return [
-        float(np.sqrt(np.nanmean((q - other) ** 2))) / std
-        for q, other in pairs
-        if (std := float(np.nanstd(q))) > 0 and len(q) == len(other)
-    ]
 
 
 def _numbered(path: Path, table: LogTable, joints: int) -> LogContents:

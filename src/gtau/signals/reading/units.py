@@ -30,7 +30,6 @@ COMMON: dict[str, dict[str, float]] = {  # units of nearly all logs, without the
     "torque": {"N m": 1.0, "Nm": 1.0},
     "force": {"N": 1.0},
 }
-SI_UNIT = {"time": "s", "angle": "rad", "length": "m", "current": "A", "torque": "N*m", "force": "N"}
 QUANTITIES: dict[Kind, tuple[str, ...]] = {
     "time": ("time",),
     "position": ("angle", "length"),
@@ -90,8 +89,8 @@ def _measured(text: str, kind: Kind) -> tuple[str, float]:
             base = quantity_written.to_base_units()
             if quantity == "angle" and str(base.units) != "radian":
                 continue  # pint counts per cents and revolutions a minute among the angles
-            if quantity_written.is_compatible_with(SI_UNIT[quantity]):
-                factor = float(quantity_written.to(SI_UNIT[quantity]).magnitude)
+            if quantity_written.is_compatible_with(si := next(iter(COMMON[quantity]))):
+                factor = float(quantity_written.to(si).magnitude)
                 if factor and math.isfinite(factor):
                     return quantity, factor
     except (pint.PintError, ArithmeticError, AttributeError, TypeError, ValueError, SyntaxError):

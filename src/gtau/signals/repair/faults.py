@@ -224,10 +224,9 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
 def _changes_of_speed(
     samples: Samples, instants: np.ndarray, held: Held
 ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield blocks of samples: number of the first, the first new step, steps (M,), speeds (M, n) and their lasting changes (M - 6, n).
+    """Yield, by blocks, the first sample, the first new step, steps (M,), speeds (M, n) and lasting changes (M - 6, n).
 
-    A change is what three steps move against the speeds around them, as stale samples and glitches are made up for
-    there.
+    A change is what three steps move against the speeds around them, over which stale samples and glitches cancel.
     """
     median = None
     for start, stop in spans(len(samples.time)):
