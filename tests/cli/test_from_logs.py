@@ -113,7 +113,7 @@ def test_one_command_from_bags(tmp_path: Path, motion: Any, monkeypatch: pytest.
     (tmp_path / "result" / "experiment.yaml").write_text(corrected)
     again = CliRunner().invoke(app, ["identify", *logs, "--kind", "current"])
     assert again.exit_code == 2
-    assert "result/experiment.yaml exists already and is no draft as gtau wrote it" in again.stderr
+    assert "result/experiment.yaml exists already and is not an unedited gtau draft" in again.stderr
 
 
 def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,6 @@
 """Measured channels, signals in A, N m or N that the model predicts or takes as given, and side signals.
 
-What sets a kind of channel apart are the attributes of its :class:`ChannelKind`; other modules ask these.
+The attributes of a :class:`ChannelKind` say what sets it apart; other modules query these.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ from gtau.robots.placement import WRENCH, WrenchFrame
 class ChannelKind:
     """A kind of channel.
 
-    Messages name it by ``name``, beside its joint or body, and by ``group``, all columns that a log updates together
-    with it. ``calibration`` is its key under ``calibration`` of the signals, for the accuracy
-    of its scale, ``""`` where the gain is to be found; on the ``link_side`` its columns and their units have this key
-    too. ``modelled``: it has equations, a row of the model explains it; otherwise the model takes it as given.
-    ``measures_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a limit.
-    ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
-    gear, offset of the current), with an offset and bearing friction of its own.
+    Messages call it ``name``, and all columns that a log updates together ``group``. ``calibration`` is its key under
+    ``calibration`` of the signals, for the accuracy of its scale, empty where the gain is unknown; on the ``link_side``
+    it is also the key of its columns and units. ``modelled``: a row of the model explains it; otherwise the model takes
+    it as given. ``measures_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a
+    limit. ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor
+    and gear, offset of the current), and has an offset and bearing friction of its own.
     """
 
     name: str
@@ -50,10 +49,10 @@ LINK_SIDE = (SENSOR,)
 
 def link_side_kind(name: str) -> ChannelKind:
     """Return the kind on the link side that has this name."""
-    for kind in LINK_SIDE:
-        if kind.name == name:
-            return kind
-    raise ValueError(f"'{name}' is not a kind of sensor; write {' or '.join(kind.name for kind in LINK_SIDE)}")
+    kinds = {kind.name: kind for kind in LINK_SIDE}
+    if name not in kinds:
+        raise ValueError(f"'{name}' is not a kind of sensor; write {' or '.join(kinds)}")
+    return kinds[name]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, TypedDict, Unpack
+from typing import Any, Literal
 
 import numpy as np
 
@@ -46,18 +46,6 @@ class Log:
     window: float | None = None
 
 
-class More(TypedDict, total=False):
-    """What else a run may be given: see :class:`Run`."""
-
-    valid: np.ndarray
-    sensors: Sequence[str]
-    channels: Sequence[Channel]
-    log: Log
-    settings: PreparationSettings
-    notes: tuple[Finding, ...]
-    side: Mapping[str, SideValues]
-
-
 @dataclass(frozen=True, eq=False, init=False)
 class Run:
     """Sampled positions and commands of the actuated joints, and torques of sensors on the link side of their gears.
@@ -81,9 +69,9 @@ class Run:
     valid : ndarray
         (N, c) False where the sample was interpolated or clipped; all are valid if left out.
     channels : tuple of Channel
-        Those of the joints and of torque ``sensors`` (names of joints) if left out.
+        By default a channel for each joint, and for each of the torque ``sensors`` (names of joints).
     log : Log
-        The origin; its ``settings``, ``notes`` and ``side`` may be given in its place.
+        The origin; its fields, such as ``settings``, ``notes`` and ``side``, may be given in its place.
 
     The arrays of a long log are memory-mapped from a file.
     """
@@ -108,29 +96,30 @@ class Run:
         command: np.ndarray,
         kind: Literal["current", "torque"] = "current",
         payload: Payload | None = None,
-        **more: Unpack[More],
+        valid: np.ndarray | None = None,
+        channels: Sequence[Channel] = (),
+        log: Log | None = None,
+        sensors: Sequence[str] = (),
+        **origin: Any,
     ) -> None:
-        if strange := more.keys() - More.__annotations__:
-            raise TypeError(f"a run has no '{min(strange)}'; give {', '.join(More.__annotations__)}")
         if problem := name_problem(name):
             raise GtauError(f"run: {problem}.")
         base = next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ())
-        changes: Any = {key: more[key] for key in ("settings", "notes", "side") if key in more}
-        log = replace(more.get("log", Log()), **changes)
-        channels = tuple(more.get("channels") or channels_of(joints, base, {SENSOR: more.get("sensors", ())}))
+        log = replace(log or Log(), **origin)
+        channels = tuple(channels or channels_of(joints, base, {SENSOR: sensors}))
         unit = "A" if kind == "current" else "N m"
         channels = tuple(replace(channel, unit=unit) if channel.name in joints else channel for channel in channels)
-        valid = more.get("valid", np.zeros(0))
-        valid = valid if valid.size else np.broadcast_to(True, (len(time), len(channels)))
+        if valid is None or not valid.size:
+            valid = np.broadcast_to(True, (len(time), len(channels)))
         values = (name, tuple(joints), time, position, command, kind, payload, valid, channels, log)
         for attribute, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, attribute.name, value)
         shape, measured = (len(time), len(joints)), (len(time), len(channels))
         if position.shape != shape or command.shape != measured or valid.shape != measured:
             groups = " and ".join(dict.fromkeys(f"the {channel.kind.group}" for channel in channels[len(joints) :]))
-            also = f"; commands and what is valid {measured}, with {groups}" if groups else ""
+            also = f"; commands and valid {measured}, with {groups}" if groups else ""
             raise GtauError(
-                f"run '{name}': positions {position.shape}, commands {command.shape} and what is valid "
+                f"run '{name}': positions {position.shape}, commands {command.shape} and valid "
                 f"{valid.shape} must all have the shape {shape}, samples by joints{also}."
             )
 
@@ -176,7 +165,7 @@ class Run:
     def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:
         """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``.
 
-        Raises GtauError where the run lacks one of the joints, a robot's actuated ones, or has others.
+        Raises GtauError if these are not the joints of the run.
         """
         if set(self.joints) != set(joints) or len(self.joints) != len(joints):
             raise GtauError(
@@ -226,7 +215,7 @@ def read_run(
     signals, payload, units : mapping
         As under these keys of an experiment file; columns and joints may be written as integers.
     progress : callable, optional
-        Called with the part of the log that has been read.
+        Called with the fraction of the log read so far.
     settings : PreparationSettings or mapping
         Settings of the preparation made by hand.
     part : Part
@@ -263,7 +252,7 @@ def read_parts(
     part: Part,
     cut: bool = True,
 ) -> tuple[Run, ...]:
-    """Do as :func:`read_run`, but ``cut`` a log at gaps that are too long to be bridged into runs of their own."""
+    """Read a log as :func:`read_run` does, but ``cut`` it into several runs at gaps that are too long to be bridged."""
     notes = list[Finding]()
     samples = read_logs(paths, signals, units, notes, part, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)

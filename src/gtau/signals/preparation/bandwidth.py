@@ -30,12 +30,12 @@ HUMP = 0.02
 TOP = 0.45  # of the sampling rate: highest frequency evaluated
 NOISE = 0.25  # of the sampling rate: the noise of a position is measured above
 # Least range of a motion in standard deviations of the position's noise. In the shared logs joints at rest, shaken by
-# others, have 3 to 90, those that move 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
+# others, have 3 to 90, moving joints 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
 LEAST_RANGE = 150.0
 LEAST_SIGNAL = 100.0  # or least signal-to-noise ratio of its speed; rest has 40 and less
 FAR_ABOVE = 1e3  # density of a motion over the density of such noise
 WHITE = -1.0  # noise is flat in the position's spectrum, or nearly so, where motions fall with f^-2 and faster
-ROUNDING = 1e-9  # of a position, by arithmetic: a range that is no motion
+ROUNDING = 1e-9  # of a position, by arithmetic: a smaller range is not a motion
 # Commands smoothed offline: rms share above ``NOISE`` of the sampling rate, and fall of the density within an octave.
 # The first run of each of 17 sets leaves 4e-4 and more, and falls by up to 3.2e3. Behind a zero-phase filter of fourth
 # order and rounded to 1e-6 they leave up to 2e-5 (1 Hz) and 6e-6 (5 Hz, but 1e-3 at a rate of 30 Hz, which is not
@@ -110,7 +110,7 @@ def position_noise(run: Run, cutoffs: Sequence[float | None]) -> np.ndarray:
 def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -> tuple[float | None, ...]:
     """Raise each joint's cut-off (Hz) where a run has faster motion than :func:`position_noise` explains.
 
-    The error of the accelerations, of lost motion above the cut-off and of noise that passes, is least.
+    The cut-off minimises the error of the accelerations: lost motion above it, and noise that passes.
     """
     cutoffs_of_joints: list[float | None] = []
     for cutoff, level, (centre, density, gain) in zip(cutoffs, noise, _banded(run), strict=True):
@@ -135,7 +135,7 @@ def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute frequencies (K,) up to ``TOP``, power densities of second differences (K, n), and gains of differences."""
+    """Compute frequencies (K,) up to ``TOP``, densities of second differences (K, n), and the gains of a difference."""
     from scipy.signal.windows import tukey
 
     count = len(position) - 2

@@ -48,8 +48,7 @@ def choose_preparation(
     and from where noise takes over, see :func:`gtau.signals.preparation.filters.cutoff_frequency`. The decimation
     leaves five rows in a period of the bandwidth, or more where it would lose more than 15 % of the samples around
     reversals and rests. ``judge`` may lower bandwidth and filter where nothing is given. Raises GtauError where no
-    joint moves in a run, or a frequency that is given is not between a period of the longest and half the rate of the
-    slowest run.
+    joint moves in a run, or the logs cannot hold motion of a given frequency.
     """
     settings = runs[0].log.settings
     slowest = min(run.rate for run in runs)

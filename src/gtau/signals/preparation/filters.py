@@ -35,16 +35,14 @@ Cutoff = float | tuple[float | None, ...] | None
 def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float = np.inf) -> float | None:
     """Choose the cut-off of the position filter, Hz; None for no filter.
 
-    Ten times the bandwidth, and at least 5 Hz, which keeps the motion to 1e-8. Where the ``end`` of the signal lies
-    below that it is taken: motion and noise are as strong there, and Wiener's filter, which makes the error of the
-    accelerations least, halves both, as this one does at its cut-off. But 2.5 times the bandwidth at least, where the
-    gain at the bandwidth is 1 - 7e-4. It is never so low that the ends of the filter take more than 12 % of runs with a
-    mean duration of ``seconds``: on two runs of 5 s of an xMate7, 2.5 Hz instead of 10 Hz raise the torque errors on a
-    third from 17 to 28 % (geometric mean).
-
-    Not above half the Nyquist frequency, where little noise is left to be filtered, and rows are not decimated: the
-    torques would keep what the positions lose (on the UPV robot at 100 Hz, 34 Hz raise a leg's torque error from 11 to
-    15 %).
+    Ten times the bandwidth, and at least 5 Hz, keeps the motion to 1e-8. If the signal ends below that, the cut-off is
+    the ``end``, where motion and noise are equally strong: Wiener's filter, which minimises the error of the
+    accelerations, halves both there, as this filter does at its cut-off. The cut-off is at least 2.5 times the
+    bandwidth, where the gain at the bandwidth is 1 - 7e-4, and high enough that the ends of the filter take at most 12
+    % of runs with a mean duration of ``seconds``: on two runs of 5 s of an xMate7, 2.5 Hz instead of 10 Hz raise the
+    torque errors on a third from 17 to 28 % (geometric mean). Nothing is filtered above half the Nyquist frequency,
+    where little noise remains and rows are not decimated: the torques would keep what the positions lose (on the UPV
+    robot at 100 Hz, 34 Hz raise a leg's torque error from 11 to 15 %).
     """
     ends = cutoff_at_ends(seconds)
     cutoff = max(10 * bandwidth, 5.0, ends)
@@ -77,8 +75,8 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
 def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, stop: int) -> np.ndarray:
     """Smooth a stretch of positions by a Gaussian with a gain of 1 / sqrt(2) at the cut-off.
 
-    Its weights are positive, so that the path reverses only where the logged one does. :func:`low_pass`
-    rings where a joint stops, on a UR10e by 1.4e-4 rad, twice the width of its presliding.
+    Its weights are positive, so the path reverses only where the logged path does. :func:`low_pass` rings where a joint
+    stops, on a UR10e by 1.4e-4 rad, twice the width of its presliding.
     """
     from scipy.ndimage import gaussian_filter1d
 
@@ -96,7 +94,7 @@ def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, s
 
 
 def filter_edge(rate: float, cutoff: Cutoff, periods: float = EDGE) -> int:
-    """Count samples at either end of a log that what is beyond affects: by more than 1e-3 for these ``periods``."""
+    """Count the samples at either end of a log that lack of data beyond changes, by more than 1e-3 for ``periods``."""
     given = [frequency for frequency in (cutoff if isinstance(cutoff, tuple) else (cutoff,)) if frequency is not None]
     return STENCIL + (ceil(periods * rate / min(given)) if given else 0)
 
@@ -104,9 +102,9 @@ def filter_edge(rate: float, cutoff: Cutoff, periods: float = EDGE) -> int:
 def differentiate(x: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute first and second derivative along the first axis by central differences of fourth order.
 
-    A sine of angular frequency w keeps its phase; its derivatives are too small by ``(w / rate)^4 / 30``
-    and ``(w / rate)^4 / 90``: 0.04 and 0.01 % at a twentieth of the sampling rate. The two samples at
-    either end repeat their neighbours' values.
+    A sine of angular frequency w keeps its phase; its derivatives are too small by ``(w / rate)^4 / 30`` and
+    ``(w / rate)^4 / 90``: 0.04 and 0.01 % at a twentieth of the sampling rate. Two samples at either end repeat their
+    neighbours' values.
     """
     y = x / 12.0
     first, second = np.empty_like(y), np.empty_like(y)
@@ -149,11 +147,10 @@ PASSED = 0.8  # cut-off of the low-pass, as a share of the new Nyquist frequency
 class Decimator:
     """Zero-phase low-pass that keeps every ``factor``-th sample.
 
-    ``fir`` is a Kaiser-windowed sinc of 3 ``factor`` samples with unit gain at zero frequency: an output
-    depends only on the samples of its ``support``. ``chebyshev`` is MATLAB's ``decimate``, the
-    paper's way: Chebyshev I of order 8, ripple 0.05 dB, forward and backward; its response never ends, and
-    180 ``factor`` samples of warm-up leave 1e-13 of it. Both cut off at 0.8 of the new Nyquist frequency,
-    ``PASSED``. With factor 1 nothing is filtered.
+    ``fir`` is a Kaiser-windowed sinc of 3 ``factor`` samples with unit gain at zero frequency: an output depends only
+    on the samples of its ``support``. ``chebyshev`` is MATLAB's ``decimate``, as in the paper: Chebyshev I of order 8,
+    ripple 0.05 dB, forward and backward; after 180 ``factor`` samples of warm-up 1e-13 of its response remains. Both
+    cut off at ``PASSED``, 0.8 of the new Nyquist frequency. With factor 1 nothing is filtered.
     """
 
     factor: int
@@ -188,11 +185,8 @@ class Decimator:
 
     @property
     def guard(self) -> int:
-        """Number of samples on either side of an output that must be usable.
-
-        The part of the ``fir`` beyond ``factor`` samples has 0.5 to 1.5 % of its weight, in lobes of both signs; the
-        response of ``chebyshev`` is infinite.
-        """
+        """Number of samples on either side of an output that must be usable."""
+        # Beyond, the FIR has 0.5 to 1.5 % of its weight, in lobes of both signs; Chebyshev's response is infinite.
         return self.factor if self.factor > 1 else 0
 
     @property
@@ -232,7 +226,7 @@ class Decimator:
             return self._chebyshev(columns)[..., at]
         from scipy.signal import upfirdn
 
-        # The padded kernel puts the outputs on multiples of the factor, the only ones upfirdn computes.
+        # The padded kernel puts the outputs on multiples of the factor, which upfirdn computes alone.
         skipped = (len(self.kernel) - 1) // self.factor
         return upfirdn(self.kernel, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
 

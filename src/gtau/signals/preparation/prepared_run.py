@@ -73,8 +73,8 @@ class SampleWindow:
     ``q``, ``qd``, ``qdd`` (M, n) in rad or m, s; ``command`` (M, c + 6 k), of the joints, then of the torque sensors,
     then of k wrenches, and its time derivatives ``command_d``, ``command_dd``, the columns of a delay. ``usable``
     (M, c) is False where a row must not be used: around the joint's reversals and rests, at gaps, at the ends of the
-    filter, and always for a joint that does not move. ``time`` (M,) in s. It may be ``part_of`` another window, that
-    begins with the sample of this number.
+    filter, and always for a joint that does not move. ``time`` (M,) in s. It may be ``part_of`` another window, from
+    the sample of this number on.
     """
 
     run: Run
@@ -119,7 +119,7 @@ ARRAYS = "time", "q", "qd", "qdd", "command", "command_d", "command_dd", "usable
 class PreparedRun:
     """Prepared run; :meth:`samples` returns any part of it ready for the model.
 
-    Of the run's samples those ``kept`` are used, from the first motion to the last. ``moves`` (n,) marks joints that
+    The samples ``kept`` are used, from the first motion to the last. ``moves`` (n,) marks joints that
     move; ``speeds`` (n, n) is the mean of ``qd qd^T`` over these samples, the reference of the joints' speed
     thresholds. ``motor_to_joint_speed`` (n_y, n) gives joint speeds from motor speeds; it is nonzero where a joint's
     friction appears in the motor's row: for the motor's own joint, and for others in coupled chains. ``peaks`` (PARTS,
@@ -156,7 +156,7 @@ class PreparedRun:
         return self.run.time[self.kept.start : self.kept.stop]
 
     def for_prediction(self) -> PreparedRun:
-        """Filter each joint's position only as far as its noise asks for, as predictions do."""
+        """Filter each joint's position only as much as its noise requires, as predictions do."""
         cutoffs, noise = self.preparation.prediction_cutoffs, self.preparation.position_noise
         return replace(self, cutoffs=widened(self.run, cutoffs, noise)) if cutoffs else self
 

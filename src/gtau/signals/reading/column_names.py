@@ -70,9 +70,8 @@ class ColumnName:
     """A parsed column ``name``: its remainder without the joint, the joint's label, the kind and the unit.
 
     ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
-    ``motor`` is a motor torque, or a column merely named after a motor;
-    ``reference`` is True for a setpoint rather than a measurement. The ``unit`` is one that an experiment file takes,
-    or what is written where units are.
+    ``motor`` is a motor torque, or a column merely named after a motor; a ``reference`` is a setpoint, not a
+    measurement. The ``unit`` is in the form of an experiment file, or as written in the log.
     """
 
     name: str
@@ -129,7 +128,7 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
 
 
 def _named(name: str) -> tuple[str, str]:
-    """Find the only part of a name that is no word of signals, and the stem: ``elbow`` in ``elbow_pos``; or none."""
+    """Split a name into its only part that is not a word of signals (``elbow`` in ``elbow_pos``) and the stem."""
     words = [(match.span(), _words(match[0])) for match in re.finditer(r"[A-Z]+(?![a-z])|[A-Z]?[^\W\d_A-Z]+|\d+", name)]
     odd = [k for k, (_, word) in enumerate(words) if SIGNAL_WORDS.isdisjoint(word)]
     has_kind = any(not WORDS[kind].isdisjoint(word) for _, word in words for kind in JOINT_KINDS)
@@ -140,7 +139,7 @@ def _named(name: str) -> tuple[str, str]:
 
 
 def by_words(name: ColumnName) -> ColumnName | None:
-    """Return a name with another label, all words in it that are none of signals; None where it has no such words.
+    """Relabel a name by all its words that are not words of signals; None if it has no such words.
 
     The word ``joint`` beside them belongs to the label.
     """
@@ -151,12 +150,12 @@ def by_words(name: ColumnName) -> ColumnName | None:
 
 
 def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
-    """Match labels of columns with joints of nearly the same name, such as ``elbo`` or ``elbow_lift``; of two, neither.
+    """Match labels with joints of nearly the same name, such as ``elbo`` or ``elbow_lift``, if only one joint fits.
 
-    Words such as ``joint`` do not count, numbers must agree.
+    Words such as ``joint`` do not count; numbers must agree.
     """
 
-    def alike(label: str, joint: str) -> bool:
+    def similar_names(label: str, joint: str) -> bool:
         parts = [re.findall(r"[a-z]+|\d+", name.lower()) for name in (label, joint)]
         names = [[word for word in words if word not in JOINT_WORDS] for words in parts]
         a, b = map(set, names)
@@ -165,7 +164,7 @@ def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
             return False
         return a <= b or b <= a or SequenceMatcher(None, "".join(names[0]), "".join(names[1])).ratio() >= ALIKE
 
-    candidates = {label: [joint for joint in joints if alike(label, joint)] for label in labels}
+    candidates = {label: [joint for joint in joints if similar_names(label, joint)] for label in labels}
     counts = Counter(joint for similar in candidates.values() for joint in similar)
     return {label: similar[0] for label, similar in candidates.items() if len(similar) == 1 == counts[similar[0]]}
 

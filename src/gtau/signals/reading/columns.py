@@ -39,7 +39,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 
 
 def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill in the columns of a preset for the ``joints`` named, those given by hand first.
+    """Fill in the columns of a preset for the ``joints`` named; columns given by hand come first.
 
     Raises ValueError, whose text gives the remedy, where there is no such preset, or its joints are missing.
     """
@@ -61,8 +61,8 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _kind_of_time(value: Any) -> str:
-    if isinstance(value, StampsOfEach) or (isinstance(value, dict) and value.keys() & {"position", "command"}):
-        return "each"
+    if isinstance(value, TwoClocks) or (isinstance(value, dict) and value.keys() & {"position", "command"}):
+        return "clocks"
     return "text" if isinstance(value, str) else "pair" if isinstance(value, (list, tuple)) else "group"
 
 
@@ -77,7 +77,7 @@ TwoColumns = tuple[str, str]
 TimeColumns = Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
 
 
-class StampsOfEach(Keys):
+class TwoClocks(Keys):
     """Time columns of positions and commands logged with separate time stamps."""
 
     position: TimeColumns
@@ -128,7 +128,7 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
     time: Annotated[
         Annotated[str, Tag("text")]
         | Annotated[TwoColumns, Tag("pair")]
-        | Annotated[StampsOfEach, Tag("each")]
+        | Annotated[TwoClocks, Tag("clocks")]
         | Annotated[SampleRate, Tag("group")],
         Discriminator(_kind_of_time),
     ]
@@ -174,7 +174,7 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
 
     @property
     def all_wrenches(self) -> tuple[BodyWrench, ...]:
-        """Wrenches on all bodies, those on a floating base last."""
+        """Wrenches on all bodies, on a floating base last."""
         return (*self.wrenches, *(self.base.acting if self.base else ()))
 
     @property
@@ -198,13 +198,13 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
     @property
     def time_columns(self) -> tuple[str, ...]:
         """Columns of the positions' time, one or two, or none."""
-        time = self.time.position if isinstance(self.time, StampsOfEach) else self.time
+        time = self.time.position if isinstance(self.time, TwoClocks) else self.time
         return () if isinstance(time, SampleRate) else _columns(time)
 
     @property
     def command_time_columns(self) -> tuple[str, ...]:
         """Columns of the commands' time, one or two, if they have separate time stamps."""
-        return _columns(self.time.command) if isinstance(self.time, StampsOfEach) else ()
+        return _columns(self.time.command) if isinstance(self.time, TwoClocks) else ()
 
     @model_validator(mode="before")
     @classmethod

@@ -77,7 +77,7 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
 
 
 def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
-    """List what is assumed of joints, units, payloads, the robot and unused columns, where that is to be confirmed."""
+    """List the points to confirm about joints, units, payloads, robot and unused columns, with what is assumed."""
     signals, unused, how = draft.signals, draft.unused, draft.reasons.position
     order = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
     columns = ", ".join(f"{joint}: {column}" for joint, column in signals.position.items())
@@ -184,7 +184,7 @@ def _clock(
 def _kind(
     commands: Group, log: LogContents, columns: Mapping[str, str]
 ) -> tuple[Literal["current", "torque"], dict[str, str]]:
-    """Decide whether commands are currents or torques, and list what is to be confirmed of them."""
+    """Decide whether commands are currents or torques, and list the points to confirm about them."""
     written = [read_unit(log.units[column]) for column in columns.values() if column in log.units]
     in_amperes = any(unit and unit.measures == "current" for unit in written)
     kind: Literal["current", "torque"] = "torque" if commands.kind == "torque" and not in_amperes else "current"
@@ -248,7 +248,7 @@ def _unused(
 
 
 def _sensors(log: LogContents, kind: str, labels: Mapping[str, str]) -> tuple[dict[str, str], list[str]]:
-    """Select the measured torques of a kind by joint, and list those that never change."""
+    """Select the measured torques of a kind by joint, and list torques that never change."""
     group = log.group(kind)
     if group is None or group.reference:
         return {}, []

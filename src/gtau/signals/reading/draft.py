@@ -16,7 +16,7 @@ QUESTIONS = {
     "a joint, write them at its name",
     "counts": "replace counts and unknown units by the size of one count (units: {current: 0.00269 A}); for shares add "
     "the rated values (units: {rated: {JOINT: 5.2}})",
-    "joints": "confirm which columns are of which joint",
+    "joints": "confirm which columns belong to which joint",
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "unit": "confirm the unit of the positions (units: {position: ...}), or, of motors before their gears, the "
@@ -27,7 +27,7 @@ QUESTIONS = {
     "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
     "received": "messages without measurement stamps get receipt stamps, with the jitter of the middleware",
     "clock": "confirm the time column, as other columns increase too",
-    "torques": "remove the '#' of joint_torque if those are sensors behind the gears, not computed from currents",
+    "torques": "remove the '#' of joint_torque if these come from sensors behind the gears, not from currents",
     "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
     "(--payload LOG=KG)",
     "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
@@ -102,8 +102,8 @@ class Draft:
 
     ``logs`` are one file or two of each run; ``units`` and ``robot`` are as under these keys of the file, but ``robot``
     has no ``file`` where it is unknown. ``payloads`` are masses (kg) by log: several where the name of the file has
-    several readings, NaN where the payload is to be weighed; those ``stated`` do not come from names. ``open`` are the
-    points to confirm, keys of ``QUESTIONS``, each with what is assumed. ``urdf`` is the robot's file from a bag.
+    several readings, NaN where the payload is to be weighed; the logs ``stated`` have masses by option. ``open`` are
+    the points to confirm, keys of ``QUESTIONS``, each with what is assumed. ``urdf`` is the robot's file from a bag.
     """
 
     logs: tuple[tuple[Path, ...], ...]

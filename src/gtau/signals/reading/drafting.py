@@ -1,4 +1,4 @@
-"""Drafting of an experiment file from logs: its text, notes on every guess in it, and what is known beforehand."""
+"""Drafting of an experiment file from logs: its text, notes on its guesses, and what the user states."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def to_weigh(draft: Draft) -> Draft:
 
 
 def alternatives(masses: Sequence[float]) -> str:
-    """Write masses of which one is right, in kg."""
+    """Write alternative masses, kg."""
     return " or ".join(f"{mass:g}" for mass in masses)
 
 
@@ -142,7 +142,7 @@ def write_draft(draft: Draft, file: Path) -> list[Path]:
     for path, text in texts.items():
         if edited and path.exists() and path.read_bytes() != text.encode():
             raise GtauError(
-                f"{path} exists already and is no draft as gtau wrote it; use it (gtau identify {file}), give another "
+                f"{path} exists already and is not an unedited gtau draft; use it (gtau identify {file}), give another "
                 "folder (--out), or remove it."
             )
     for path, text in texts.items():

@@ -36,11 +36,11 @@ from gtau.signals.reading.units import Units, is_angle
 class Experiment(Keys):
     """An experiment file; once read, its paths are absolute or relative to the working directory.
 
-    ``robot`` is a file or a name of the catalog, or a group that says also how its base stands and which joints move.
-    ``priors`` hold for standard parameters, by name, ``drives`` the data sheets of motors and gears,
-    by joint, ``prior_inertias`` the relative standard deviation with which the inertias of the robot's file are priors,
-    ``preparation`` what is set of it by hand, ``require`` what the result is to meet, and ``tolerances`` what a
-    watched robot may change.
+    ``robot`` is a file, a name of the catalog, or a group that also says how its base stands and which joints move.
+    ``priors`` are given by standard parameter, ``drives`` (data sheets of motors and gears) by joint;
+    ``prior_inertias`` is the relative standard deviation of the inertias in the robot's file as priors;
+    ``preparation`` holds settings made by hand, ``require`` limits on the result, and ``tolerances`` the changes that
+    are accepted of a watched robot.
     """
 
     robot: AnySource
@@ -112,9 +112,9 @@ class Experiment(Keys):
     @field_validator("drives")
     @classmethod
     def _stated_once(cls, drives: dict[str, Drive], info: ValidationInfo) -> dict[str, Drive]:
-        signals: Signals | None = info.data.get("signals")
-        for joint, drive in drives.items() if signals else ():
-            if drive.gain is not None and signals.kind == "torque":
+        kind = info.data["signals"].kind if "signals" in info.data else ""
+        for joint, drive in drives.items():
+            if drive.gain is not None and kind == "torque":
                 raise ValueError(
                     "the signals hold torques, which need no torque constant; remove the 'torque_constant' of "
                     f"'{joint}'"
@@ -147,7 +147,7 @@ class Experiment(Keys):
     @classmethod
     def _each_log_once(cls, runs: tuple[LoggedRun, ...], info: ValidationInfo) -> tuple[LoggedRun, ...]:
         if info.context is not None:
-            runs = tuple(entry for run in runs for entry in run.each())
+            runs = tuple(entry for run in runs for entry in run.per_match())
         for k, run in enumerate(runs):
             if any(run.overlaps(earlier) for earlier in runs[:k]):
                 raise ValueError(
@@ -190,15 +190,15 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     Parameters
     ----------
     path : str or Path
-        A YAML file; the paths in it are relative to its folder. ``robot`` stays a text: the path of
-        a robot file where there is such a file, otherwise a name of the catalog.
+        A YAML file; the paths in it are relative to its folder. ``robot`` remains a text: the path of a robot file if
+        there is such a file, otherwise a name of the catalog.
     logs : Path, optional
         The folder to which the paths of the logs are relative, where it is another one.
 
     Returns
     -------
     Experiment
-        All log files exist; nothing of them has been read.
+        All log files exist; none has been read.
 
     Raises
     ------

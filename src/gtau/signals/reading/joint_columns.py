@@ -95,6 +95,6 @@ def _chain(robot: Robot) -> tuple[str, ...]:
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:
-    """Sort labels by their number; keep the order of those without."""
+    """Sort labels by number, if all have one."""
     labels = list(labels)
     return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels

@@ -38,7 +38,7 @@ FOLLOWED = 0.3
 
 
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
-COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, those preferred first
+COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, by preference
 FORWARD = 0.98  # share of the steps of a time that are not back: a row out of order is sorted, or refused, at reading
 USUAL_RATES = 50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000  # Hz
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -159,11 +159,11 @@ class LogContents:
         """Select currents before torques, and torques of motors before torques of joints, which sensors may give."""
         position = self.group("position")
         groups = [group for kind in COMMANDS if (group := self.group(kind)) is not None and not self._is_switch(group)]
-        alike = (group for group in groups if position is None or len(group.columns) >= len(position.columns))
-        return next(alike, groups[0] if groups else None)
+        complete = (group for group in groups if position is None or len(group.columns) >= len(position.columns))
+        return next(complete, groups[0] if groups else None)
 
     def moving_beside(self, used: Collection[str], labels: Collection[str], kind: str | None) -> list[str]:
-        """List columns of positions, and of commands of a kind, that change, beside those used, and of other labels."""
+        """List positions, and commands of a kind, that change, are not used, and have none of the labels."""
         return [
             column
             for group in self.groups
@@ -232,7 +232,7 @@ class LogContents:
 
 
 def _topics(table: LogTable) -> list[str]:
-    """List the topics of a bag, each of which has its time stamps; nested ones first."""
+    """List the topics of a bag, which have their own time stamps; nested topics first."""
     topics = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
     return sorted(topics, key=len, reverse=True)
 
@@ -252,9 +252,9 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
 
 
 def _grouped(names: Sequence[ColumnName]) -> list[Group]:
-    """Group columns of all kinds but time by their stems; the second one of a joint, as in another unit, is apart.
+    """Group columns of all kinds but time by their stems; a second column of a joint, in another unit, is separate.
 
-    Names that are alike but for several words (``base_pos``, ``j2_arm_pos``) are labelled by all of these.
+    Names that differ by several words (``base_pos``, ``j2_arm_pos``) are labelled by all of these.
     """
     names = [name for name in names if name.kind != "time"]
     stems = Counter(name.stem.casefold() for name in names)
@@ -275,7 +275,7 @@ def _grouped(names: Sequence[ColumnName]) -> list[Group]:
 
 
 def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Find the increasing column among those named as time, or the two of seconds and nanoseconds."""
+    """Find the increasing column among columns named as time, or the two of seconds and nanoseconds."""
     times = [name.name for name in names if name.kind == "time" and not name.label]
     parts = [name for name in times if re.search(r"nano|nsec", name, re.IGNORECASE)]
     if parts and len(times) > len(parts):

@@ -78,8 +78,8 @@ class LoggedRun(Part):
                 if not existing.is_file() and not is_log_folder(existing):
                     if existing.is_dir():
                         raise ValueError(
-                            f"the folder '{existing}' holds no .parquet files and is no rosbag2; give a file, or such "
-                            "a folder"
+                            f"the folder '{existing}' holds no .parquet files and is not a rosbag2; give a file, or "
+                            "such a folder"
                         )
                     raise ValueError(f"there is no file '{existing}'{_close_file(existing)}")
         if len({len(logs) for logs in matches}) > 1:
@@ -89,7 +89,7 @@ class LoggedRun(Part):
             )
         return placed
 
-    def each(self) -> list[LoggedRun]:
+    def per_match(self) -> list[LoggedRun]:
         """List the runs, one for each match of the patterns."""
         pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
         return [self.model_copy(update={"log": logs}) for logs in pairs]

@@ -254,7 +254,7 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
 def _aligned(
     path: Path, other_path: Path, signals: Signals, scale: float, notes: list[Finding]
 ) -> tuple[range, Callable[[np.ndarray], np.ndarray]]:
-    """Find the rows of positions between the first and the last command in the other log, and what interpolates these.
+    """Find the rows of positions between the first and the last command, and a function that interpolates the commands.
 
     ``scale`` converts the columns of both times to s.
     """

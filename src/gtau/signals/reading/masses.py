@@ -1,4 +1,4 @@
-"""Masses of payloads in the names of logs, as in ``loaded_1983g``, and all readings of those that have several."""
+"""Masses of payloads in the names of logs, such as ``loaded_1983g``, with all readings of ambiguous names."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ LEAST, MOST = 0.01, 1e3  # kg; of a payload. Less may be an acceleration (0.5g),
 
 
 def masses_in_name(name: str) -> tuple[float, ...]:
-    """Read the mass in kg from the name of a file: no reading, one, or several, of which the user must choose.
+    """Read the mass, kg, from the name of a file: no reading, one, or several from which the user must choose.
 
     ``1,5kg``, ``1p5kg`` and ``1500g`` have one; ``loaded_1_5kg`` may be 1.5 kg or log 1 with 5 kg, ``1kg5`` 1.5 kg or
-    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg. A mass that is too small or too large may be none (0),
-    as may ``no_5kg`` be.
+    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg. A mass that is too small or too large may mean no
+    payload (0), as may ``no_5kg``.
     """
     name = FRACTION.sub(_decimal, DATE.sub(" ", name))
     matches = list(MASS.finditer(name))

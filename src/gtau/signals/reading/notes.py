@@ -9,7 +9,7 @@ from gtau.findings import Finding, Grade
 
 COSTLY = 0.02
 """Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
-but for those recorded by polling; 0.05 and more are refused. A choice between the two."""
+except logs recorded by polling; 0.05 and more are refused. A choice between the two."""
 
 
 def reading(kind: str, text: str, advice: str = "", joints: Sequence[str] = ()) -> Finding:

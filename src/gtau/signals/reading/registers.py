@@ -36,8 +36,8 @@ class Register(NamedTuple):
 def register_of(values: np.ndarray) -> Register | None:
     """Recognise a register by its values (N,) as logged.
 
-    None where a value is negative or no whole number, where the values pass the middle of the range in small steps or
-    never, and of a switch.
+    None if a value is negative or not a whole number, if the values pass the middle of the range in small steps or
+    never, and for a switch.
     """
     values, exact = np.rint(values[np.isfinite(values)]), values[np.isfinite(values)]
     if not values.size or values.min() < 0 or values.max() < LEAST or not np.allclose(values, exact, 1e-9, 0.0):
@@ -59,14 +59,14 @@ def register_of(values: np.ndarray) -> Register | None:
 def with_signs(
     samples: Samples, scales: tuple[Mapping[str, float], Mapping[str, float]], notes: list[Finding]
 ) -> Samples:
-    """Correct the positions and the commands that are registers without their signs, and say so in the ``notes``.
+    """Correct positions and commands that are registers logged without sign, and note it.
 
-    ``scales`` are what one count of a joint's position and command is, SI units.
+    ``scales`` are the SI values of one count of a joint's position and command.
     """
     arrays = []
     for kind, array, scale in zip(("position", "command"), (samples.position, samples.command), scales, strict=True):
         columns = {j: scale[joint] for j, joint in enumerate(samples.joints) if joint in scale}
-        if kind == "command":  # positions wrap by turns that are no register's range
+        if kind == "command":  # positions wrap by turns, which are not a register's range
             columns = {j: _count(array, j, size) for j, size in columns.items()}
         registers = _registers(array, columns)
         for register in set(registers.values()):
@@ -94,9 +94,9 @@ def _count(array: np.ndarray, j: int, scale: float) -> float:
 
 
 def _registers(array: np.ndarray, columns: Mapping[int, float]) -> dict[int, Register]:
-    """Recognise registers among columns of an array, by what one count is.
+    """Recognise registers among columns of an array, by the value of one count.
 
-    A signal that stays in the upper half of its range is taken for one where another joint's is one.
+    A signal in the upper half of the range is a register if another joint's signal is one.
     """
     low, high = extremes(array)
     ends = {j: sorted((low[j] / size, high[j] / size)) for j, size in columns.items()}

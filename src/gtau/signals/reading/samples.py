@@ -23,9 +23,9 @@ MAX_MISSING = 0.05  # part of a log that may be bad or missing
 
 
 class Part(Keys):
-    """The part of a log to use: without its first ``skip`` rows, and between two times in s; or of one ``episode``.
+    """Part of a log to use: without the first ``skip`` rows, between two times (s), or of one ``episode``.
 
-    The times count from the first row that is left. In a file they are ``from`` and ``to``.
+    The times count from the first row after these. In a file they are ``from`` and ``to``.
     """
 
     model_config = ConfigDict(populate_by_name=True)
@@ -70,7 +70,7 @@ class Part(Keys):
             if first is None or (self.begin == 0 and self.end == np.inf):
                 yield row, values
                 continue
-            # Rows without a time go with those before them.
+            # Rows without a time go with the rows before them.
             elapsed = np.maximum.accumulate(np.where(known, time, -np.inf) - first)
             start, stop = np.searchsorted(elapsed, self.begin), np.searchsorted(elapsed, self.end, side="right")
             yield row + int(start), values[start:stop]
@@ -111,7 +111,7 @@ class Samples:
         return tuple(channel.joint for channel in self.channels if channel.kind.modelled and not channel.kind.link_side)
 
     def places(self, rows: Sequence[int], count: int) -> str:
-        """Describe the location in the file of ``count`` rows, the first of which are ``rows``."""
+        """Describe where ``count`` rows are in the file; ``rows`` are the first."""
         first, word = self.table.first_line, "line"
         if first is None:
             first, word = 1, "row"
@@ -192,16 +192,10 @@ def complete(
         notes.append(reading("rows of other signals", text=text))
     _refuse_empty_columns(samples, numbers)
     if incomplete.count > MAX_MISSING * count:
-        column = samples.columns[bad_column]
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
         at_start = incomplete.count - leading <= MAX_MISSING * count
         remedy = f"leave out its first rows (skip: {part.skip + leading})" if at_start else "correct or delete them"
-        raise GtauError(
-            f"{samples.name} has {incomplete.count} of {count} rows with missing or non-numeric values (first in "
-            f"{samples.places(incomplete.first[:1], 1)}, column '{column}'"
-            + (f": '{entry}'" if (entry := samples.table.texts.get(column)) else "")
-            + f"); {remedy}, or record the log again."
-        )
+        _refuse_incomplete(samples, incomplete, count, samples.columns[bad_column], remedy)
     if incomplete.count:
         places = samples.places(incomplete.first, incomplete.count)
         text = f"dropped {counted(incomplete.count, 'row')} with missing or non-numeric values ({places})"
@@ -219,6 +213,14 @@ class _Rows:
     def add(self, rows: np.ndarray) -> None:
         self.count += len(rows)
         self.first += rows[: 5 - len(self.first)].tolist()
+
+
+def _refuse_incomplete(samples: Samples, rows: _Rows, count: int, column: str, remedy: str) -> None:
+    entry = f": '{samples.table.texts[column]}'" if samples.table.texts.get(column) else ""
+    raise GtauError(
+        f"{samples.name} has {rows.count} of {count} rows with missing or non-numeric values (first in "
+        f"{samples.places(rows.first[:1], 1)}, column '{column}'{entry}); {remedy}, or record the log again."
+    )
 
 
 def _refuse_empty_columns(samples: Samples, numbers: np.ndarray) -> None:

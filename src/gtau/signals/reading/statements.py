@@ -75,10 +75,10 @@ ROUNDED = 0.01  # of a moment of inertia: what people round
 
 
 def no_body(parameters: Mapping[str, float], mass: float | None) -> str:
-    """Say what of inertial parameters at the frame's origin no body has, as far as they are given; empty if nothing.
+    """Say which of the given inertial parameters (at the frame's origin) no body can have; empty if all are possible.
 
-    A moment about an axis is negative, larger than the other two together, smaller than what mass and centre alone
-    have, or a product of two axes is larger than half the moment about the third.
+    A moment of inertia is impossible if it is negative, larger than the other two together, or smaller than mass and
+    centre alone give; a product if it is larger than half the moment about the third axis.
     """
     x, y, z = (parameters.get(kind, 0.0) for kind in FIRST_MOMENTS)
     axes = {"xx": ("yy", "zz", "yz", y, z), "yy": ("xx", "zz", "xz", x, z), "zz": ("xx", "yy", "xy", x, y)}

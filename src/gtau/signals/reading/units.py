@@ -45,7 +45,7 @@ UNIT = re.compile(r"[^\W\d_][^\W\d_/*^· -]*|[/*^· -]+|\d\b|[()]|°")
 def si_factor(text: str, kind: Kind) -> float:
     """Convert a unit, or a quantity such as ``0.0012 A`` (of one count), to the SI unit of its kind.
 
-    Raises ValueError, whose text gives the remedy, where it is no unit of that kind.
+    Raises ValueError, whose text gives the remedy, if it is not a unit of that kind.
     """
     return _measured(text, kind)[1]
 
@@ -187,7 +187,7 @@ class Units(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
         return _unit(self.position, joint)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
-        """Compute factors to SI of the columns of positions and base pose, of all measured ones, and of the time.
+        """Compute factors to SI for the columns of positions and base pose, for all measured columns, and for the time.
 
         Raises GtauError where a share of a rated value is logged, but the rated value is not given.
         """
@@ -220,10 +220,7 @@ def _unit(units: str | dict[str, str] | None, joint: str) -> str | None:
 
 
 def refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Units) -> None:
-    """Refuse columns in other units than SI by their names, or by the log, where the experiment file states none.
-
-    Raises GtauError.
-    """
+    """Refuse columns whose unit, by name or log, is not SI if the experiment file states none; raises GtauError."""
     written = {name: unit for file in files for name, unit in file.units.items()}
     columns = [("position", *pair) for pair in signals.position.items()]
     columns += [(signals.kind, *pair) for pair in signals.command.items()]

@@ -1,7 +1,7 @@
 """Units as recorders write them: in brackets, as words of a column's name, or in a row below the header.
 
-Each becomes one that an experiment file takes (``mN m``). Counts, and whatever else is written where units are, remain
-as written, and an experiment file refuses them: they are never ignored.
+Each is converted to the form of an experiment file (``mN m``). Counts and unknown units remain as written, and an
+experiment file refuses them: none is ignored.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class WrittenUnit(NamedTuple):
 
 
 def read_unit(text: str) -> WrittenUnit | None:
-    """Read a unit, or the quantity of one count (``0.01A``); None where the text is none."""
+    """Read a unit, or the quantity of one count (``0.01A``); None if the text is neither."""
     if len(text) > LONGEST:
         return None
     plain = unicodedata.normalize("NFKC", text.replace("º", "°")).replace("μ", "u").strip()
@@ -80,7 +80,7 @@ def read_unit(text: str) -> WrittenUnit | None:
 
 
 def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
-    """Split a column's name into the rest and its unit, in brackets or, where there are none, a word."""
+    """Split a column's name into the rest and its unit, in brackets or else a word."""
     for match in reversed(list(re.finditer(r"([\[(])([^\[\]()]*)[\])]", name))):
         remark = match[1] == "(" and re.fullmatch(r"\s*[a-z]\s*", match[2])  # measured, set, actual
         if not remark and (unit := read_unit(match[2])):
@@ -94,7 +94,7 @@ def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
 
 
 def unit_row(fields: Sequence[str]) -> list[str] | None:
-    """Read the units of a row below the header; None where most of its fields are none."""
+    """Read the units of a row below the header; None if most of its fields are not units."""
     texts = [re.sub(r"^[\[(](.*)[\])]$", r"\1", field.strip()) for field in fields]
     texts = ["" if text.lower() in ("unit", "units", "einheit", "-", "1") else text for text in texts]
     units = [read_unit(text) for text in texts if text]

@@ -54,11 +54,11 @@ class Checked(NamedTuple):
 def check(samples: Samples, notes: list[Finding], given: Given = None) -> Checked:
     """Check the complete samples of a log, repair what is safe, and put them on a uniform grid.
 
-    Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
-    clipped at a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the
-    mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
-    samples' instants are, unless that is ``given``. ``notes`` report every repair. Raises GtauError where values cannot
-    be right, or too many are missing.
+    Repeated samples are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is clipped at
+    a limit are masked, and outliers of positions are interpolated. Irregular sampling is resampled at the mean rate:
+    cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for the instants of the
+    samples, unless the clock is ``given``. ``notes`` report every repair. Raises GtauError where values cannot be
+    right, or too many are missing.
     """
     ends = extremes(samples.command)  # repairs leave them
     _refuse_stuck(samples, ends, notes)

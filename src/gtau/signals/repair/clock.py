@@ -158,7 +158,7 @@ def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple
             break
     lost = sum(missing for _, missing in gaps)
     if lost > RUNAWAY * len(time) and late > period:
-        # Steps that scatter as much as they are long look like gaps, each of which makes the others longer still.
+        # Steps that scatter as much as they are long look like gaps, and each gap makes further steps look longer.
         rest = np.flatnonzero(np.diff(time) > pause)
         gaps = tuple((int(k) + 1, round(float(time[k + 1] - time[k]) / mean) - 1) for k in rest)
         period, offset, late, rounded = _line(time, mean, gaps)
@@ -203,7 +203,7 @@ def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> 
     exact = np.flatnonzero(resolution < 0.03)
     decimal = 1 / float(DECIMALS[exact[0]]) if exact.size else 1e-6
     rounded = max(-low, high) <= max(1e-3 * period, min(decimal, 0.5 * period))
-    # The earliest stamps are the least late ones: the clock is shifted to them.
+    # The earliest stamps are the least late: the clock is shifted to them.
     return period, offset if rounded else offset + low, high - low, rounded
 
 

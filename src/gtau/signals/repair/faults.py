@@ -32,7 +32,7 @@ NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
 SCALES, STEPS = 6.0, 1.5
 SHARE = 0.95
 LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
-SLIP = 20.0  # times what 99.9 % of the samples show: a change of speed between two samples that is no motion
+SLIP = 20.0  # times what 99.9 % of the samples show: a larger change of speed between two samples is not a motion
 SLIP_SPEED = 0.5  # and in shares of the joint's speed
 SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, shaken by others, moves by one
 SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
@@ -83,7 +83,7 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> Glitche
 def _blocks(
     samples: Samples, instants: np.ndarray, held: Held
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield numbers, instants and positions of fresh samples in blocks, with those around, and which are inside."""
+    """Yield numbers, instants and positions of fresh samples in blocks with margins, and mark the block."""
     margin = 2 * (NEIGHBOURS + WIDEST) * held.longest
     for start, stop in spans(len(samples.time)):
         begin, end = max(0, start - margin), min(len(samples.time), stop + margin)
@@ -183,7 +183,7 @@ def glitch_note(samples: Samples, glitches: Glitches) -> Finding:
 def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     """Refuse positions with a permanent jump between two samples, as after a slipped coupling or lost counts.
 
-    The catch-up after a stale position is no jump.
+    The catch-up after a stale position is not a jump.
     """
     n, stride = len(samples.joints), stride_of(len(samples.time))
     usual, fast = list[np.ndarray](), list[np.ndarray]()

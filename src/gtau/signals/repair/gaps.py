@@ -107,9 +107,9 @@ def _is_usable(samples: Samples) -> bool:
 
 
 def in_order(samples: Samples, notes: list[Finding], given: Given) -> Samples:
-    """Drop repeated rows, after those that come late, twice or a step behind their time, are put in order.
+    """Put rows that come late, twice or a step behind their time in order, and drop repeated rows.
 
-    Where the positions are smoother in the order of the rows, the stamps are wrong: they stay until the next later one.
+    If the positions are smoother in the order of the rows, the stamps are wrong and never fall.
     """
     time, count = samples.time, len(samples.time)
     if not any((np.diff(part) < 0).any() for part in blocks(time, before=1)):
@@ -137,7 +137,7 @@ def in_order(samples: Samples, notes: list[Finding], given: Given) -> Samples:
 def _without_repeated(samples: Samples, notes: list[Finding], clock: Given) -> Samples:
     """Drop samples with the time and values of the one before; raises GtauError where time goes back.
 
-    Samples with the same time but different values are all kept, as their stamps are late, unless stamps are given as
+    Samples with the same time but different values are kept, as their stamps are late, unless stamps are stated to be
     true.
     """
     time = samples.time

@@ -30,12 +30,11 @@ ALL = range(1 << 62)  # rows
 class LogTable:
     """Columns of a log, located but not yet read.
 
-    ``frames`` reads columns by name, some rows of them: Polars frames, block by block, each with the fraction of the
-    log that is then read; a column that holds no numbers is refused there. Row 0 is in ``first_line`` of a text file;
-    other logs have rows, counted from 1. ``notes`` report what the reader left out, ``episodes`` are the rows of each
-    by its number, where there are several. ``texts`` holds, as far as the log has been read, of every column with a
-    value that is no number the first one as written. ``units`` are those that the log gives beside its names, by
-    column, as written.
+    ``frames`` reads some rows of columns by name, block by block, as Polars frames with the fraction of the log read so
+    far; it refuses columns that hold no numbers. Row 0 is in ``first_line`` of a text file; other logs have rows,
+    counted from 1. ``notes`` report what the reader left out; ``episodes`` are rows by episode, if there are several.
+    ``texts`` holds, by column, the first entry read so far that is not a number; ``units``, by column, are as written
+    in the log beside the names.
     """
 
     path: Path
@@ -75,7 +74,7 @@ def numbers(count: int) -> tuple[str, ...]:
 
 
 def _floats(series: pl.Series) -> tuple[np.ndarray, str | None]:
-    """Read numbers of a column, nan for other entries, infinite ones too, and the first of these, if any."""
+    """Read the finite numbers of a column, nan for other entries, and the first such entry, if any."""
     import polars as pl
 
     values = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan

@@ -29,7 +29,7 @@ STRING = "std_msgs/msg/String"
 
 
 def _reader(path: Path) -> Any:
-    """Open a bag; messages without a definition of their own are those that ROS 2 brings."""
+    """Open a bag; messages that it does not define are defined by ROS 2."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -105,7 +105,7 @@ def open_rosbag(path: Path) -> LogTable:
 
 
 def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
-    """Name the numbers in a message, and find what gets each of them from the next ones."""
+    """Name the numbers in a message, each with a function that gets it from later messages."""
     if kind != JOINT_STATE:
         yield from _numbers(message, "")
         return

@@ -37,8 +37,8 @@ BOM = b"\xef\xbb\xbf"
 def open_text(path: Path) -> LogTable:
     """Find the columns of a text log.
 
-    Decimal commas are allowed except between comma separated columns. What stands before the table is skipped, and a
-    note says so. Without a header the columns are named by their number from 1.
+    Decimal commas are allowed except between comma separated columns. Text before the table is skipped and noted.
+    Without a header the columns are named by their number from 1.
     """
     lines, first_byte = _first_lines(path)
     texts = [_decoded(line).lstrip("# ").rstrip("\r\n") for line in lines]
@@ -120,7 +120,7 @@ def _fields(text: str) -> tuple[str, ...]:
     """Split a line into fields, without the blanks and quotes around them."""
     fields, unquoted = _split(text, _separator(text))
     stripped = (field.strip() for field in fields)
-    if unquoted:  # quotes that are left belong to a name
+    if unquoted:  # remaining quotes belong to a name
         return tuple(stripped)
     return tuple(field.strip("'" if field.startswith("'") else '"').strip() for field in stripped)
 
@@ -134,7 +134,7 @@ def _is_row(fields: Sequence[str]) -> bool:
 
 
 def _first_row(fields: Sequence[tuple[str, ...]], written: Sequence[int]) -> int | None:
-    """Find the first of ``ROWS_ALIKE`` rows, or of those that there are, among the lines that are ``written``."""
+    """Find the first of ``ROWS_ALIKE`` similar rows, or of the last few, among the ``written`` lines."""
     row = cache(lambda k: _is_row(fields[k]))
     for i, k in enumerate(written):
         if all(row(line) and len(fields[line]) == len(fields[k]) for line in written[i : i + ROWS_ALIKE]):
@@ -143,7 +143,7 @@ def _first_row(fields: Sequence[tuple[str, ...]], written: Sequence[int]) -> int
 
 
 def _header(texts: Sequence[str], fields: Sequence[tuple[str, ...]], first: int) -> int | None:
-    """Find the line that names the columns: the topmost of those just before the rows that have as many fields."""
+    """Find the line that names the columns: the topmost line just before the rows with as many fields."""
     header, nearest, width = None, None, len(fields[first])
     for line in reversed(range(first)):
         if any(fields[line]) and not _is_row(fields[line]):
@@ -161,7 +161,7 @@ def _header(texts: Sequence[str], fields: Sequence[tuple[str, ...]], first: int)
 
 
 def _refuse_long_line(path: Path, length: int, number: int | None = None) -> None:
-    """Refuse a line that is no row of a table, before it fills the memory; raises GtauError."""
+    """Refuse a line too long for a row of a table, before it fills the memory; raises GtauError."""
     if length > LONGEST:
         where = "a line" if number is None else f"line {number}"
         raise GtauError(
