@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 import pytest
 from five_bar_logs import JOINTS, five_bar
+from small_blocks import working_with
 
 import gtau.signals.storage
 from gtau.errors import GtauError
@@ -26,7 +27,7 @@ from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator, position_filter
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, prepare
 from gtau.signals.run import Run, read_run
-from gtau.signals.storage import Store, block, store, working_with
+from gtau.signals.storage import Store, block, store
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE = 6000, 500.0

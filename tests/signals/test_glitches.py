@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from five_bar_logs import GAINS, STEEL, Plant, write_log
+from small_blocks import working_with
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.findings import Finding
 from gtau.result import identify
 from gtau.signals.run import Run, read_run
-from gtau.signals.storage import working_with
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
 N, RATE, NOISE = 4000, 500.0, 1e-4

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_blocks import working_with
 
 from gtau.errors import GtauError
 from gtau.signals.run import Run, read_run
-from gtau.signals.storage import working_with
 
 RATE = 200.0
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "torque": {"a": "ia", "b": "ib"}}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import mmap
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import BinaryIO, cast
 
@@ -17,22 +16,13 @@ BYTES = 64  # of a text file that are read at once, and of an array that are kep
 LOOKED_AT = 4  # blocks of samples from which quantiles are computed. Of 2^18 samples the one that 0.1 % exceed is
 # exceeded by 0.088 to 0.112 %.
 
-_block: ContextVar[int] = ContextVar("block", default=1 << 16)
+SAMPLES: ContextVar[int] = ContextVar("samples", default=1 << 16)
+"""Samples of a block."""
 
 
 def block_size() -> int:
     """Return the number of samples (rows of a table) that are processed at once, which bounds the memory."""
-    return _block.get()
-
-
-@contextmanager
-def working_with(samples: int) -> Iterator[None]:
-    """Process blocks of this many ``samples`` in this thread while the context lasts."""
-    token = _block.set(samples)
-    try:
-        yield
-    finally:
-        _block.reset(token)
+    return SAMPLES.get()
 
 
 def stride_of(samples: int) -> int:

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from small_blocks import working_with
 
 from gtau.errors import GtauError
 from gtau.signals.reading.formats import readable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.run import Run, read_run
-from gtau.signals.storage import working_with
 
 N, RATE = 1500, 500.0
 JOINTS = ("shoulder", "elbow")

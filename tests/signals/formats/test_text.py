@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_blocks import working_with
 
 from gtau.errors import GtauError
 from gtau.signals.reading.logs import find_columns
 from gtau.signals.run import read_run
-from gtau.signals.storage import working_with
 
 N = 600
 TIME = np.arange(N) / 500

@@ -110,7 +110,6 @@ def _affordable(
     runs: Sequence[Run], run_spectra: Sequence[Sequence[JointSpectrum]], preparation: Preparation, most: int
 ) -> int:
     """Find the largest decimation, up to ``most``, that leaves the slowest run enough rows."""
-    n = len(runs[0].joints)
     blocks: list[tuple[int, float, np.ndarray]] = []  # joint, rate of the run, lengths of its usable blocks
     for run, spectra_of_run in zip(runs, run_spectra, strict=True):
         ratio = run.rate / preparation.rate
@@ -119,17 +118,12 @@ def _affordable(
                 blocks.append((j, ratio, lengths))
     chosen, factor = 1, 2
     while factor <= most:
-        kept, total = np.zeros(n), np.zeros(n)
+        samples = np.zeros((2, len(runs[0].joints)))
         for j, ratio, lengths in blocks:
             guard = Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).guard
-            kept[j] += np.maximum(lengths - 2 * guard, 0).sum() / ratio
-            total[j] += lengths.sum() / ratio
-        moving = total > 0
-        if (
-            not moving.any()
-            or (kept[moving] / total[moving]).mean() < KEPT
-            or (kept[moving] / factor).min() < FEWEST_ROWS
-        ):
+            samples[:, j] += np.sum([np.maximum(lengths - 2 * guard, 0), lengths], axis=1) / ratio
+        kept, total = samples[:, samples[1] > 0]
+        if not total.size or (kept / total).mean() < KEPT or kept.min() / factor < FEWEST_ROWS:
             break
         chosen = factor
         factor += max(1, factor // MAX_FACTOR)  # from there on in steps of some 5 %

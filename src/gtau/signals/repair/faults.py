@@ -280,8 +280,8 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     sudden = (edges > FROZEN_QUANTA * held.quanta) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
     for j in np.flatnonzero(sudden).tolist():
         begin, end = spells[j].tolist()
-        lasts = float(instants[end - 1] - instants[begin])
-        if lasts > FROZEN_TIME and _std(samples, j, begin, end) > FROZEN_CURRENT * _std(samples, j, 0, count):
+        lasts, command = float(instants[end - 1] - instants[begin]), samples.command[:, j]
+        if lasts > FROZEN_TIME and np.std(command[begin:end]) > FROZEN_CURRENT * np.std(command):
             raise GtauError(
                 f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
                 f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
@@ -289,12 +289,3 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
                 f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."
             )
-
-
-def _std(samples: Samples, j: int, begin: int, end: int) -> float:
-    """Compute the standard deviation of a command between two samples."""
-    total, squares, origin = 0.0, 0.0, float(samples.command[begin, j])
-    for start, stop in spans(end - begin):
-        off = block(samples.command, begin + start, begin + stop)[:, j] - origin
-        total, squares = total + float(off.sum()), squares + float(off @ off)
-    return float(np.sqrt(max(squares / (end - begin) - (total / (end - begin)) ** 2, 0.0)))
