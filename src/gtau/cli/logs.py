@@ -139,7 +139,7 @@ def _answered(draft: Draft) -> Draft:
 
 
 def _page(draft: Draft, out: Path, open_: list[str]) -> str:
-    from gtau.signals.reading.discovery import listed_units
+    from gtau.signals.reading.draft import listed_units
 
     signals, unused, why = draft.signals, draft.unused, draft.reasons.time
     clock = " and ".join(signals.time) or f"no column, {f'{signals.rate:g} Hz' if signals.rate else 'rate unknown'}"

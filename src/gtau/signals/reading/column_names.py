@@ -1,4 +1,4 @@
-"""Column names: signal kind and joint of a name, and the column presets of common recorders.
+"""Column names: signal kind and joint of a name, and columns grouped by these.
 
 These are looked up in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots'
 RTDE client (``timestamp``, ``actual_q_0`` ...), and PlotJuggler's parser of ``sensor_msgs/JointState``. What drivers
@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 
@@ -147,6 +147,51 @@ def by_words(name: ColumnName) -> ColumnName | None:
     if label and (around := AROUND.search(stem)):
         label, stem = around[0].replace("#", label), stem.replace(around[0], "#")
     return replace(name, label=label, stem=stem) if label and name.kind not in (None, "other") else None
+
+
+@dataclass(frozen=True)
+class Group:
+    """Columns of one kind of signal, one for each joint, by the joint's label in their names."""
+
+    kind: str | None
+    stem: str
+    columns: Mapping[str, str]
+    reference: bool = False
+    unit: str | None = None
+
+    @property
+    def first(self) -> str:
+        """Its first column."""
+        return next(iter(self.columns.values()))
+
+    @property
+    def listed(self) -> str:
+        """Short list of the columns: the first and the last."""
+        names = list(self.columns.values())
+        return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+
+
+def grouped(names: Sequence[ColumnName]) -> list[Group]:
+    """Group columns of all kinds but time by their stems; a second column of a joint, in another unit, is separate.
+
+    Names that differ by several words (``base_pos``, ``j2_arm_pos``) are labelled by all of these.
+    """
+    names = [name for name in names if name.kind != "time"]
+    stems = Counter(name.stem.casefold() for name in names)
+    renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := by_words(name))}
+    stems += Counter(name.stem.casefold() for name in renamed.values())
+    groups: dict[str, dict[str, ColumnName]] = {}
+    for parsed in names:
+        name = renamed.get(parsed, parsed)
+        name = name if stems[name.stem.casefold()] > 1 else parsed
+        stem = name.stem.casefold()
+        stem += f" [{name.unit}]" if name.label in groups.get(stem, ()) else ""
+        groups.setdefault(stem, {})[name.label] = name
+    firsts = [(next(iter(group.values())), group) for group in groups.values()]
+    return [
+        Group(first.kind, first.stem, {label: name.name for label, name in group.items()}, first.reference, first.unit)
+        for first, group in firsts
+    ]
 
 
 def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:

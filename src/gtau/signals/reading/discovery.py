@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -12,10 +12,10 @@ import numpy as np
 from gtau.errors import GtauError, short
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SIDE_SIGNALS
-from gtau.signals.reading.column_names import POSE, base_like, has_word, wrench_like
-from gtau.signals.reading.draft import QUESTIONS, Draft, DraftedSignals, Reasons, Unused
+from gtau.signals.reading.column_names import POSE, Group, base_like, has_word, wrench_like
+from gtau.signals.reading.draft import QUESTIONS, Draft, DraftedSignals, Reasons, Unused, listed, listed_units
 from gtau.signals.reading.joint_columns import matched, renamed_labels
-from gtau.signals.reading.log_contents import COMMANDS, Group, LogContents
+from gtau.signals.reading.log_contents import COMMANDS, LogContents
 from gtau.signals.reading.masses import masses_in_name
 from gtau.signals.reading.units import si_factor
 from gtau.signals.reading.written_units import SI, read_unit
@@ -99,21 +99,6 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
         "wrenches": (unused.wrenches, f"{listed(unused.wrenches)} are not used: no external contact is assumed"),
     }
     return {key: assumed for key, (is_open, assumed) in points.items() if is_open}
-
-
-def listed(columns: Iterable[str]) -> str:
-    """List some columns, the first eight of many."""
-    columns = tuple(columns)
-    return ", ".join(map(short, columns[:8])) + (", ..." if len(columns) > 8 else "")
-
-
-def listed_units(units: Mapping[str, Any]) -> str:
-    """List units, by joint where they differ."""
-    by_joint = {
-        key: unit if isinstance(unit, str) else ", ".join(f"{one} ({joint})" for joint, one in unit.items())
-        for key, unit in units.items()
-    }
-    return ", ".join(f"{key} in {unit}" for key, unit in by_joint.items())
 
 
 def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
+
+from gtau.errors import short
 
 QUESTIONS = {
     "masses": "write the payload masses ('or' in the file) that file names give in several ways: they set the scale of "
@@ -116,3 +118,18 @@ class Draft:
     unused: Unused
     stated: frozenset[Path] = frozenset()
     urdf: str | None = None
+
+
+def listed(columns: Iterable[str]) -> str:
+    """List some columns, the first eight of many."""
+    columns = tuple(columns)
+    return ", ".join(map(short, columns[:8])) + (", ..." if len(columns) > 8 else "")
+
+
+def listed_units(units: Mapping[str, Any]) -> str:
+    """List units, by joint where they differ."""
+    by_joint = {
+        key: unit if isinstance(unit, str) else ", ".join(f"{one} ({joint})" for joint, one in unit.items())
+        for key, unit in units.items()
+    }
+    return ", ".join(f"{key} in {unit}" for key, unit in by_joint.items())

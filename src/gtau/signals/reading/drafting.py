@@ -20,8 +20,8 @@ from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.reading.columns import PRESETS
-from gtau.signals.reading.discovery import discover, listed
-from gtau.signals.reading.draft import QUESTIONS, Draft
+from gtau.signals.reading.discovery import discover
+from gtau.signals.reading.draft import QUESTIONS, Draft, listed
 from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
 

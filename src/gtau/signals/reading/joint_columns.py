@@ -9,8 +9,7 @@ from dataclasses import replace
 from gtau.errors import GtauError
 from gtau.findings.words import counted
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import resembling
-from gtau.signals.reading.log_contents import Group
+from gtau.signals.reading.column_names import Group, resembling
 
 
 def matched(

@@ -10,19 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import (
     MEASURED,
     POSE,
     ColumnName,
-    by_words,
+    Group,
+    grouped,
     has_word,
     parse_column_name,
     parse_item,
 )
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.derivatives import DERIVATIVE, correlation, rate_of_derivative
+from gtau.signals.reading.derivatives import DERIVATIVE, correlation, rate_of_derivative, unnamed_groups
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
@@ -42,28 +42,6 @@ COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, by pre
 FORWARD = 0.98  # share of the steps of a time that are not back: a row out of order is sorted, or refused, at reading
 USUAL_RATES = 50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000  # Hz
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-
-
-@dataclass(frozen=True)
-class Group:
-    """Columns of one kind of signal, one for each joint, by the joint's label in their names."""
-
-    kind: str | None
-    stem: str
-    columns: Mapping[str, str]
-    reference: bool = False
-    unit: str | None = None
-
-    @property
-    def first(self) -> str:
-        """Its first column."""
-        return next(iter(self.columns.values()))
-
-    @property
-    def listed(self) -> str:
-        """Short list of the columns: the first and the last."""
-        names = list(self.columns.values())
-        return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
 
 
 @dataclass(frozen=True)
@@ -95,17 +73,20 @@ class LogContents:
             for name, count in Counter(table.columns).items()
             if name and count == 1
         ]
-        groups = _grouped(names)
+        groups = grouped(names)
         is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not _kind_of(path)
         if table.numbered or is_matrix:  # one array whose name says nothing of its columns
-            return _numbered(path, table, len(joints))
+            values, first = _values(path, table.columns, table), table.columns[0]
+            time = (first,) if _grows(values[first]) and np.ptp(values[first]) else ()
+            groups, velocity = unnamed_groups(table, values, time, len(joints))
+            return cls(table, values, time, groups, velocity=velocity)
         topics, elsewhere = _topics(table), list[str]()
         if len(topics) > 1:
             suitable = (_topic(group.first, topics) for group in groups if group.kind in kinds)
             main = next((topic for topic in suitable if topic != but), None)
             positions = [name for name in names if name.kind == "position" and not name.reference]
             names = [name for name in names if _topic(name.name, topics) == main] or names[:1]
-            groups, known = _grouped(names), {name.label for name in names}
+            groups, known = grouped(names), {name.label for name in names}
             elsewhere = [name.name for name in positions if name.label not in known]
         wanted = [name for name in names if name.kind not in (None, "other")] or names
         values = _values(path, [name.name for name in wanted], table)
@@ -251,29 +232,6 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
     return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}
 
 
-def _grouped(names: Sequence[ColumnName]) -> list[Group]:
-    """Group columns of all kinds but time by their stems; a second column of a joint, in another unit, is separate.
-
-    Names that differ by several words (``base_pos``, ``j2_arm_pos``) are labelled by all of these.
-    """
-    names = [name for name in names if name.kind != "time"]
-    stems = Counter(name.stem.casefold() for name in names)
-    renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := by_words(name))}
-    stems += Counter(name.stem.casefold() for name in renamed.values())
-    groups: dict[str, dict[str, ColumnName]] = {}
-    for parsed in names:
-        name = renamed.get(parsed, parsed)
-        name = name if stems[name.stem.casefold()] > 1 else parsed
-        stem = name.stem.casefold()
-        stem += f" [{name.unit}]" if name.label in groups.get(stem, ()) else ""
-        groups.setdefault(stem, {})[name.label] = name
-    firsts = [(next(iter(group.values())), group) for group in groups.values()]
-    return [
-        Group(first.kind, first.stem, {label: name.name for label, name in group.items()}, first.reference, first.unit)
-        for first, group in firsts
-    ]
-
-
 def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
     """Find the increasing column among columns named as time, or the two of seconds and nanoseconds."""
     times = [name.name for name in names if name.kind == "time" and not name.label]
@@ -319,44 +277,3 @@ def _pairs(
     for label, column in positions.columns.items():
         if label in others.columns and column in values and others.columns[label] in values:
             yield values[column], values[others.columns[label]]
-
-
-def _numbered(path: Path, table: LogTable, joints: int) -> LogContents:
-    """Group columns without names: time increases, velocities are derivatives of columns n to their left."""
-    values = _values(path, table.columns, table)
-    names = list(table.columns)
-    time = tuple(names[:1]) if _grows(values[names[0]]) and np.ptp(values[names[0]]) else ()
-    stamps = values[time[0]] if time else None
-    rest = names[len(time) :]
-    widths = [joints] if joints else range(1, min(len(rest) // 2, 12) + 1)
-    scores = {
-        n: float(np.median([correlation(values[rest[k]], values[rest[n + k]], stamps) for k in range(n)]))
-        for n in widths
-        if 2 * n <= len(rest)
-    }
-    if len(names) == 1:
-        raise GtauError(
-            f"{path} holds a single column without a header; put time, positions and currents of a run side by side in "
-            "one file, with names in its first line (t,q1,q2,current1,current2)."
-        )
-    width = max(scores, key=scores.__getitem__, default=0)
-    if scores.get(width, 0.0) <= DERIVATIVE:
-        lacks, advice = "has no header", "write a first line with names (t,q1,q2,current1,current2)"
-        if not table.numbered:
-            lacks, advice = "is one array without names", "save arrays with names (t, q, current) in its place"
-        raise GtauError(
-            f"{path} {lacks}, and among its {len(names)} columns no positions are recognised by their "
-            f"velocities; {advice}{'' if joints else ', or give the robot (--robot ROBOT)'}."
-        )
-    kinds = ["position", "velocity"]
-    blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
-    for block in blocks[2:]:
-        still = any(not np.ptp(values[name]) for name in block)
-        slopes = [correlation(values[qd], values[column], stamps) for qd, column in zip(blocks[1], block, strict=True)]
-        kinds.append("other" if still else "acceleration" if np.median(slopes) > DERIVATIVE else "command")
-    groups = [
-        Group(kind, f"block {k + 1}", {str(i + 1): name for i, name in enumerate(block)})
-        for k, (kind, block) in enumerate(zip(kinds, blocks, strict=True))
-    ]
-    velocity = f"columns {groups[1].listed} are the velocities (correlation {scores[width]:.3f})"
-    return LogContents(table, values, time, tuple(groups), velocity=velocity)
