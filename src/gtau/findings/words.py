@@ -22,7 +22,7 @@ Sentence = tuple[str, str]
 
 @cache
 def templates() -> dict[str, dict[str, Any]]:
-    """Read the templates: ``verdicts``, ``notes``, ``logs``, ``causes`` and ``watch`` by kind, ``phrases`` by name."""
+    """Read the templates: ``verdicts``, ``notes``, ``logs`` and ``causes`` by kind, ``phrases`` by name."""
     import yaml
 
     text = files("gtau.findings").joinpath("words.yaml").read_text(encoding="utf-8")
@@ -52,7 +52,7 @@ def _environment() -> Environment:
             return False
 
     sources = dict(templates()["phrases"])
-    for section in ("verdicts", "notes", "logs", "causes", "watch"):
+    for section in ("verdicts", "notes", "logs", "causes"):
         for kind, sentence in templates()[section].items():
             sources |= {f"{kind}: {part}": sentence.get(part, "") for part in ("what", "action")}
     environment = Environment(

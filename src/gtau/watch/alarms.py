@@ -18,7 +18,7 @@ from gtau.estimation.results.result import Result
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.watch.causes import causes_of, contacts_of
 from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, alone, evidence, far_off, mean_of, median
-from gtau.watch.history import Alarm, Explained, History, Logs, WatchSettings
+from gtau.watch.history import Alarm, Cause, History, Logs, WatchSettings
 from gtau.watch.quantities import Quantity, identified
 from gtau.watch.signal_faults import SIGNAL_FAULTS, signal_faults
 from gtau.watch.statistics import RESIDUAL, LogStatistics
@@ -204,7 +204,7 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
     return _alarm("change", model, view, log, changed, start) if len(changed) else None
 
 
-def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
+def _is_beyond(view: View, cause: Cause, far: np.ndarray) -> bool:
     """Return whether a cause, or that beside it, is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
     if cause.kind in ("rate", *SIGNAL_FAULTS):
         return True  # it makes the others wrong

@@ -20,7 +20,7 @@ from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
-from gtau.watch.history import Explained
+from gtau.watch.history import Cause
 from gtau.watch.quantities import normal_equations
 from gtau.watch.statistics import RESIDUAL, LogStatistics, inverse_of, residuals_of
 
@@ -35,10 +35,8 @@ NODES, SMOOTH = 61, 0.1  # of a piecewise linear function over a joint's range, 
 EXTREMES = (0.02, 0.98)  # quantiles of it along the log, between which its size is stated
 
 
-def signal_faults(model: Result, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray) -> tuple[Explained, ...]:
+def signal_faults(model: Result, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray) -> tuple[Cause, ...]:
     """Name the fault of a log by its samples, given ``healthy`` charts (k,) and mean velocities ``speed`` (n,)."""
-    if log.run is None:
-        return ()
     run, parts = log.run.ordered(model.idm.actuated, link_side=False), list[tuple[np.ndarray, ...]]()
     friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
     usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
@@ -55,17 +53,13 @@ def signal_faults(model: Result, log: LogStatistics, healthy: np.ndarray, speed:
     return (faults[best][0],) if best < len(faults) else ()
 
 
-def _named(kind: str, joint: str, size: float, unit: str = "1", quantity: str = RESIDUAL) -> Explained:
-    return Explained(kind=kind, joint=joint, quantity=quantity, size=size, half=0, unit=unit, misfit=0)
-
-
 def _left(model: Result, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]) -> list[np.ndarray]:
     """Compute the mean squared residual (n,) of each joint over that of the model, by columns that are ``free``."""
     G, rows, _ = normal_equations(model, run, parts)
     return [np.exp(2 * residuals_of(G, rows, columns, np.ones(len(G), dtype=bool))[0]) for columns in free]
 
 
-def _frozen(run: Run, speed: np.ndarray) -> Iterator[Explained]:
+def _frozen(run: Run, speed: np.ndarray) -> Iterator[Cause]:
     """Find joints that moved in earlier logs, and whose position takes few values or stays while the command does not.
 
     Their size is the share of the log with one position.
@@ -76,12 +70,17 @@ def _frozen(run: Run, speed: np.ndarray) -> Iterator[Explained]:
         still = np.repeat(np.arange(len(begins)) == np.argmax(lengths), lengths)
         share = float(still.mean())
         if len(np.unique(q)) < FEW_VALUES or (STILL < share < 1 and v[still].std() > LIVELY * v[~still].std()):
-            yield _named("frozen", joint, share)
+            yield Cause(
+                kind="frozen",
+                joint=joint,
+                quantity=RESIDUAL,
+                size=share,
+                text=f"frozen encoder of {joint} (one position in {100 * share:.0f} % of the log)",
+                advice="check the encoder, its cable and the column of its position",
+            )
 
 
-def _exchanged(
-    model: Result, run: Run, friction: list[int], grown: np.ndarray
-) -> Iterator[tuple[Explained, np.ndarray]]:
+def _exchanged(model: Result, run: Run, friction: list[int], grown: np.ndarray) -> Iterator[tuple[Cause, np.ndarray]]:
     """Exchange columns of two joints back, and compute what is left (n,) then."""
     for pair, column in product(combinations(np.flatnonzero(grown), 2), ("position", "command")):
         values = getattr(run, column).copy()
@@ -91,7 +90,16 @@ def _exchanged(
         except GtauError:  # the loops do not close there
             continue
         quantity = run.kind if column == "command" else column
-        yield _named("exchanged", " and ".join(run.joints[j] for j in pair), 1.0, quantity=quantity), left
+        joints = " and ".join(run.joints[j] for j in pair)
+        cause = Cause(
+            kind="exchanged",
+            joint=joints,
+            quantity=quantity,
+            size=1.0,
+            text=f"{quantity}s of {joints} exchanged",
+            advice="check the order of the columns of the log",
+        )
+        yield cause, left
 
 
 def _of_position(
@@ -101,7 +109,7 @@ def _of_position(
     friction: list[int],
     single: np.ndarray,
     grown: np.ndarray,
-) -> Iterator[tuple[Explained, np.ndarray]]:
+) -> Iterator[tuple[Cause, np.ndarray]]:
     """Fit friction and a function of the position, against the motion (a rub) or not; compute what is left (n,) then.
 
     Steps between its nodes are weighed, so that places of few rows follow their neighbours.
@@ -123,4 +131,11 @@ def _of_position(
             fits = [np.append(-inverse_of(S[:-1, :-1]) @ S[:-1, -1], 1.0) for S in (*(total - G), total)]
             left[j] = np.einsum("sp,spq,sq->", fits[:-1], G, fits[:-1]) / len(q)
             size = float(np.ptp(np.quantile(hats @ fits[-1][:NODES], EXTREMES)) * (rms.get(joint) or 1.0))
-            yield _named(kind, joint, size, torque_unit(model.robot, joint)), left
+            unit = torque_unit(model.robot, joint)
+            if kind == "rub":
+                text = f"rub of {joint} (friction that differs by {size:.2g} {unit} along its range)"
+                advice = "check bearings, seals, covers and cables of the joint"
+            else:
+                text = f"ripple of {joint} (torque that differs by {size:.2g} {unit} with its position)"
+                advice = "check gear and bearings of the joint, and cables or springs that pull at it"
+            yield Cause(kind=kind, joint=joint, quantity=RESIDUAL, size=size, unit=unit, text=text, advice=advice), left

@@ -37,8 +37,7 @@ class LogStatistics:
     jackknife, 0 for these. ``response`` (k, p) is the change of each chart per unit of each of the ``quantities``, all
     columns; ``formula`` (k, k) the covariance for independent residuals of unit variance, which has the full rank that
     the jackknife lacks. ``uneven`` (n,) is the largest rms residual of a block over the median one, of each joint:
-    contacts are brief. ``speed`` (n,) is the mean absolute velocity, ``payload`` the mass that the log is stated to
-    carry, kg. The ``run`` itself is there where a fault of its signals can be sought.
+    contacts are brief. ``speed`` (n,) is the mean absolute velocity, and the ``run`` is the log itself.
     """
 
     name: str
@@ -50,8 +49,7 @@ class LogStatistics:
     formula: np.ndarray
     uneven: np.ndarray
     speed: np.ndarray
-    payload: float = 0.0
-    run: Run | None = None
+    run: Run
 
     @property
     def std(self) -> np.ndarray:
@@ -103,7 +101,6 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
         formula,
         uneven,
         speed,
-        0.0 if run.payload is None else run.payload.mass or model.payload(run.payload.name)["m"],
         run,
     )
 
