@@ -224,7 +224,7 @@ def test_no_fault_of_the_signals_is_named_without_one(model: Result, healthy: li
     changed = [log for change in others for log in days_of(model, 100, 1, **change)]
     late = statistics_of(model, replace(day(100), command=np.roll(day(100).command, 10, axis=0)))
     for log in (*healthy, *changed, late):
-        assert signal_faults(model, log, values, log.speed) == ()
+        assert signal_faults(model, log, values, log.speed, np.ones(2)) == ()
 
 
 def test_an_odd_log_is_set_aside_until_the_next_agrees(model: Result, healthy: list[LogStatistics]) -> None:

@@ -249,13 +249,14 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     changed = mean_of(x[after])
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
     of_charts = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
-    causes = signal_faults(model, log, of_charts, mean_of(logs.speeds[before]))
+    uneven = np.nanmax(logs.uneven[before], axis=0, initial=1.0)
+    causes = signal_faults(model, log, of_charts, mean_of(logs.speeds[before]), uneven)
     if not causes and not view.of_kind(RESIDUAL)[columns].all():
         rated = view.settings.tolerances.rated_payload or RATED
         causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, 2 * rated)
     return Alarm(
         kind=kind,  # type: ignore[arg-type]  # pydantic checks it
-        explanations=causes or contacts_of(log, np.nanmax(logs.uneven[before], axis=0, initial=1.0)),
+        explanations=causes or contacts_of(log, uneven),
         since=logs.names[start],
         date=logs.dates[start],
         charts=tuple(view.names[k] for k in columns),

@@ -25,11 +25,10 @@ from gtau.findings.words import to_width
 from gtau.watch.detectors import FEWEST, mean_of
 from gtau.watch.history import Cause
 from gtau.watch.quantities import SHOWN, Quantity, identified
-from gtau.watch.statistics import RESIDUAL, LogStatistics
+from gtau.watch.statistics import RESIDUAL, UNEVEN, LogStatistics, unevenness
 
 CLOSE = 9.2  # 2 log(100): of two explanations one is a hundred times as likely
 PER_PARAMETER = 2.0  # minimum improvement of the misfit per additional parameter, by Akaike's criterion
-UNEVEN = 2.0  # times as uneven as any healthy log: intermittent forces, such as contacts
 CERTAIN = 3.0  # standard deviations from zero of the parameter stated first: mass, Coulomb friction
 EXPLAINED = 0.5  # minimum explained share of the squared change
 POOR = 3.0  # misfit per chart of one cause, above which two are tried
@@ -187,7 +186,7 @@ def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hyp
 
 def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
     """Suspect a contact where the residual of a joint is far more uneven along the log than it ever was."""
-    ratio = log.uneven / np.maximum(uneven, 1.0)
+    ratio = unevenness(log, uneven)
     j = int(np.argmax(ratio))
     if ratio[j] < UNEVEN:
         return ()

@@ -133,7 +133,7 @@ def normal_equations(
     Return those of each joint in each block that the jackknife leaves out (blocks, n, p + 1, p + 1), whose rows are
     divided by the model's own residual; the number of rows (blocks, n) behind them; and the mean absolute velocity (n,)
     of each joint in its rows. Raises GtauError. ``parts`` of the rows (K,) are listed if
-    asked for: their joint, block, position, direction, and the rows ``[columns | y]`` (K, p + 1) themselves.
+    asked for: their joint, position, direction, and the rows ``[columns | y]`` (K, p + 1) themselves.
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     if model.robot.floating:
@@ -175,7 +175,7 @@ def normal_equations(
             q, qd = (states[idm.layout.actuated[j], kept] for states in (part.motion.c, part.motion.yd))
             way[j] += float(np.sum(np.abs(qd)))
             if parts is not None:
-                parts.append((np.full(len(q), j), block, q, np.sign(qd), A[j, kept] / sigma[j]))
+                parts.append((np.full(len(q), j), q, np.sign(qd), A[j, kept] / sigma[j]))
     count = rows.sum(axis=0)
     if not (count >= FEWEST_ROWS).any():
         raise GtauError(

@@ -25,6 +25,7 @@ SPANNED = 1e-6  # of the square of a column: a smaller residual is linear depend
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
 LARGEST_ZERO = 1.0  # deg or mm: an encoder zero with a larger standard deviation is not observable
 RESIDUAL = "rms"  # kind of the residual's charts
+UNEVEN = 2.0  # times as uneven as any healthy log: intermittent forces, such as contacts
 inverse_of = partial(np.linalg.pinv, rcond=1e-10, hermitian=True)  # directions without any effect are left out
 
 
@@ -60,6 +61,11 @@ class LogStatistics:
     def shown(self) -> np.ndarray:
         """Mask (k,) of the charts that are observable in this motion."""
         return np.isfinite(self.values)
+
+
+def unevenness(log: LogStatistics, healthy: np.ndarray) -> np.ndarray:
+    """Compute how many times less even the residual of each joint (n,) is along a log than in ``healthy`` ones."""
+    return np.asarray(log.uneven / np.maximum(healthy, 1.0))
 
 
 def charts_of(model: Result) -> tuple[Quantity, ...]:
