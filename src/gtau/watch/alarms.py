@@ -198,14 +198,14 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
         x = np.abs(view.counted - view.reference)[:, far]
         last = [*_last(x, ~(x > view.tolerance[far]).any(axis=1)), view.there[-1]]
         alarm = _alarm("tolerance", model, view, log, np.flatnonzero(far), int(last[0]))
-        causes = alarm.explanations  # where none fits, it may be the motion
-        if any(_is_beyond(view, cause, far) for cause in causes) or (not causes and beyond(view, start, 2.0).any()):
+        parts = [part for cause in alarm.explanations for part in cause.parts]  # where none fits, it may be the motion
+        if any(_is_beyond(view, part, far) for part in parts) or (not parts and beyond(view, start, 2.0).any()):
             return alarm
     return _alarm("change", model, view, log, changed, start) if len(changed) else None
 
 
 def _is_beyond(view: View, cause: Cause, far: np.ndarray) -> bool:
-    """Return whether a cause, or that beside it, is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
+    """Return whether a cause is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
     if cause.kind in ("rate", *SIGNAL_FAULTS):
         return True  # it makes the others wrong
     kind = "friction" if cause.quantity in PLAIN_FRICTION else cause.quantity
@@ -213,8 +213,7 @@ def _is_beyond(view: View, cause: Cause, far: np.ndarray) -> bool:
     if cause.kind == "warming":
         size -= max((abs(before) for before in view.warmings if before * cause.size > 0), default=0.0)
     concerned = [cause.joint in ("", quantity.joint) for quantity in view.quantities] & view.of_kind(kind)
-    second = cause.and_also is not None and _is_beyond(view, cause.and_also, far)
-    return second or bool((concerned & far & (size > view.tolerance)).any())
+    return bool((concerned & far & (size > view.tolerance)).any())
 
 
 def evidence_of(view: View) -> ChangeEvidence:

@@ -191,16 +191,9 @@ def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
     if ratio[j] < UNEVEN:
         return ()
     joint = [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
-    return (
-        Cause(
-            kind="contact",
-            joint=joint,
-            quantity=RESIDUAL,
-            size=float(ratio[j]),
-            text=f"contact of {joint} (residual {ratio[j]:.3g} times less even than in any healthy log)",
-            advice="check for cables and obstacles that touch the robot, and run the motion again",
-        ),
-    )
+    text = f"contact of {joint} (residual {ratio[j]:.3g} times less even than in any healthy log)"
+    advice = "check for cables and obstacles that touch the robot, and run the motion again"
+    return (Cause(kind="contact", joint=joint, size=float(ratio[j]), text=text, advice=advice),)
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:

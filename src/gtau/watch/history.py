@@ -74,7 +74,7 @@ class Cause(Keys):
 
     kind: str
     joint: str
-    quantity: str
+    quantity: str = "rms"
     size: FiniteFloat
     half: FiniteFloat = 0.0
     unit: str = "1"

@@ -30,8 +30,8 @@ FEW_VALUES = 8  # positions of a frozen encoder; a joint of 4096 steps a turn ta
 STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command's scatter elsewhere meanwhile: of
 # joints at rest in healthy logs of a UR10e, 8 of 30 exceed both, but all quantities leave nothing there
 GROWN = 2.0  # times the squares of healthy logs, left at a joint: 1.8 at most of 14 healthy logs of two measured arms
-LEFT = 0.5  # of what all quantities leave beyond healthy logs: up to 0.30 by the right fault of a five-bar, 0.27 of a
-# UR10e (two others 0.56 and 0.93, unnamed), put into healthy logs; 1.2 and more by another kind, a contact or a lag
+LEFT = 0.5  # of what all quantities leave beyond healthy logs: 0.04 at most by the right fault put into healthy logs of
+# a five-bar, a UR10e and an xMate 7 Pro (4 faults, 21, 21), 11 and more by those put to logs with lags of 20 and 40 ms
 NODES = 61  # of a piecewise linear function over a joint's range
 STEPS = np.tri(NODES) / np.sqrt(NODES)  # its steps from node to node are what is random
 LARGEST = 50.0  # times the residual of the model: standard deviation of the function before the data
@@ -82,14 +82,9 @@ def _frozen(run: Run, speed: np.ndarray) -> Iterator[Cause]:
         still = np.repeat(np.arange(len(begins)) == np.argmax(lengths), lengths)
         share = float(still.mean())
         if len(np.unique(q)) < FEW_VALUES or (STILL < share < 1 and v[still].std() > LIVELY * v[~still].std()):
-            yield Cause(
-                kind="frozen",
-                joint=joint,
-                quantity=RESIDUAL,
-                size=share,
-                text=f"frozen encoder of {joint} (one position in {100 * share:.0f} % of the log)",
-                advice="check the encoder, its cable and the column of its position",
-            )
+            text = f"frozen encoder of {joint} (one position in {100 * share:.0f} % of the log)"
+            advice = "check the encoder, its cable and the column of its position"
+            yield Cause(kind="frozen", joint=joint, size=share, text=text, advice=advice)
 
 
 def _exchanged(model: Result, run: Run, friction: list[int], grown: np.ndarray) -> Iterator[tuple[Cause, np.ndarray]]:
@@ -101,17 +96,10 @@ def _exchanged(model: Result, run: Run, friction: list[int], grown: np.ndarray) 
             (left,) = _left(model, replace(run, **{column: values}), None, friction)
         except GtauError:  # the loops do not close there
             continue
-        quantity = run.kind if column == "command" else column
         joints = " and ".join(run.joints[j] for j in pair)
-        cause = Cause(
-            kind="exchanged",
-            joint=joints,
-            quantity=quantity,
-            size=1.0,
-            text=f"{quantity}s of {joints} exchanged",
-            advice="check the order of the columns of the log",
-        )
-        yield cause, left
+        text = f"{run.kind if column == 'command' else column}s of {joints} exchanged"
+        advice = "check the order of the columns of the log"
+        yield Cause(kind="exchanged", joint=joints, size=1.0, text=text, advice=advice), left
 
 
 def _of_position(
@@ -132,11 +120,11 @@ def _of_position(
     left, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own[0][own == k])
     left[joint] = np.mean((columns @ fit.model.coefficients(fit.sizes, fit.at, 0)) ** 2)
     name, rms = run.joints[joint], {error.joint: error.rms for error in model.residuals}
-    unit, size = torque_unit(model.robot, name), float(np.ptp(np.quantile(function, EXTREMES)) * (rms[name] or 1.0))
+    unit, size = torque_unit(model.robot, name), float(np.ptp(np.quantile(function, EXTREMES)) * (rms.get(name) or 1.0))
     if k == 0:
         kind, text = "rub", f"rub of {name} (friction that differs by {size:.2g} {unit} along its range)"
         advice = "check bearings, seals, covers and cables of the joint"
     else:
         kind, text = "ripple", f"ripple of {name} (torque that differs by {size:.2g} {unit} with its position)"
         advice = "check gear and bearings of the joint, and cables or springs that pull at it"
-    return Cause(kind=kind, joint=name, quantity=RESIDUAL, size=size, unit=unit, text=text, advice=advice), left
+    return Cause(kind=kind, joint=name, size=size, unit=unit, text=text, advice=advice), left
