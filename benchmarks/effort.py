@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import GEARED
-from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings, stated_meaning
+from gtau.estimation.diagnostics.effort import AS_STATED, effort_of
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.unit_checks import BEYOND_GEARS
 from gtau.estimation.estimators.least_squares import fit_by
@@ -245,15 +245,14 @@ def measured(name: str, data: Path) -> dict[str, str]:
 
 
 def meaning(dataset: Dataset, slowest: float) -> str:
-    """The answer of the ranking and of the size, without that of a payload."""
-    ranking, doubtful = rank_meanings(dataset, slowest), list(doubtful_commands(dataset.runs, dataset.robot))
-    scale = stated_meaning(ranking).values.get("scale")
-    share = 0.0 if scale is None else sum(map(abs, np.multiply(scale, (1, 2))))
+    """The likeliest description, and what the size says without a payload."""
+    effort, doubtful = effort_of(dataset, slowest), list(doubtful_commands(dataset.runs, dataset.robot))
+    share = 0.0 if effort.scale is None else sum(map(abs, np.multiply(effort.scale, (1, 2))))
     if doubtful:
         return str(doubtful[0].kind)
-    if ranking[0].kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
+    if effort.kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
         return str(F.MOTOR_SIDE)
-    return ranking[0].kind
+    return effort.kind
 
 
 def main() -> None:

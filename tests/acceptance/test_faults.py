@@ -15,7 +15,8 @@ from orthoglide_logs import experiment
 import gtau.estimation.regression.dataset
 from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.other_robots import OTHER_GRAVITY
+from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
+from gtau.estimation.diagnostics.other_robots import OTHER_GRAVITY, TOOL_BODY
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.results.conclusions import INFLATED
 from gtau.findings import Finding
@@ -123,7 +124,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
     "swapped channels": (
         lambda runs: (ROBOT, [command(run, [1, 0, 2]) for run in runs]),
         Outcome.CONTRADICTORY,
-        {F.SWAPPED, F.UNEXPLAINED},
+        {SWAPPED_CHANNELS, F.UNEXPLAINED},
     ),
     "a sign flipped in one run": (
         lambda runs: (ROBOT, only(runs, 0, lambda run: command(run, [0, 1, 2], (1, -1, 1)))),
@@ -138,12 +139,12 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
     "an unloaded run declared loaded": (
         lambda runs: (ROBOT, only(runs, 1, lambda run: replace(run, payload=runs[2].payload))),
         Outcome.WEAK,
-        ANY_PAYLOAD | {F.TOOL_BODY},
+        ANY_PAYLOAD | {TOOL_BODY},
     ),
     "a loaded run declared unloaded": (
         lambda runs: (ROBOT, only(runs, 2, lambda run: replace(run, payload=None))),
         Outcome.WEAK,
-        ANY_PAYLOAD | {F.TOOL_BODY},
+        ANY_PAYLOAD | {TOOL_BODY},
     ),
     "gravity along another axis": (lambda runs: (turned(ROBOT), runs), Outcome.CONTRADICTORY, GRAVITY),
     "gravity upside down": (
@@ -154,7 +155,7 @@ FAULTS: dict[str, tuple[Fault, Outcome, set[F]]] = {
     "positions in the wrong order": (
         lambda runs: (ROBOT, [replace(run, position=run.position[:, [1, 0, 2]]) for run in runs]),
         Outcome.CONTRADICTORY,
-        {F.SWAPPED, F.UNEXPLAINED},
+        {SWAPPED_CHANNELS, F.UNEXPLAINED},
     ),
     "a robot that warms up in a run": (
         lambda runs: (ROBOT, only(runs, 0, warm_up)),

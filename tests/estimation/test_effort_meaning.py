@@ -13,6 +13,7 @@ from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
+from gtau.estimation.diagnostics.effort import WITHOUT_GRAVITY
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -25,7 +26,7 @@ from gtau.signals.run import Run, read_run
 
 FREE = (0.0, 0.0, 0.0)
 FRICTION = ("fv_", "fs_", "off_")
-NAMES = {F.WITHOUT_GRAVITY, F.NO_GRAVITY_SHOWN, F.WHOLE_NUMBERS, F.MOTOR_SIDE, F.MODEL_TORQUES}
+NAMES = {WITHOUT_GRAVITY, F.NO_GRAVITY_SHOWN, F.WHOLE_NUMBERS, F.MOTOR_SIDE, F.MODEL_TORQUES}
 
 
 def named(result: Result) -> set[str]:
@@ -60,7 +61,7 @@ def compensated() -> Result:
 
 
 def test_torques_without_gravity_are_named_and_contradict_the_description(compensated: Result) -> None:
-    assert named(compensated) == {F.WITHOUT_GRAVITY}
+    assert named(compensated) == {WITHOUT_GRAVITY}
     assert {each.verdict.outcome for each in compensated.drive_gains.values()} > {Outcome.CONTRADICTORY}
     said = next(each.verdict for each in compensated.drive_gains.values() if each.verdict.finding)
     assert "gravity: [0, 0, 0]" in said.advice

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from five_bar_logs import GAINS, STEEL, Plant
 
-from gtau.estimation.diagnostics.effort import AS_STATED, effort_findings, rank_meanings
+from gtau.estimation.diagnostics.effort import AS_STATED, effort_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot
@@ -50,9 +50,8 @@ def test_the_delay_of_one_joint_is_its_own() -> None:
 @pytest.mark.parametrize("lead", [0.0, 0.02, -0.02])
 def test_delays_that_the_model_describes_are_none(lead: float) -> None:
     dataset = reduce_runs(ROBOT, logs(lead, lead))
-    ranking = rank_meanings(dataset, dataset.system().problem.longest_delays.max())
-    assert ranking[0].kind == AS_STATED
-    assert not list(effort_findings(ranking, dataset))
+    effort = effort_of(dataset, dataset.system().problem.longest_delays.max())
+    assert (effort.kind, effort.findings) == (AS_STATED, ())
 
 
 def test_currents_of_one_joint_in_another_unit_are_asked_about() -> None:

@@ -12,6 +12,7 @@ import stated_arm
 from five_bar_logs import GAINS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
+from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.torque_scale import torque_scales
@@ -154,7 +155,7 @@ def test_torques_in_another_unit_give_inertias_out_of_scale_with_the_file(factor
 def test_swapped_currents_are_named_before_the_signs_that_they_reverse(parallel: list[Run]) -> None:
     swapped = [replace(run, command=run.command[:, ::-1]) for run in parallel]
     result = identify(FIVE_BAR, swapped)
-    assert set(kinds(result).values()) == {F.SWAPPED}
+    assert set(kinds(result).values()) == {SWAPPED_CHANNELS}
     assert "look swapped" in first_line(result)
 
 

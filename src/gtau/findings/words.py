@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib.resources import files
-from math import asin, atan2, ceil, floor, hypot, log10, pi
+from math import ceil, floor, log10, pi
 from typing import TYPE_CHECKING, Any
 
 from gtau.errors import quoted
@@ -72,30 +72,9 @@ def _environment() -> Environment:
         "percent": _percent,
         "percent_text": percent_text,
         "plural": lambda number: "s" * (number != 1),
-        "quoted": lambda names, between=", ": between.join(map(quoted, names)),
-        "numbers": lambda numbers, spec, unit=1: ", ".join(f"{unit * number:{spec}}" for number in numbers),
-        "to_width": to_width,
-        "direction": _direction,
-        "rpy": _rpy,
+        "quoted": lambda names, between=", ": listed(names, between),
     }
     return environment
-
-
-def _direction(gravity: Sequence[float]) -> str:
-    """Name an axis, or write a direction of unit length."""
-    size = hypot(*gravity)
-    unit = [round(component / size, 2) + 0.0 for component in gravity]
-    along = [k for k in range(3) if unit[k]]
-    if len(along) == 1:
-        return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
-    return "({:.2g}, {:.2g}, {:.2g})".format(*unit)
-
-
-def _rpy(gravity: Sequence[float]) -> str:
-    """Write the roll, pitch and yaw of a base with this gravity."""
-    x, y, z = gravity
-    roll = atan2(-y, -z) if round(hypot(y, z), 3) else 0.0
-    return f"{roll:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
 
 
 def moment(time: float, digits: int = 9) -> str:
@@ -122,6 +101,11 @@ def percents(values: Iterable[float]) -> str:
     """Write the range of shares (per cent), one number where they are alike."""
     shown = [f"{value:.2f}" if value <= MOST_PERCENT else f"more than {MOST_PERCENT:g}" for value in sorted(values)]
     return f"{' to '.join(dict.fromkeys((shown[0], shown[-1])))} %"
+
+
+def listed(names: Iterable[str], between: str = " and ") -> str:
+    """Quote names and join them."""
+    return between.join(map(quoted, names))
 
 
 def counted(number: int, noun: str) -> str:

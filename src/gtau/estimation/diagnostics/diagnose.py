@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.estimation.diagnostics.effort import stated_meaning
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.stated_constants import (
@@ -305,8 +304,8 @@ def _logged_torques(fit: Fit, examined: Examination, estimates: Estimates) -> It
         return
     if kind == "torque" and fit.free_gains:
         scales = np.abs(fit.gains)[half_widths(fit, estimates) < 1]
-    elif kind == "torque" and (scale := stated_meaning(examined.effort).values.get("scale")):
-        share, std = scale
+    elif kind == "torque" and examined.effort.scale is not None:
+        share, std = examined.effort.scale
         scales = 1 / np.maximum([abs(share) + 2 * std, abs(share) - 2 * std], 1e-300)
     if len(scales) and scales.min() > GEARED and scales.max() < BEYOND_GEARS:
         yield Finding(F.MOTOR_SIDE, values={"least": float(scales.min()), "most": float(scales.max())})
@@ -348,16 +347,10 @@ def _common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[F
 def _moves(finding: Finding, halves: np.ndarray) -> float:
     """Compute by how many half widths of its interval what is noted may move an estimate; 0 where that is not known."""
     values = finding.values
+    if finding.size:
+        return finding.size
     if finding.kind == F.PRIOR:
         return float(abs(values["found"] - values["prior"]) / (WIDTH * np.hypot(values["std"], values["prior_std"])))
-    if finding.kind == F.PRIOR_INERTIA:
-        apart = [
-            abs(value - stated) / (WIDTH * np.hypot(std, values["std"] * stated))
-            for _, value, std, stated, _ in values["parameters"]
-        ]
-        return float(max(apart))
     if finding.kind == F.COMMON_SCALE:
         return float(abs(values["scale"] - 1) / (WIDTH * values["std"]))
-    if finding.kind == F.POSITION_NOISE:
-        return float(values["deviations"] / WIDTH)
     return float(abs(values.get("move") or 0.0) / halves.min()) if halves.size else 0.0

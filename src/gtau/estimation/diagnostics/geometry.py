@@ -27,7 +27,7 @@ from gtau.estimation.diagnostics.pose_fit import (
 )
 from gtau.estimation.regression.rows import instants
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings.kind import Grade
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.lengths import variable_geometry
 from gtau.progress import Progress, silent
@@ -129,16 +129,38 @@ class GeometryTest:
             for kind, both in self.distances.items()
         ]
         before, after = map(" and ".join, zip(*sizes, strict=True))
-        kinds = {"confirmed": F.CONFIRMED_GEOMETRY, "unexplained": F.UNEXPLAINED_POSE}
-        values = {
-            "before": before,
-            "after": after,
-            "changes": list(map(str, self.explained_by)),
-            "count": len(self.explained_by),
-            "share": percent(self.share),
-            "correct": list(dict.fromkeys(CORRECT[bool(constant.value)] for constant in self.explained_by)),
-        }
-        return Finding(kinds.get(self.outcome, F.GEOMETRY), (), self.body, values)
+        pose, changes = f"the logged pose of '{self.body}'", " and ".join(map(str, self.explained_by))
+        if self.outcome == "confirmed":
+            return Finding(
+                "confirmed geometry",
+                subject=self.body,
+                text=f"{pose} confirms the robot's geometry to {before} rms",
+                grade=Grade.INFORMATION,
+                shown_as="robot description",
+            )
+        if self.outcome == "unexplained":
+            more = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
+            return Finding(
+                "unexplained pose",
+                subject=self.body,
+                text=f"{pose} is {before} rms from the one computed from the positions, which lengths and encoder "
+                f"zeros do not explain{more}",
+                advice="check its columns, units and sequence of angles, whether it is of this body (source: tool) and "
+                "in the robot's base (source: tracker), and the angles of the robot's geometry",
+                grade=Grade.WARNING,
+                shown_as="geometry",
+            )
+        explain, with_them = (
+            ("explains", "that change") if len(self.explained_by) == 1 else ("explain", "these changes")
+        )
+        return Finding(
+            "geometry",
+            subject=self.body,
+            text=f"the geometry is off: {changes} {explain} {percent(self.share)} of the residual variance of {pose}, "
+            f"which is {before} rms from the one computed, and {after} with {with_them}",
+            advice=" and ".join(dict.fromkeys(CORRECT[bool(constant.value)] for constant in self.explained_by)),
+            grade=Grade.WARNING,
+        )
 
 
 def to_document(test: GeometryTest) -> dict[str, Any]:

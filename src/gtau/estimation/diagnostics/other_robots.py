@@ -16,11 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from math import asin, atan2, hypot
 
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.effort import WITHOUT_GRAVITY
 from gtau.estimation.diagnostics.refits import described_otherwise, refitted, residual_ratio, unrefined
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.gravity import GRAVITY, gravity_changes
@@ -31,7 +32,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings.words import to_width
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter, payload_label
@@ -46,6 +47,9 @@ LOAD_LEFT = 0.5  # part of the residual variance that is left with another load 
 MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
 LOAD_ALIKE = 1.01  # residual variance with another load of one run over the least of all runs: below, as likely
 
+TOOL_BODIES, TOOL_BODY, PAYLOAD_BODY = "tool bodies", "body at the tool", "payload on another body"
+OTHER_GRAVITY = "gravity"
+
 
 def other_body(fit: Fit) -> EstimatedEffect | None:
     """Find the body on which payloads explain the residuals, if it is another one than the tool."""
@@ -58,7 +62,15 @@ def other_body(fit: Fit) -> EstimatedEffect | None:
                 best, remains = other, ratio
     if best is unaltered:
         return None
-    cause = Finding(F.PAYLOAD_BODY, (), best.dataset.model.robot.tool, {"tool": robot.tool, "remains": remains})
+    body = best.dataset.model.robot.tool
+    cause = Finding(
+        PAYLOAD_BODY,
+        subject=body,
+        values={"remains": remains},
+        text=f"the payload on '{body}' in place of '{robot.tool}'",
+        advice=f"check which body carries the payload; write 'tool: {body}' in the robot file (gtau robot --save makes "
+        "one of any robot)",
+    )
     return described_otherwise(unaltered, TOOL_BODIES, cause, best, unaltered)
 
 
@@ -131,11 +143,28 @@ def _of_bodies(
         bodies.append({"run": run.name, "more": more, "half": half, "declared": declared})
     helped = (other.solution.sigma / unaltered.solution.sigma) ** 2 < LOAD_LEFT
     joints = tuple(joint for joint, less in zip(unaltered.system.problem.joints, helped, strict=False) if less)
-    cause = Finding(F.TOOL_BODY, joints, values={"bodies": bodies, "remains": residual_ratio(other, unaltered)})
+    cause = Finding(
+        TOOL_BODY,
+        joints,
+        values={"bodies": bodies, "remains": residual_ratio(other, unaltered)},
+        text=" and ".join(_of_body(**body) for body in bodies),
+        advice="check which runs carry the payload and its mass, and declare the load of every run ('payload: {name: "
+        "..., mass: ...}' beside its 'log')",
+    )
     return described_otherwise(unaltered, TOOL_BODIES, cause, other, unaltered)
 
 
-TOOL_BODIES, OTHER_GRAVITY = "tool bodies", "gravity"
+def _of_body(run: str, more: float, half: float, declared: str) -> str:
+    """Describe the body at the tool in a run, by its mass beyond what is ``declared``."""
+    low, mass, high = (to_width(abs(more) + side * half, half) for side in (-1, 0, 1))
+    sized = f"{mass} kg (95 % interval {low} to {high} kg)"
+    if declared:
+        return f"{sized} {'more' if more > 0 else 'less'} at the tool in run '{run}' than payload '{declared}'"
+    if more < 0:
+        return f"{sized} less at the tool in run '{run}' than in the others"
+    return f"an undeclared body of {sized} at the tool in run '{run}'"
+
+
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 
 
@@ -185,7 +214,7 @@ def _without_gravity(fit: Fit, unaltered: Fit) -> EstimatedEffect | None:
         return None
     ratio = (other.solution.sigma / unaltered.solution.sigma)[:n]
     most = max(np.sqrt(residual_ratio(other, unaltered)), ratio.min())
-    return _of_gravity(fit, F.WITHOUT_GRAVITY, unaltered, other, most)
+    return _of_gravity(fit, unaltered, other, most)
 
 
 def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> EstimatedEffect | None:
@@ -215,18 +244,60 @@ def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> EstimatedEff
     if 1 - remaining < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
         return None
     also = [list(other.dataset.robot.gravity) for other in alike if other is not best]
-    values = {"gravity": gravity.tolist(), "also": also, "floating": bool(unaltered.dataset.robot.floating)}
-    return _of_gravity(fit, OTHER_GRAVITY, unaltered, best, np.sqrt(1 - GRAVITY_SHARE), **values)
+    return _of_gravity(fit, unaltered, best, np.sqrt(1 - GRAVITY_SHARE), also)
 
 
-def _of_gravity(fit: Fit, kind: str, unaltered: Fit, other: Fit, most: float, **values: Any) -> EstimatedEffect:
+def _of_gravity(
+    fit: Fit, unaltered: Fit, other: Fit, most: float, also: Sequence[Sequence[float]] = ()
+) -> EstimatedEffect:
     """Describe a fit with another gravity, on the joints of whose residuals it leaves at ``most`` this ratio."""
     joints, before = unaltered.system.problem.joints, unaltered.solution.sigma
     shares, ratio = before / unaltered.system.problem.balance(unaltered.solution.theta), other.solution.sigma / before
     helped = [j for j in range(len(joints)) if ratio[j] <= most]
-    remaining = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
-    values |= {"left": remaining, "remains": residual_ratio(other, unaltered)}
-    return described_otherwise(fit, GRAVITY.name, Finding(kind, tuple(remaining), values=values), other, unaltered)
+    left = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
+    gravity, floating = list(other.dataset.robot.gravity), bool(unaltered.dataset.robot.floating)
+    values = {"gravity": gravity, "also": also, "left": left, "remains": residual_ratio(other, unaltered)}
+    if any(gravity):
+        directions = " or ".join(map(_direction, [gravity, *also]))
+        kind, text = OTHER_GRAVITY, f"gravity along {directions} of the {'world' if floating else 'base'}"
+        advice = gravity_advice(gravity, floating)
+    else:
+        kind, text = WITHOUT_GRAVITY, "torques without gravity, as from a driver that compensates it"
+        advice = (
+            "log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., "
+            "gravity: [0, 0, 0]}' in the experiment file for a model without gravity"
+        )
+    if left:
+        joint, (as_declared, rest) = max(left.items(), key=lambda of: of[1][0])
+        text += f", which leaves {100 * rest:.2g} % of '{joint}' unexplained instead of {100 * as_declared:.2g} %,"
+    return described_otherwise(
+        fit, GRAVITY.name, Finding(kind, tuple(left), values=values, text=text, advice=advice), other, unaltered
+    )
+
+
+def gravity_advice(gravity: Sequence[float], floating: bool) -> str:
+    """Advise what to write in the robot file, or beside its name, for a robot with this gravity."""
+    how = "how the world axes lie" if floating else "how the base is mounted"
+    written = ", ".join(f"{round(component, 3) + 0.0:.4g}" for component in gravity)
+    x, y, z = gravity
+    roll = atan2(-y, -z) if round(hypot(y, z), 3) else 0.0
+    rpy = f"{roll:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
+    turned = (
+        "in axes of the logged poses, or turn the poses so that their z axis points up"
+        if floating
+        else f"or 'base: {{rpy: [{rpy}]}}' beside its 'file' in the experiment file"
+    )
+    return f"check {how}, and write 'gravity: [{written}]' in the robot file, {turned}"
+
+
+def _direction(gravity: Sequence[float]) -> str:
+    """Name an axis, or write a direction of unit length."""
+    size = hypot(*gravity)
+    unit = [round(component / size, 2) + 0.0 for component in gravity]
+    along = [k for k in range(3) if unit[k]]
+    if len(along) == 1:
+        return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
+    return "({:.2g}, {:.2g}, {:.2g})".format(*unit)
 
 
 def _freely(at: Fit) -> Iterator[Fit]:
