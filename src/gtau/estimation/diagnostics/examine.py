@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,47 +129,47 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         )
         return Examination(findings=(few,))
     effort = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
-    findings = [*effort.findings]
     mixed, nothing = None, tuple[EstimatedEffect, ...]()
     effects = causes = refits = nothing
+    findings = [*effort.findings]
     try:
         if (mixed := estimate_effects(fit)) is not None:
             effects, causes = estimated_effects(mixed), contradictions(mixed)
         frozen = list(frozen_encoders(fit))
-        if not frozen and (_lacking(fit) or _misfit(fit)) and (load := other_loads(fit) or other_body(fit)):
-            refits, findings = (load,), []  # what other columns or another gravity would explain is its effect
-        elif _misfit(fit) and (turned := reversed_torques(fit)):
-            refits, findings = (turned,), []
-        elif not findings and (gravity := _gravity(fit, effort, effects, progress)):
-            refits = (gravity,)
-        elif not findings and _misfit(fit) and (angle := angle_from_another_link(fit, progress)):
-            refits = (angle,)
+        tried = _other_descriptions(fit, effort, effects, bool(frozen), progress)
+        if refit := next(filter(None, tried), None):
+            # what is linear about the wrong description explains nothing, and what columns would hold is its effect
+            effects, causes, refits, findings = nothing, nothing, (refit,), []
         elif not findings and effort.gravity_open:
             findings += gravity_not_shown(fit)
         findings += frozen
     except GtauError as refusal:
         findings.append(untested("effects that the model may lack", refusal))
-    # what is linear about the wrong description explains nothing
-    effects, causes = (nothing, nothing) if refits else (effects, causes)
     return Examination(effects, causes, refits, (*findings, *position_noise(fit)), effort, mixed)
 
 
-def _lacking(fit: Fit) -> bool:
-    return lack_of_fit(fit.system.problem, fit.solution) > LACKING
+def _other_descriptions(
+    fit: Fit, effort: Effort, effects: Sequence[EstimatedEffect], frozen: bool, progress: Progress
+) -> Iterator[EstimatedEffect | None]:
+    """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
 
-
-def _misfit(fit: Fit) -> bool:
-    return float(unexplained_shares(fit.system.problem, fit.solution).max()) > GRAVITY_MISFIT
-
-
-def _gravity(
-    fit: Fit, effort: Effort, effects: tuple[EstimatedEffect, ...], progress: Progress
-) -> EstimatedEffect | None:
-    """Fit with another gravity (seconds per fit) where a tilt helps, or the residual is large."""
-    missing = effort.kind == WITHOUT_GRAVITY
+    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
+    """
+    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max()) > GRAVITY_MISFIT
+    lacking = lack_of_fit(fit.system.problem, fit.solution) > LACKING
+    if (lacking or misfit) and not frozen:
+        yield other_loads(fit)
+        yield other_body(fit)
+    if misfit:
+        yield reversed_torques(fit)
+    if effort.findings:
+        return
     tilted = any(effect.effect == "gravity" and effect.share > REFUTED_SHARE for effect in effects)
-    turned = _lacking(fit) and (tilted or _misfit(fit))
-    return likeliest_gravity(fit, missing, turned, progress) if missing or turned else None
+    missing, turned = effort.kind == WITHOUT_GRAVITY, lacking and (tilted or misfit)
+    if missing or turned:
+        yield likeliest_gravity(fit, missing, turned, progress)
+    if misfit:
+        yield angle_from_another_link(fit, progress)
 
 
 def estimates_of(

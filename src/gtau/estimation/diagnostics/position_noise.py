@@ -78,8 +78,8 @@ def position_noise(fit: Fit) -> Iterator[Finding]:
             size=deviations / 1.96,  # in halves of a 95 % interval
             text=f"position noise biases {counted.sum()} of {len(fit.solution.theta) + len(fit.gains)} estimates by "
             f"more than one standard deviation: {what} by {deviations:.1f} standard deviations (instrumental "
-            f"variables, which such noise does not bias, differ by {t:.0f} standard deviations of the difference); the intervals "
-            "include this bias",
+            f"variables, which such noise does not bias, differ by {t:.0f} standard deviations of the difference); the "
+            "intervals include this bias",
             advice="use --method iv or didim, or encoders with less noise",
             grade=Grade.WARNING,
         )
