@@ -61,7 +61,7 @@ def test_tests_of_runs_that_hardly_move_are_skipped_and_say_so() -> None:
     examined = examine(replace(fit, system=replace(fit.system, dataset=replace(data, prepared=few))))
     ((said,), rows) = examined.findings, usable_rows(data.windows(10), data.prepared)
     assert (said.kind, "(0 rows " in said.what, examined.effects) == (FEW_ROWS, True, ())
-    assert rows > FEWEST_FOR_TESTS * said.values["unknowns"]
+    assert rows > FEWEST_FOR_TESTS * len(fit.solution.values)
 
 
 @pytest.mark.parametrize("robot", ["arm_idle", pytest.param("five_bar_idle", marks=pytest.mark.slow)])

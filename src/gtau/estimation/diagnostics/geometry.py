@@ -311,7 +311,7 @@ def _tested(
         share=1 - fit.rest / given.rest,
         tried=tuple(alone.values()),
         unseen=tuple(constant.name for k, constant in enumerate(constants) if k not in alone),
-        delay=(poses.delay + fit.frames.delay, float(fit.std[0])),
+        delay=(poses.delay + float(fit.moved[0]), float(fit.std[0])),
         residuals=tuple(residuals),
     )
 
@@ -351,7 +351,7 @@ def fit_frames(
         poses = Poses(geometry, columns, values, qd, time, run, stretch, weights, delay)
         fit = fit_poses(unfitted(poses, c.T.copy()), ())
         assert fit is not None  # without other constants the loops stay closed
-        shown = np.flatnonzero(np.isfinite(fit.compared[2]).all(axis=(0, 1)))
+        shown = np.flatnonzero(np.isfinite(fit.body.by_constants).all(axis=(0, 1)))
         rest = replace(fit, chosen=tuple(shown.tolist())).beyond(fit.residual).reshape(len(values), -1)
         weights = 1 / np.maximum(np.sqrt(np.mean(rest**2, axis=0)), FLOOR)
         fit = fit_poses(replace(fit, poses=replace(poses, weights=weights)), ())
@@ -359,6 +359,6 @@ def fit_frames(
         return fit
 
     fit = fitted(0.0)
-    delay = float(np.clip(fit.frames.delay, -LONGEST, LONGEST))
+    delay = float(np.clip(fit.moved[0], -LONGEST, LONGEST))
     # a delay by velocities alone is wrong by half the acceleration times its square, 0.4 mm at 20 ms of a quick arm
     return fitted(delay) if abs(delay) > SHORTEST else fit
