@@ -34,7 +34,7 @@ from gtau.result import Result, identify
 
 SECONDS = 6.0
 # Of what stands in a log as it was recorded nothing is said that is wrong: clipped, filtered and held signals, rests.
-CLAIMS = (F.MODEL, "scale of the gains", F.POSITION_NOISE, F.LIMITS, "sampling rate", F.FILTERED, "held signal")
+CLAIMS = (F.MODEL, "scale of the gains", "position noise", F.LIMITS, "sampling rate", F.FILTERED, "held signal")
 
 
 def alarms_of(result: Result) -> list[str]:

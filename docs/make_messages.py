@@ -70,6 +70,8 @@ def raised(path: Path) -> Iterator[Finding]:
             if node.args and "text" in given:
                 stated = ast.unparse(given.get("grade", ast.Constant(""))).removeprefix("Grade.")
                 grade = Grade.__members__.get(stated, Grade.INFORMATION)
+                if "grade" not in given and ast.unparse(node.func) == "Finding":
+                    grade = None  # a cause
                 kind, text, advice = (words(part) for part in (node.args[0], given["text"], given.get("advice")))
                 yield Finding(kind, text=text, advice=advice, grade=grade)
 
@@ -138,7 +140,8 @@ def page() -> str:
     text += "\n## Notes\n\n" + remedies([kind for kind in notes if made[kind][0].action], made)
     text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
     text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
-    return text + remedies(list(words["causes"]), made)
+    causes = [kind for kind, (first, *_) in made.items() if first.text and first.grade is None]
+    return text + remedies([*words["causes"], *causes], made)
 
 
 if __name__ == "__main__":

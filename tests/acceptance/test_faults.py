@@ -16,7 +16,8 @@ import gtau.estimation.regression.dataset
 from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
-from gtau.estimation.diagnostics.other_robots import OTHER_GRAVITY, TOOL_BODY
+from gtau.estimation.diagnostics.other_gravity import OTHER_GRAVITY
+from gtau.estimation.diagnostics.tool_bodies import TOOL_BODY
 from gtau.estimation.diagnostics.verdict import Outcome, worst
 from gtau.estimation.results.conclusions import INFLATED
 from gtau.findings import Finding

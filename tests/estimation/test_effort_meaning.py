@@ -13,7 +13,7 @@ from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
-from gtau.estimation.diagnostics.effort import WITHOUT_GRAVITY
+from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
 from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot

@@ -16,11 +16,11 @@ from gtau.estimation.diagnostics.effort import (
     MAGNITUDES,
     NONE,
     SWAPPED_CHANNELS,
-    WITHOUT_GRAVITY,
     Effort,
     effort_of,
 )
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
+from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import FindingKind as F
 from gtau.model.home import load_robot

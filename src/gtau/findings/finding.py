@@ -10,6 +10,7 @@ from gtau.findings.kind import FindingKind as F
 from gtau.findings.kind import Grade, Severity
 from gtau.findings.words import Sentence, clock_advice, filled, phrase, write_limits
 
+WORDS = ("text", "advice", "own", "grade", "shown_as")
 MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED}
 
 
@@ -158,6 +159,7 @@ def finding_document(finding: Finding) -> dict[str, Any]:
         "subject": finding.subject,
         "values": dict(finding.values),
         "causes": [finding_document(cause) for cause in finding.causes],
+        **({key: getattr(finding, key) for key in WORDS} if finding.text else {}),
     }
 
 

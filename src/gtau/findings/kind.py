@@ -77,16 +77,12 @@ class FindingKind(StrEnum):
     SEPARATION = "separable parameters", Severity.WARNING
     MODEL = "model", Severity.WARNING  # evidence of the data against the model
     FILTERED = "filtered command", Severity.WARNING
-    POSITION_NOISE = "position noise", Severity.WARNING
     LIMITS = "joint limits", Severity.WARNING
     UNIT = "unit", Severity.WARNING  # of commands or payloads, doubtful
-    GEOMETRY = "geometry", Severity.WARNING  # evidence of logged poses against it
     READING = "reading", Severity.INFORMATION  # how the log was read: its clock, its layout
     ROBOT = "robot description", Severity.INFORMATION
 
     # of the logged poses
-    CONFIRMED_GEOMETRY = "confirmed geometry", ROBOT
-    UNEXPLAINED_POSE = "unexplained pose", GEOMETRY
 
     # what the whole estimation rests on
     NEGATIVE_MASS = "negative mass", Outcome.CONTRADICTORY
@@ -141,14 +137,11 @@ class FindingKind(StrEnum):
     CURRENTS_APART = "currents far apart", UNIT
     UNLIKE_LEGS = "unlike legs"
     PRIOR = "contradictory prior"
-    PRIOR_INERTIA = "contradictory inertias of the robot's file"
     SMALL_REFUTATION = "description refuted, gains unmoved"
-    UNTESTED = "other estimators not tried", READING
     AUTOCORRELATED = "autocorrelated residuals"
     NOT_SEPARATED = "parameters not separated", SEPARATION
     MASS_UNSEEN = "payload mass not identifiable"
     NO_BODIES = "no physically consistent parameters"
-    FEW_ROWS = "too few rows for tests"
     SCALE_UNTESTED = "torque scale not tested", READING
     COMMON_SCALE = "common torque scale"
     NO_GRAVITY_SHOWN = "torques without gravity, or a balanced robot", ("model", Severity.INFORMATION)
@@ -158,7 +151,3 @@ class FindingKind(StrEnum):
     COMMAND_LAG = "command lag", FILTERED
     SMOOTHED = "smoothed commands", FILTERED
     SLIGHT_COMMAND_LAG = "slight command lag", READING
-    # other descriptions, as causes; those of the effects are in their files
-    WITHOUT_GRAVITY = "torques without gravity"
-    TOOL_BODY = "body at the tool"
-    PAYLOAD_BODY = "payload on another body"

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, beside, joint_rows, unexplained
+from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
@@ -28,7 +29,6 @@ from gtau.model.base_parameters import of_drive
 
 LATE = 0.5  # unexplained share of a joint's current, shifted by more than a delay can be, over that as logged
 LATE_STEADY = 0.6  # unexplained share of the shifted current over the share that terms without acceleration leave
-GRAVITY_MISFIT = 0.1  # unexplained share of a joint's signal, from which gravity along other axes is tried
 SWAPPED = 0.5  # unexplained share with the other joint's current over that with its own
 LIKELY_SHARES = 1.92  # log likelihood below the largest that bounds a 95 % interval of one unknown
 SIGN_STD = 2.0  # size of a coefficient in standard deviations, above which it has a sign
@@ -36,12 +36,12 @@ HARDLY_NEGATIVE = 0.05  # most negative value over the largest of a column of ma
 TINY = 1e-9  # share of a torque that is rounding
 NO_GRAVITY = 0.1  # coefficient of gravity beside inertia, down to which its interval reaches if torques may have none
 WITH_GRAVITY = 0.75  # coefficient of gravity that the interval excludes if torques have none
-MEANING_CLOSE = 3.0  # log likelihood by which a meaning of effort is likelier, up to which the other is said too
+MEANING_CLOSE = 3.0  # log likelihood by which torques are likelier without gravity, up to which they are not called so
 AS_WELL = 1.1  # residual variance without gravity over with it, up to which compensation explains torques as well
 
 AS_STATED, NONE = "as stated", "none of these"
 LATE_CURRENTS, SWAPPED_CHANNELS, MAGNITUDES = "currents logged late", "swapped channels", "magnitudes"
-REVERSED_CHANNELS, WITHOUT_GRAVITY = "reversed channels", "torques without gravity"
+REVERSED_CHANNELS = "reversed channels"
 SHARES = (0.0, 0.1, 0.2, 0.35, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0)  # of gravity that are tried
 INDEPENDENT = 0.99  # largest autocorrelation that is believed
 
@@ -115,7 +115,17 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
         near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
         missing = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
         if (turned := scale[0] / scale[1]) < -SIGN_STD:  # of the coefficient, at its size with either sign
-            tried.append((2 * turned**2, REVERSED_CHANNELS, (_all_reversed(dataset, float(logged.max())),)))
+            names, kind = dataset.model.actuated, dataset.runs[0].kind
+            reversed_ = Finding(
+                REVERSED_CHANNELS,
+                names,
+                size=1 - float(logged.max()),
+                text=f"the {kind}s of {listed(names)} look reversed: the inertias of the robot file contradict their "
+                "sign",
+                advice=f"check the signs of the {kind} and position columns",
+                grade=Grade.CONTRADICTORY,
+            )
+            tried.append((2 * turned**2, REVERSED_CHANNELS, (reversed_,)))
     if not _wrenches(dataset) and missing and without > MEANING_CLOSE:
         tried.append((without, WITHOUT_GRAVITY, ()))
     _, kind, findings = max(tried, key=lambda each: each[0])
@@ -189,14 +199,15 @@ def _altered_findings(
     names = tuple(dataset.model.actuated[j] for j in altered)
     if other.kind == LATE_CURRENTS:
         return tuple(
-            _contradictory(
+            Finding(
                 LATE_CURRENTS,
-                f"the {kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
-                f"{100 * other.left[j]:.2g} % is unexplained after shifting them, {100 * logged[j]:.2g} % as logged",
-                "log them with the time stamps of the positions, or if those of all joints are equally late, write "
-                f"'preparation: {{delay: {lag:.3g}}}'",
                 (name,),
-                float(logged[j]),
+                size=float(logged[j]),
+                text=f"the {kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
+                f"{100 * other.left[j]:.2g} % is unexplained after shifting them, {100 * logged[j]:.2g} % as logged",
+                advice="log them with the time stamps of the positions, or if those of all joints are equally late, "
+                f"write 'preparation: {{delay: {lag:.3g}}}'",
+                grade=Grade.CONTRADICTORY,
             )
             for j, name in zip(altered, names, strict=True)
             if (lag := joints[j].lag) is not None
@@ -207,30 +218,28 @@ def _altered_findings(
         for left in (other.left, logged)
     )
     if other.kind == SWAPPED_CHANNELS:
-        look, how = ("swapped" if len(names) == 2 else "permuted"), "after exchanging them"
         advice = f"check that the position and {kind} columns are of the same joint in all runs"
-        if _wrenches(dataset):  # wrong ones make single currents look wrong
-            advice = f"{phrase('wrenches')}; otherwise {advice}"
-    else:
-        look, how = "like magnitudes", "with signs that fit the motion"
-        advice = "log signed values (some drives store the sign in a separate bit or column)"
-    text = (
-        f"the {kind}s of {listed(names)} look {look}: {100 * after:.2g} % is unexplained {how}, "
-        f"{100 * before:.2g} % as logged"
+        swapped = Finding(
+            SWAPPED_CHANNELS,
+            names,
+            size=1 - after / before,
+            text=f"the {kind}s of {listed(names)} look {'swapped' if len(names) == 2 else 'permuted'}: "
+            f"{100 * after:.2g} % is unexplained after exchanging them, {100 * before:.2g} % as logged",
+            # wrong wrenches make single currents look wrong
+            advice=f"{phrase('wrenches')}; otherwise {advice}" if _wrenches(dataset) else advice,
+            grade=Grade.CONTRADICTORY,
+        )
+        return (swapped,)
+    magnitudes = Finding(
+        MAGNITUDES,
+        names,
+        size=1 - after / before,
+        text=f"the {kind}s of {listed(names)} look like magnitudes: {100 * after:.2g} % is unexplained with signs that "
+        f"fit the motion, {100 * before:.2g} % as logged",
+        advice="log signed values (some drives store the sign in a separate bit or column)",
+        grade=Grade.CONTRADICTORY,
     )
-    return (_contradictory(other.kind, text, advice, names, 1 - after / before),)
-
-
-def _all_reversed(dataset: Dataset, left: float) -> Finding:
-    names, kind = dataset.model.actuated, dataset.runs[0].kind
-    text = f"the {kind}s of {listed(names)} look reversed: the inertias of the robot file contradict their sign"
-    return _contradictory(
-        REVERSED_CHANNELS, text, f"check the signs of the {kind} and position columns", tuple(names), 1 - left
-    )
-
-
-def _contradictory(kind: str, text: str, advice: str, joints: tuple[str, ...], size: float) -> Finding:
-    return Finding(kind, joints, size=size, text=text, advice=advice, grade=Grade.CONTRADICTORY, shown_as="model")
+    return (magnitudes,)
 
 
 def _wrenches(dataset: Dataset) -> bool:

@@ -8,19 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, WITHOUT_GRAVITY, Effort, effort_of
+from gtau.estimation.diagnostics.effort import Effort, effort_of
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_columns import angle_from_another_link, reversed_torques
-from gtau.estimation.diagnostics.other_robots import (
-    REFUTED_SHARE,
-    REFUTED_STD,
-    likeliest_gravity,
-    other_body,
-    other_loads,
-)
+from gtau.estimation.diagnostics.other_gravity import REFUTED_SHARE, WITHOUT_GRAVITY, likeliest_gravity
 from gtau.estimation.diagnostics.position_noise import FEWEST_FOR_TESTS, position_noise
 from gtau.estimation.diagnostics.refits import untested
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
+from gtau.estimation.diagnostics.tool_bodies import REFUTED_STD, other_body, other_loads
 from gtau.estimation.diagnostics.verdict import OUTCOMES, unexplained_shares
 from gtau.estimation.effects.description import CONTRADICTED, contradictions, estimated_effects
 from gtau.estimation.effects.effect import EstimatedEffect
@@ -34,6 +29,7 @@ from gtau.findings import Finding
 from gtau.findings.kind import Grade
 from gtau.progress import Progress, silent
 
+GRAVITY_MISFIT = 0.1  # unexplained share of a joint's signal, from which gravity along other axes is tried
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
 LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
 HARMLESS_SHARE = 0.3  # share of the residual variance that an effect explains, up to which it is information
