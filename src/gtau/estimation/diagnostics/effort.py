@@ -12,28 +12,39 @@ the log. Single torques that are reversed show beside the others: :mod:`gtau.est
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from gtau.estimation.diagnostics.effort_rows import JointRows, basis_of, beside, joint_rows, unexplained
+from gtau.estimation.diagnostics.effort_rows import (
+    TINY,
+    JointRows,
+    basis_of,
+    beside,
+    by_file,
+    fitted_together,
+    joint_rows,
+    signed,
+    unexplained,
+    with_gravity,
+)
 from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
-from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
 from gtau.findings import Finding
 from gtau.findings.kind import Grade
 from gtau.findings.words import listed, phrase
-from gtau.model.base_parameters import of_drive
 
 LATE = 0.5  # unexplained share of a joint's current, shifted by more than a delay can be, over that as logged
 LATE_STEADY = 0.6  # unexplained share of the shifted current over the share that terms without acceleration leave
+GRAVITY_MISFIT = 0.1  # unexplained share of a joint's signal, from which gravity along other axes is tried
+RETRIED = 2.0  # share that common parameters leave over that of a joint's own, from which exchanges are tried
 SWAPPED = 0.5  # unexplained share with the other joint's current over that with its own
 LIKELY_SHARES = 1.92  # log likelihood below the largest that bounds a 95 % interval of one unknown
 SIGN_STD = 2.0  # size of a coefficient in standard deviations, above which it has a sign
 HARDLY_NEGATIVE = 0.05  # most negative value over the largest of a column of magnitudes behind a filter
-TINY = 1e-9  # share of a torque that is rounding
 NO_GRAVITY = 0.1  # coefficient of gravity beside inertia, down to which its interval reaches if torques may have none
 WITH_GRAVITY = 0.75  # coefficient of gravity that the interval excludes if torques have none
 MEANING_CLOSE = 3.0  # log likelihood by which torques are likelier without gravity, up to which they are not called so
@@ -73,10 +84,14 @@ class Effort:
 
 @dataclass(frozen=True)
 class Altered:
-    """Columns of the joints ``altered`` read otherwise: the shares ``left`` (n,) of all, and the numbers ``chosen``."""
+    """Columns of the joints ``altered`` read otherwise: what is ``left`` and was left ``before`` (n,) of all.
+
+    ``chosen`` is how many numbers that chooses.
+    """
 
     kind: str
     left: np.ndarray
+    before: np.ndarray
     altered: list[int]
     chosen: int = 0
 
@@ -93,25 +108,26 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
     logged, counts = np.diag(shares), np.array([_independent(joint, j) for j, joint in enumerate(joints)])
     rows = float(counts.sum())
 
-    def gain(left: np.ndarray) -> float:
+    def gain(left: np.ndarray, before: np.ndarray = logged) -> float:
         """Compute the log-likelihood over the columns as stated."""
-        return float(counts @ np.log(np.maximum(logged, TINY) / np.maximum(left, TINY)))
+        return float(counts @ np.log(np.maximum(before, TINY) / np.maximum(left, TINY)))
 
-    tried: list[tuple[float, str, tuple[Finding, ...]]] = [(0.0, AS_STATED, ())]
-    tried.append((gain(np.full(len(logged), float(MISFIT))), NONE, ()))
-    for other in (_late(joints, shares), _permuted(shares, counts), _magnitudes(joints, logged)):
-        if other is not None:
-            findings = _altered_findings(other, joints, logged, counts, dataset)
-            tried.append((gain(other.left) - other.chosen / 2 * np.log(rows), other.kind, findings))
+    none = gain(np.full(len(logged), MISFIT))
+    tried: list[tuple[float, str, tuple[Finding, ...]]] = [(0.0, AS_STATED, ()), (none, NONE, ())]
     torques = not _wrenches(dataset) and dataset.runs[0].kind == "torque"
-    gains = np.array([gain(_with_gravity(joints, share)) for share in SHARES])
+    others = [*_late(joints, shares), *_permuted(shares, counts), *_magnitudes(joints, logged)]
+    others += _exchanged(joints, logged) if torques and none < 0 else ()
+    for other in others:
+        findings = _altered_findings(other, joints, counts, dataset)
+        tried.append((gain(other.left, other.before) - other.chosen / 2 * np.log(rows), other.kind, findings))
+    gains = np.array([gain(with_gravity(joints, share)) for share in SHARES])
     held = np.array(SHARES)[gains > gains.max() - LIKELY_SHARES]
     low, high = float(held.min()), float(held.max())
     as_well = bool(gains[0] > -rows / 2 * np.log(AS_WELL))
-    by_file = _by_file(joints, counts, dataset) if torques else None
+    of_file = by_file(joints, counts, dataset) if torques else None
     scale, without, missing = None, float(gains[0]), low <= NO_GRAVITY and high < WITH_GRAVITY
-    if by_file is not None:
-        (coefficient, std), scale, without = by_file
+    if of_file is not None:
+        (coefficient, std), scale, without = of_file
         near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
         missing = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
         if (turned := scale[0] / scale[1]) < -SIGN_STD:  # of the coefficient, at its size with either sign
@@ -129,7 +145,7 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
     if not _wrenches(dataset) and missing and without > MEANING_CLOSE:
         tried.append((without, WITHOUT_GRAVITY, ()))
     _, kind, findings = max(tried, key=lambda each: each[0])
-    return Effort(kind, findings, (low, high), as_well and low <= NO_GRAVITY and by_file is None, scale)
+    return Effort(kind, findings, (low, high), as_well and low <= NO_GRAVITY and of_file is None, scale)
 
 
 def _independent(joint: JointRows, j: int) -> float:
@@ -139,7 +155,7 @@ def _independent(joint: JointRows, j: int) -> float:
     return max(len(rest) * (1 - rho) / (1 + rho), 1.0)
 
 
-def _late(joints: Sequence[JointRows], shares: np.ndarray) -> Altered | None:
+def _late(joints: Sequence[JointRows], shares: np.ndarray) -> Iterator[Altered]:
     """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes.
 
     Acceleration shows the lag: without it friction, stops and the controller look like one.
@@ -149,50 +165,52 @@ def _late(joints: Sequence[JointRows], shares: np.ndarray) -> Altered | None:
     lagging = np.array([joint.lag is not None for joint in joints])
     late = lagging & (shifted < LATE * logged) & (shifted < LATE_STEADY * np.array(steady))
     altered = np.flatnonzero(late).tolist()
-    return Altered(LATE_CURRENTS, np.where(late, shifted, logged), altered, len(altered)) if altered else None
+    if altered:
+        yield Altered(LATE_CURRENTS, np.where(late, shifted, logged), logged, altered, len(altered))
 
 
-def _permuted(shares: np.ndarray, counts: np.ndarray) -> Altered | None:
+def _permuted(shares: np.ndarray, counts: np.ndarray) -> Iterator[Altered]:
     """Assign each joint the column that fits its equations best, every column once."""
     from scipy.optimize import linear_sum_assignment
 
     _, order = linear_sum_assignment(counts[:, None] * np.log(np.maximum(shares[:, :-1], TINY)))
-    joints = np.arange(len(order))
+    joints, logged = np.arange(len(order)), np.diag(shares)
     altered, assigned = np.flatnonzero(order != joints), shares[joints, order]
-    if len(altered) and np.all((assigned < SWAPPED * np.diag(shares))[altered]):
-        return Altered(SWAPPED_CHANNELS, assigned, altered.tolist())
-    return None
+    if len(altered) and np.all((assigned < SWAPPED * logged)[altered]):
+        yield Altered(SWAPPED_CHANNELS, assigned, logged, altered.tolist())
 
 
-def _magnitudes(joints: Sequence[JointRows], logged: np.ndarray) -> Altered | None:
+def _magnitudes(joints: Sequence[JointRows], logged: np.ndarray) -> Iterator[Altered]:
     """Give columns without negative values the signs with which the equations explain most of them."""
     left = logged.copy()
     for j, joint in enumerate(joints):
         effort = joint.effort[:, j]
         if effort.size and effort.min() > -HARDLY_NEGATIVE * effort.max():
-            left[j] = joint.left(_signed(joint.basis, effort))
+            left[j] = joint.left(signed(joint.basis, effort))
     altered = np.flatnonzero(left < SWAPPED * logged).tolist()
-    return Altered(MAGNITUDES, left, altered, len(altered)) if altered else None
+    if altered:
+        yield Altered(MAGNITUDES, left, logged, altered, len(altered))
 
 
-def _signed(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Choose the signs of the parts between minima, first by an eigenvector, then one by one."""
-    lowest = np.flatnonzero((effort[1:-1] <= effort[:-2]) & (effort[1:-1] < effort[2:])) + 1
-    part = np.searchsorted(lowest, np.arange(len(effort)), side="right")
-    sums = np.zeros((len(lowest) + 1, basis.shape[1]))
-    np.add.at(sums, part, effort[:, None] * basis)
-    signs = np.where(np.linalg.svd(sums, full_matrices=False)[0][:, 0] < 0, -1.0, 1.0)
-    for _ in signs:
-        gains = np.sum(sums**2, axis=1) - signs * (sums @ (signs @ sums))
-        k = int(np.argmax(gains))
-        if gains[k] <= TINY * np.sum(sums**2):
-            break
-        signs[k] *= -1
-    return np.asarray(signs[part] * effort)
+def _exchanged(joints: Sequence[JointRows], logged: np.ndarray) -> Iterator[Altered]:
+    """Exchange two columns, of joints that move alike, so that the parameters which joints share explain them together.
+
+    So the second and third of a TX40, whose own parameters explain either column.
+    """
+    order = np.arange(len(joints))
+    before = fitted_together(joints, order)
+    wrong = before > np.maximum(RETRIED * logged, GRAVITY_MISFIT)
+    for pair in map(list, combinations(range(len(joints)), 2)):
+        if wrong[pair].any():
+            exchanged = order.copy()
+            exchanged[pair] = pair[::-1]
+            left = fitted_together(joints, exchanged)
+            if np.all((left < SWAPPED * before)[pair]):
+                yield Altered(SWAPPED_CHANNELS, left, before, pair)
 
 
 def _altered_findings(
-    other: Altered, joints: Sequence[JointRows], logged: np.ndarray, counts: np.ndarray, dataset: Dataset
+    other: Altered, joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset
 ) -> tuple[Finding, ...]:
     """Say what columns hold that are read otherwise, and by how much that leaves less."""
     kind, altered = dataset.runs[0].kind, other.altered
@@ -202,9 +220,10 @@ def _altered_findings(
             Finding(
                 LATE_CURRENTS,
                 (name,),
-                size=float(logged[j]),
+                size=float(other.before[j]),
                 text=f"the {kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
-                f"{100 * other.left[j]:.2g} % is unexplained after shifting them, {100 * logged[j]:.2g} % as logged",
+                f"{100 * other.left[j]:.2g} % is unexplained after shifting them, {100 * other.before[j]:.2g} % as "
+                "logged",
                 advice="log them with the time stamps of the positions, or if those of all joints are equally late, "
                 f"write 'preparation: {{delay: {lag:.3g}}}'",
                 grade=Grade.CONTRADICTORY,
@@ -215,7 +234,7 @@ def _altered_findings(
     # means as the likelihood weighs them, so that what is likelier leaves less
     after, before = (
         float(np.exp(np.average(np.log(np.maximum(left[altered], TINY)), weights=counts[altered])))
-        for left in (other.left, logged)
+        for left in (other.left, other.before)
     )
     if other.kind == SWAPPED_CHANNELS:
         advice = f"check that the position and {kind} columns are of the same joint in all runs"
@@ -244,62 +263,3 @@ def _altered_findings(
 
 def _wrenches(dataset: Dataset) -> bool:
     return bool(dataset.robot.floating) or any(run.wrenches for run in dataset.runs)
-
-
-def _with_gravity(joints: Sequence[JointRows], share: float) -> np.ndarray:
-    """Fit the columns with a ``share`` of gravity, that of inertia being one: the shares that they leave (n,)."""
-    left = []
-    for j, joint in enumerate(joints):
-        R, p = joint.factor, joint.columns.shape[1]
-        left.append(unexplained(basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p]), R[:, 2 * p + j]))
-    return np.array(left)
-
-
-def _by_file(
-    joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset
-) -> tuple[tuple[float, float], tuple[float, float], float] | None:
-    """Regress the torques of the runs without payload on those that the file's inertias give, and friction.
-
-    Returns the coefficients of the file's gravity and of its whole torque, with standard deviations, and how much more
-    likely the rows are without the file's gravity than with it, a logarithm; None without inertias that show.
-    """
-    stated, base = stated_inertias(dataset.robot), dataset.base
-    if not any(stated.values()) or all(run.payload for run in dataset.runs):
-        return None
-    values = base.matrix @ [stated.get(name, 0.0) for name in dataset.model.parameter_names]
-    of_gravity, of_torque, without = [], [], 0.0
-    for j, (joint, count) in enumerate(zip(joints, counts, strict=True)):
-        first = joint.names < base.count  # without payload
-        free = joint.columns[:, first].any(axis=1)
-        names, W, effort = joint.names[first], joint.columns[free][:, first], joint.effort[free, j]
-        gravity, torque = joint.weight[free][:, first] @ values[names], W @ values[names]
-        driven = W[:, [of_drive(base.standard[k], dataset.model.actuated[j]) for k in names]]
-        of_gravity.append(_coefficient(effort, gravity, np.column_stack([torque - gravity, driven]), count))
-        of_torque.append(_coefficient(effort, torque, driven, count))
-        without += of_gravity[-1][-1]
-    if not any(size for _, _, size, _ in of_gravity):
-        return None
-    return _weighted(of_gravity), _weighted(of_torque), without
-
-
-def _coefficient(
-    effort: np.ndarray, column: np.ndarray, others: np.ndarray, count: float
-) -> tuple[float, float, float, float]:
-    """Regress on a column beside others: its coefficient, variance and size, and the likelihood of 0 over that of 1."""
-    basis = basis_of(others)
-    x, y = beside(basis, column), beside(basis, effort)
-    size = float(x @ x)
-    if size <= TINY * max(float(column @ column), 1e-300):
-        return 0.0, 0.0, 0.0, 0.0
-    coefficient, apart = float(x @ y) / size, y - x
-    rest = y - coefficient * x
-    none = count / 2 * float(np.log(max(apart @ apart, 1e-300) / max(y @ y, 1e-300)))
-    return coefficient, float(rest @ rest) / count / size, size, none
-
-
-def _weighted(parts: Sequence[tuple[float, float, float, float]]) -> tuple[float, float]:
-    """Average coefficients by the squares of their columns, (N m)^2, with the standard deviation by their scatter."""
-    coefficients, variances, sizes, _ = np.array(parts).T
-    weights = sizes / max(sizes.sum(), 1e-300)
-    mean = float(weights @ coefficients)
-    return mean, float(np.sqrt(weights**2 @ ((coefficients - mean) ** 2 + variances)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import Effort, effort_of
+from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, Effort, effort_of
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_columns import angle_from_another_link, reversed_torques
 from gtau.estimation.diagnostics.other_gravity import REFUTED_SHARE, WITHOUT_GRAVITY, likeliest_gravity
@@ -29,7 +29,6 @@ from gtau.findings import Finding
 from gtau.findings.kind import Grade
 from gtau.progress import Progress, silent
 
-GRAVITY_MISFIT = 0.1  # unexplained share of a joint's signal, from which gravity along other axes is tried
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
 LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
 HARMLESS_SHARE = 0.3  # share of the residual variance that an effect explains, up to which it is information

@@ -274,17 +274,11 @@ def _tested(
         if chosen := [j for j, name in enumerate(names) if name[1] == unit]:
             before, after = (float(np.sqrt(np.mean(np.sum(part[:, chosen] ** 2, axis=1)))) for part in parts)
             distances[kind] = before, after
-    alone = {
-        candidate.constant: ConstantChange(
-            constants[candidate.constant].name,
-            constants[candidate.constant].value,
-            candidate.change,
-            candidate.std,
-            constants[candidate.constant].unit,
-            1 - candidate.rest / given.rest,
-        )
-        for candidate in tried
-    }
+    alone = {}
+    for candidate in tried:
+        constant, share = constants[candidate.constant], 1 - candidate.rest / given.rest
+        size = candidate.change, candidate.std
+        alone[candidate.constant] = ConstantChange(constant.name, constant.value, *size, constant.unit, share)
     explained = [
         replace(alone[k], change=float(fit.change[k]), std=float(std))
         for k, std in zip(fit.chosen, fit.std[len(fit.std) - len(fit.chosen) :], strict=True)
@@ -296,8 +290,9 @@ def _tested(
         explained = [replace(explained[0], alike=tuple(alike))]
     far = "position" in distances and distances["position"][1] > GEOMETRY_RMS * characteristic_length(robot)
     residuals = []
-    for run, mine in ((run, poses.run == k) for k, run in enumerate(runs)):
+    for number, run in enumerate(runs):
         for j, (name, unit) in enumerate(names):
+            mine = poses.run == number
             before, after = (part[mine, j] for part in parts)
             rms, rest = (float(np.sqrt(np.mean(part**2))) for part in (before, after))
             bias = float(np.mean(before))
