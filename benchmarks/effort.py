@@ -190,9 +190,6 @@ ALTERED: dict[str, Alteration] = {  # the command, that due to gravity, rated va
     "two exchanged": lambda command, gravity, rated, late: swapped(command, (1, 2)),
     "three permuted": lambda command, gravity, rated, late: swapped(swapped(command, (0, 1)), (1, 2)),
     "scaled by 0.7": lambda command, gravity, rated, late: 0.7 * command,
-    "second reversed": lambda command, gravity, rated, late: (
-        command * np.where(np.arange(command.shape[1]) == 1, -1, 1)
-    ),
     "all reversed": lambda command, gravity, rated, late: -command,
     "backwards in time": lambda command, gravity, rated, late: command[::-1],
 }

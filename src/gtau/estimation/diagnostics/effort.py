@@ -131,14 +131,14 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
         near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
         missing = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
         if (turned := scale[0] / scale[1]) < -SIGN_STD:  # of the coefficient, at its size with either sign
-            names, kind = dataset.model.actuated, dataset.runs[0].kind
+            names, command = dataset.model.actuated, dataset.runs[0].kind
             reversed_ = Finding(
                 REVERSED_CHANNELS,
                 names,
                 size=1 - float(logged.max()),
-                text=f"the {kind}s of {listed(names)} look reversed: the inertias of the robot file contradict their "
+                text=f"the {command}s of {listed(names)} look reversed: the inertias of the robot file contradict their "
                 "sign",
-                advice=f"check the signs of the {kind} and position columns",
+                advice=f"check the signs of the {command} and position columns",
                 grade=Grade.CONTRADICTORY,
             )
             tried.append((2 * turned**2, REVERSED_CHANNELS, (reversed_,)))
