@@ -265,7 +265,7 @@ def _coefficient(
     basis = basis_of(others)
     x, y = beside(basis, column), beside(basis, effort)
     size = float(x @ x)
-    if size <= TINY * max(float(column @ column), 1e-300):
+    if not size > TINY * float(column @ column):
         return 0.0, 0.0, 0.0, 0.0
     coefficient, apart = float(x @ y) / size, y - x
     rest = y - coefficient * x

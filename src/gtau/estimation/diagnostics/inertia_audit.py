@@ -28,7 +28,6 @@ INERTIA_CHANCE = 0.05  # chance that a correct file has any base parameter contr
 INERTIA_EXPLAINED = 0.95  # share of the torque variance added by the file: links that explain it suffice
 
 ROTORS, PRIOR_INERTIA = "the rotor inertias", "contradictory inertias of the robot's file"
-NAMED = 3  # parameters in a sentence
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]
 
 
@@ -275,9 +274,9 @@ def prior_findings(audit: InertiaAudit) -> Iterator[Finding]:
         named = "; ".join(
             f"{entry.name} is {entry.value:.3g} {entry.unit} from the data (standard deviation {entry.std:.2g}), "
             f"{entry.stated:.3g} in the file"
-            for entry in entries[:NAMED]
+            for entry in entries[:3]
         )
-        more = f" and {len(entries) - NAMED} more" if len(entries) > NAMED else ""
+        more = f" and {len(entries) - 3} more" if len(entries) > 3 else ""
         yield Finding(
             PRIOR_INERTIA,
             subject=link,
