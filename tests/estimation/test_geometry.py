@@ -16,7 +16,8 @@ from gtau import identify, load_robot
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
-from gtau.estimation.diagnostics.geometry import GeometryTest, geometry_test, to_document
+from gtau.estimation.diagnostics.geometry import GeometryTest, to_document
+from gtau.estimation.diagnostics.geometry_search import geometry_test
 from gtau.findings import Severity
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames

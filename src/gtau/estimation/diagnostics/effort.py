@@ -136,8 +136,8 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
                 REVERSED_CHANNELS,
                 names,
                 size=1 - float(logged.max()),
-                text=f"the {command}s of {listed(names)} look reversed: the inertias of the robot file contradict their "
-                "sign",
+                text=f"the {command}s of {listed(names)} look reversed: the inertias of the robot file contradict "
+                "their sign",
                 advice=f"check the signs of the {command} and position columns",
                 grade=Grade.CONTRADICTORY,
             )
