@@ -1,4 +1,4 @@
-"""Rows of single joints, to which a column of effort is fitted under any description of it.
+"""Rows of single joints, and fits of columns of effort to them.
 
 A joint's rows are its equations in the middle of the runs, with columns of their own for each payload: so neither gains
 nor the other joints matter. Gravity's part of a column is what the regressor has at rest.
@@ -32,9 +32,9 @@ REWEIGHTED = 3  # steps that find the variances of joints with common parameters
 class JointRows:
     """The K rows of a joint.
 
-    ``columns`` (K, p) are its own, ``weight`` (K, p) gravity's part of them, ``steady`` (K, p) with those of friction
-    and offsets, and ``names`` (p,) their numbers among
-    ``base.standard``, from ``base.count`` on for a second payload, and so on; those without payload are first.
+    ``columns`` (K, p) are its own, ``weight`` (K, p) gravity's part of them, ``steady`` (K, p) that part with friction
+    and offsets, and ``names`` (p,) their numbers among ``base.standard``, from ``base.count`` on for a second payload,
+    and so on; those without payload are first.
     ``effort`` (K, n + 1) are the columns of all joints, its own as the delay of the model shifts it that fits best, and
     its own again, shifted by the ``lag`` (s) that fits best of all: None where it is such a delay.
     """
