@@ -35,7 +35,8 @@ class Log:
 
     ``settings`` are those of the preparation made by hand, ``notes`` report repairs, ``whole_share`` is the share of
     whole numbers among the joints' commands before they were resampled (None: they were not), ``temperature`` is that
-    of the joints, ``window`` (s) that of a moving average that the commands were behind.
+    of the joints, ``window`` (s) that of a moving average that the commands were behind, ``updates`` (Hz) the rate at which
+    held signals change.
     """
 
     paths: tuple[Path, ...] = ()
@@ -46,6 +47,7 @@ class Log:
     whole_share: float | None = None
     temperature: Temperature | None = None
     window: float | None = None
+    updates: float | None = None
 
 
 class More(TypedDict, total=False):
@@ -175,6 +177,11 @@ class Run:
         """Sampling rate, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
+    @property
+    def updates(self) -> float:
+        """Rate at which all signals change, Hz: lower than the sampling rate where they are held."""
+        return min(self.log.updates or self.rate, self.rate)
+
     def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:
         """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``.
 
@@ -276,7 +283,7 @@ def read_parts(
 
         temperature = read_temperature(paths, signals, units, part)
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
-        checked, whole_share, window = check(piece, notes, settings.clock)
+        checked, whole_share, window, updates = check(piece, notes, settings.clock)
         runs.append(
             Run(
                 (paths[0].name if paths[0].is_dir() else paths[0].stem) + checked.part.label,
@@ -288,7 +295,7 @@ def read_parts(
                 as_payload(payload),
                 valid=checked.valid,
                 channels=channels,
-                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature, window),
+                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature, window, updates),
             )
         )
         notes = []

@@ -37,7 +37,7 @@ LATEST = 0.25
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
 
 
-def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[Samples, float, float | None]:
+def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[Samples, float, float | None, float]:
     """Check the complete samples of a log, repair what is safe, and put them on a uniform grid.
 
     Those that are repeated are dropped, angles that wrap around are unwrapped. Samples of a joint whose command is
@@ -45,7 +45,7 @@ def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[
     mean rate: cubic splines for positions, lines for commands; see :mod:`gtau.signals.repair.clock` for what the
     samples' instants are, unless that is ``given``. ``notes`` report every repair. Raises GtauError where values cannot
     be right, or too many are missing. Also returns, of the joints' commands as logged, the share of whole numbers, and
-    the window of a moving average that they are behind.
+    the window of a moving average that they are behind; and the rate (Hz) at which the slowest held signal changes.
     """
     ends = extremes(samples.command)  # repairs leave them
     _refuse_stuck(samples, ends, notes)
@@ -72,7 +72,9 @@ def check(samples: Samples, notes: list[Finding], given: Given = None) -> tuple[
     clips = clipped(samples, ends, holds, notes)
     whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
     window = window_of_commands(samples.command, clock.rate)
-    return uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share, window
+    updates = clock.rate / max(held.period for held in holds.values())
+    samples = uniform(samples, clock, instants, holds, clips, notes, given is not None)
+    return samples, whole_share, window, updates
 
 
 def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
