@@ -211,6 +211,7 @@ def test_the_tool_is_no_faster_than_its_limit(tmp_path: Path) -> None:
         1.7,
         "tool: at most 1.7 m/s, which the maker of 'Panda_hand' allows; state limits.tool_speed",
     )
+    assert speed_of_tool(replace(task.model.robot, name="kinova_gen3"), None)[0] == 0.5
 
 
 def test_floors_that_make_no_sense_are_not_guessed(tmp_path: Path) -> None:

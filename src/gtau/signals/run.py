@@ -295,7 +295,9 @@ def read_parts(
                 as_payload(payload),
                 valid=checked.valid,
                 channels=channels,
-                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature, window, updates),
+                log=Log(
+                    tuple(paths), signals, units, settings, tuple(notes), whole_share, temperature, window, updates
+                ),
             )
         )
         notes = []
