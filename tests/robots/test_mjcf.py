@@ -575,7 +575,9 @@ def test_a_rod_between_two_balls_spins_idly_wherever_its_loop_is_cut(
 def test_three_hinges_between_a_rod_and_a_ball_are_a_ball(link: str, tmp_path: Path, rng: np.random.Generator) -> None:
     """Whichever axis is the last, with links in between whose masses the crank then carries at the point."""
     ball = '<joint name="b1" type="ball"/>'
-    x, y, z = (f'<joint name="b1_{name}" axis="{axis}"/>' for name, axis in zip("xyz", ("1 0 0", "0 1 0", "0 0 1")))
+    x, y, z = (
+        f'<joint name="b1_{name}" axis="{axis}"/>' for name, axis in {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}.items()
+    )
     text = crank_rod_and_lever("hinge").replace(ball, x + y + z)
     if link:
         rod = re.search(r'(<body name="rod"[^>]*>)(.*?/>)', text, re.DOTALL)

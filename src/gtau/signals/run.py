@@ -35,8 +35,8 @@ class Log:
 
     ``settings`` are those of the preparation made by hand, ``notes`` report repairs, ``whole_share`` is the share of
     whole numbers among the joints' commands before they were resampled (None: they were not), ``temperature`` is that
-    of the joints, ``window`` (s) that of a moving average that the commands were behind, ``updates`` (Hz) the rate at which
-    held signals change.
+    of the joints, ``window`` (s) that of a moving average that the commands were behind, ``updates`` (Hz) the rate at
+    which held signals change.
     """
 
     paths: tuple[Path, ...] = ()
