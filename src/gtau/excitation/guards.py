@@ -178,7 +178,7 @@ def _floor(
     if isinstance(floor, str):
         return None, "floor: not checked, as 'limits: {floor: none}' says"
     if floor is not None:
-        return floor, f"floor: {floor:g} m along z of the base, as stated"
+        return floor, f"floor: {floor:zg} m along z of the base, as stated"
     probe = clearance(model.layout, least, {**shapes, FLOOR: [Floor(0.0)]})
     moving = random_motion(model, STATES, np.random.default_rng(0)).c
     pairs = [pair for pair in probe.pairs if FLOOR in pair and np.ptp(probe.nearest(moving, pair).distance) > SAME]
@@ -192,7 +192,7 @@ def _floor(
     down = model.robot.gravity[2] < -0.99 * float(np.linalg.norm(model.robot.gravity)) < 0
     plane = "" if down else ", the plane of its mounting: where the real floor is is unknown"
     lower = " (the resting arm is closer to z = 0 than the clearance)" if height < 0 else ""
-    return height, f"floor: guessed at z = {height:.3g} m of the base{plane}{lower}; {state}"
+    return height, f"floor: guessed at z = {height:z.3g} m of the base{plane}{lower}; {state}"
 
 
 def _above(

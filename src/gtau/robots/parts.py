@@ -58,7 +58,7 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
     Joints determined from them through couplings are held too.
     """
     positions = _with_coupled(robot, positions)
-    shown = [f"'{name}' at {position:.4g}" for name, position in positions.items()]
+    shown = [f"'{name}' at {position:z.4g}" for name, position in positions.items()]
     note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {some_of(shown, NAMED)}"
     return lock_joints(robot, positions).noted(note)
 
