@@ -18,6 +18,7 @@ from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.torque_scale import torque_scales
 from gtau.findings import FindingKind as F
 from gtau.result import Result, identify
+from gtau.robots.robot import Limits
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -150,6 +151,19 @@ def test_torques_in_another_unit_give_inertias_out_of_scale_with_the_file(factor
     finding = result.drive_gains["j1"].verdict.finding
     assert finding is not None
     assert finding.values["factor"] == pytest.approx(factor, rel=0.05)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e-3, 1.0])
+def test_torques_in_another_unit_give_an_arm_of_no_weight_that_arms_have(factor: float, tmp_path: Path) -> None:
+    """Where the robot's file states neither inertias nor limits."""
+    arm = stated_arm.robot(tmp_path)
+    run = stated_arm.torque_run(stated_arm.plant(arm), 1)
+    bare = replace(
+        arm, file=replace(arm.file, inertias=()), joints=tuple(replace(j, limits=Limits()) for j in arm.joints)
+    )
+    result = identify(bare, scaled([run], [factor] * 4))
+    assert kinds(result) == (dict.fromkeys(arm.actuated, F.UNLIKE_FILE) if factor != 1.0 else {})
+    assert ("kg per metre of its reach" in headline(result)) == (factor != 1.0)
 
 
 def test_swapped_currents_are_named_before_the_signs_that_they_reverse(parallel: list[Run]) -> None:

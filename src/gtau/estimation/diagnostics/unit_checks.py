@@ -20,7 +20,7 @@ from gtau.estimation.diagnostics.verdict import NEGATIVE_STD, half_widths, motor
 from gtau.estimation.effects.effect import Levels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding
+from gtau.findings import Finding, Grade
 from gtau.findings import FindingKind as F
 from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import identical_legs
@@ -38,6 +38,8 @@ GAINS_APART = 15.0  # gain of a joint over the next smaller one, turning joints 
 FILE_FACTOR = 2.0  # rms of the identified first moments over that of the robot's file, or the inverse
 FILE_ALIKE = 1.5  # factor of a moment over that of all, or the inverse, within which it has that factor
 FILE_SHARE = 2 / 3  # share of the moments within FILE_ALIKE, from which a factor is one of all
+LIGHTEST = 0.03  # kg/m, of an arm whose largest first moment is that of a rod as long as its reach, and at most
+HEAVIEST = 2000.0
 OTHER_UNIT = 10.0  # factor from which a unit is wrong
 EFFORT_FACTOR = 2.0  # rms torque over the joint's limit of effort
 LEG_PROBABILITY = 0.001  # probability that legs which are alike differ by as much
@@ -75,7 +77,7 @@ def units_and_signs(
         *doubtful_gravity(dataset.robot),
         *doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)),
         *doubtful_currents(dataset.runs, dataset.robot.base),
-        *(unlike_file(audit) if audit else ()),
+        *((list(unlike_file(audit)) if audit else ()) or unlike_arms(fit, estimates)),
     )
     for finding in of_sizes:
         joints = finding.joints or motors(fit)
@@ -204,6 +206,29 @@ def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
         common = np.mean(np.abs(own) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
         if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
             yield Finding(F.UNLIKE_FILE, values={"factor": factor, "count": len(moments)})
+
+
+def unlike_arms(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find logged torques by which an arm of this reach would be far lighter or heavier than arms are."""
+    robot, theta = fit.dataset.robot, fit.solution.theta
+    reach = None if robot.closures or robot.floating else _reach(robot)
+    if not reach or fit.free_gains or fit.dataset.runs[0].kind != "torque":
+        return
+    std = np.sqrt(np.diag(estimates.covariance))
+    moments = [
+        (abs(float(theta[place])), name)
+        for name, place in estimates.unknowns.places.items()
+        if parameter_of(name).kind in FIRST_MOMENTS and abs(theta[place]) > NEGATIVE_STD * std[place]
+    ]
+    moment, name = max(moments, default=(0.0, ""))
+    if moments and not LIGHTEST <= (weight := 2 * moment / reach**2) <= HEAVIEST:
+        yield Finding(
+            F.UNLIKE_FILE,
+            text=f"the largest first moment, {name} of {moment:.2g} kg m, is that of an arm of {weight:.2g} kg "
+            f"per metre of its reach of {reach:.2g} m, and arms have 0.3 to 300 kg",
+            advice="check the unit of the torques and the lengths in the robot file",
+            grade=Grade.CONTRADICTORY,
+        )
 
 
 def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
