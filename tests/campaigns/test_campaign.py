@@ -526,6 +526,19 @@ def test_parameters_that_are_those_of_no_robot_are_not_rehearsed(copied: Path, m
         rehearsal.rehearse(design, file, None, silent)
 
 
+def test_an_interrupted_rehearsal_names_no_folder_that_is_gone(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from gtau.campaigns import rehearsal
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt("logs finished in a folder that is removed")
+
+    monkeypatch.setattr(rehearsal, "simulate", stopped)
+    task, _ = read_design(copied / "design.yaml")
+    x = random_start(task, np.random.default_rng(0), 0.5)
+    with pytest.raises(KeyboardInterrupt, match=r"^$"):
+        rehearsal.rehearse(Design(task, "gains", x, 1.0, (), 0), read_design_file(copied), None, silent)
+
+
 def test_a_motion_that_the_rehearsal_refuses_is_played_slower(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from gtau.campaigns import campaign as module
 
