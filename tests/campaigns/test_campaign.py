@@ -336,7 +336,9 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
     assert beside.beside == pytest.approx((0.07, 0.0, 0.0))
     assert not beside.at_hand
     carried, result = [], of(0.05)
-    result.currents = lambda q, qd, qdd, payload: carried.append(payload) or 0 * q
+    result.gains = np.ones(len(task.model.actuated))
+    torques = "gtau.campaigns.candidates.torques"
+    monkeypatch.setattr(torques, lambda _, q, qd, qdd, payload: carried.append(payload) or 0 * q)
     runs = list(_simulated(beside, result, 0))
     assert carried[1].parameters == pytest.approx({"mx": 0.08, "my": 0.0, "mz": 0.3, "zz": 0.02})
     assert runs[1].payload.parameters == {"zz": 0.02}
@@ -347,7 +349,8 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
     monkeypatch.setattr(f"{home}.write_experiment", lambda *_: None)
     monkeypatch.setattr(f"{home}.warming", lambda *_: "")
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("random part", "'hand' is wide"))
-    result.save, result.alternatives, last = lambda path: None, (), round_of("first")
+    monkeypatch.setattr(f"{home}.save", lambda *_: None)
+    result.alternatives, last = (), round_of("first")
     for width, advised in ((2.0, True), (5.9, False)):
         monkeypatch.setattr(
             f"{home}.expected_width", lambda one, *_, width=width: width if one and one.beside[0] else 6.0
@@ -462,7 +465,7 @@ def test_a_round_confirms_nothing_where_those_before_are_set_aside(
         return Decision("stopped", "")
 
     found = result_of(gain("left", 1.0, 0.01, 0.01))
-    found.save = lambda path: None
+    monkeypatch.setattr(module, "save", lambda *_: None)
     monkeypatch.setattr(module, "identified", lambda *_: found)
     monkeypatch.setattr(module, "slower", lambda *_: ())
     monkeypatch.setattr(module, "decide", decided)
@@ -604,7 +607,7 @@ def test_a_second_round_without_a_motion_goes_on_from_the_first(copied: Path, mo
         raise GtauError("no motion within the limits was found")
 
     assert play(copied / "01").returncode == 0
-    monkeypatch.setattr("gtau.campaigns.campaign.design", refuses)
+    monkeypatch.setattr("gtau.campaigns.campaign.excite", refuses)
     state = campaign(copied)
     assert state.next == "play"
     assert any(note.startswith("the next motion repeats round 01 with other parts") for note in state.decision["notes"])
@@ -680,8 +683,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         return Design(task, "gains", x, 1.0, (), 0)
 
     home = "gtau.campaigns.campaign"
-    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}), effects=())
-    monkeypatch.setattr(f"{home}.design", drawn)
+    saved = SimpleNamespace(effects=())
+    monkeypatch.setattr(f"{home}.save", lambda _, path: write_json(path, {"model": 1}))
+    monkeypatch.setattr(f"{home}.excite", drawn)
     monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ()))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("confirm", "all gains are within 3 %"))

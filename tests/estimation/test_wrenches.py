@@ -34,7 +34,7 @@ def leaning() -> Truth:
 @pytest.mark.parametrize("wrench", [AT_SOLE, ON_PLATE], ids=["sole", "plate"])
 def test_gains_from_the_wrench_on_a_foot(wrench: str, standing: Truth, tmp_path: Path) -> None:
     result = identify(experiment(tmp_path, f"{BASE}\n  wrenches: [{wrench}]", standing))
-    check(result, deviations(result, standing.chi), 46)
+    check_errors(result, deviations(result, standing.chi), 46)
     assert {source for shares in result.scale.values() for source in shares} == {"measured wrenches"}
     assert [result.drive_gains[joint].verdict.outcome for joint in "23"] == [Outcome.GOOD] * 2
 
@@ -50,7 +50,7 @@ def test_a_force_sensor_between_flange_and_tool_gives_the_scale(tmp_path: Path) 
         identify(path, method="didim")
     result = identify(path)
     z = [(result.drive_gains[joint].value - gain) / result.drive_gains[joint].std for joint, gain in GAINS.items()]
-    check(result, np.array(z), 3)
+    check_errors(result, np.array(z), 3)
     on_another = path.with_name("another.yaml")
     on_another.write_text(path.read_text().replace("body: 3", "body: 2"))
     wrong = [gain.verdict for gain in identify(on_another).drive_gains.values()]
@@ -75,7 +75,7 @@ def test_a_tool_in_every_run_gives_no_scale(tmp_path: Path) -> None:
 def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> None:
     path = experiment(tmp_path, f"{HELD}\n  wrenches: [{AT_SOLE}]", leaning)
     result = identify(path)
-    check(result, deviations(result, leaning.chi), 46)
+    check_errors(result, deviations(result, leaning.chi), 46)
     result.save(tmp_path / "model.json")
     again, described = Result.load(tmp_path / "model.json"), read_experiment(path)
     errors = again.validate(read_run(tmp_path / "log.csv", signals=described.signals, units=described.units))
