@@ -36,7 +36,6 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.results.conclusions import findings
-from gtau.findings import FindingKind as F
 from gtau.result import identify
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Limits, Mdh, Robot
@@ -248,7 +247,7 @@ def meaning(dataset: Dataset, slowest: float) -> str:
     if doubtful:
         return str(doubtful[0].kind)
     if effort.kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
-        return str(F.MOTOR_SIDE)
+        return "torques of the motors"
     return effort.kind
 
 

@@ -32,7 +32,6 @@ from gtau.cli.commands import app
 from gtau.documents.files import write_table
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
 from gtau.estimation.results.estimate import Estimate
@@ -42,7 +41,7 @@ from gtau.excitation.forecast import sampled_motions
 from gtau.excitation.nlp import Programme, random_start
 from gtau.excitation.prior import KnownGain
 from gtau.excitation.task import DesignProblem
-from gtau.findings import Finding, Outcome
+from gtau.findings import Finding, Grade
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
@@ -207,9 +206,9 @@ def test_a_robot_file_is_named_from_the_new_folder(tmp_path: Path, monkeypatch: 
     assert read_yaml(Path("third/design.yaml")).data["robot"] == "../arms/robot.urdf"
 
 
-def gain(joint: str, value: float | None, random: float, model: float, outcome: Outcome = Outcome.GOOD) -> Estimate:
+def gain(joint: str, value: float | None, random: float, model: float, outcome: Grade = Grade.GOOD) -> Estimate:
     std = float(np.hypot(random, model))
-    return Estimate(joint, value, std, "N m/A", verdict=Verdict(outcome), model_std=model)
+    return Estimate(joint, value, std, "N m/A", verdict=Finding(outcome.value, grade=outcome), model_std=model)
 
 
 def result_of(*gains: Estimate) -> SimpleNamespace:
@@ -246,9 +245,7 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
 
 def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
     """It is named in the first round, and no motion is tried against it again."""
-    cause = Finding(
-        "torque constant", ("a",), values={"what": "a falling torque constant", "action": "log the current"}
-    )
+    cause = Finding("torque constant", ("a",), text="a falling torque constant", advice="log the current")
     effect = EstimatedEffect("saturation", cause, 0.1, 0.01, "1/A", 30.0, 0.4)
     result = SimpleNamespace(drive_gains={"a": gain("a", 1.0, 0.01, 0.3)}, effects=(effect,))
     once = decide(result, 3.0, [round_of("first")], None)
@@ -262,7 +259,7 @@ def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
 
 
 def test_a_drift_asks_for_a_warm_up_run_which_is_played_and_not_evaluated(copied: Path) -> None:
-    cause = Finding(FRICTION_DRIFT.name, values={"what": "Coulomb friction of 'left' changing along the runs"})
+    cause = Finding(FRICTION_DRIFT.name, text="Coulomb friction of 'left' changing along the runs")
     drift = EstimatedEffect(FRICTION_DRIFT.name, cause, -0.2, 0.02, "", 30.0, 0.2)
     cold, file = read_rounds(copied)[0], read_design_file(copied)
     assert warming(SimpleNamespace(effects=(replace(drift, likelihood=1.0),)), cold) == ""

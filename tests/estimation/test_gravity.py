@@ -11,13 +11,12 @@ from floating_logs import AT_HOOK, FIXED, POSE, experiment, simulated
 from gravity_logs import Gravity, logged, scara
 
 from gtau.estimation.diagnostics.other_gravity import OTHER_GRAVITY, gravity_advice, likeliest_gravity
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.floating import float_base
@@ -43,10 +42,10 @@ def test_an_arm_on_a_wall_is_named() -> None:
     """From torques, where nothing else would say a word, as gains are given."""
     robot, true = load_robot("ur10e"), (G, 0.0, 0.0)
     result = identify(robot, logged(robot, true, currents=False))
-    wrong = [each.verdict for each in result.drive_gains.values() if each.verdict.outcome == Outcome.CONTRADICTORY]
+    wrong = [each.verdict for each in result.drive_gains.values() if each.verdict.outcome == Grade.CONTRADICTORY]
     assert wrong
     (cause,) = wrong[0].finding.causes
-    assert (wrong[0].finding.kind, cause.kind) == (F.REFUTED, OTHER_GRAVITY)
+    assert (wrong[0].finding.kind, cause.kind) == ("description refuted", OTHER_GRAVITY)
     np.testing.assert_allclose(cause.values["gravity"], true, atol=1e-9)
     before, after = np.array(list(cause.values["left"].values())).T
     assert (after < 0.003).all()
@@ -54,7 +53,7 @@ def test_an_arm_on_a_wall_is_named() -> None:
     assert set(cause.joints) == set(cause.values["left"])
     assert len(result.effects) == 1  # the tilts that would explain a part of it are not counted again
     good = identify(replace(robot, gravity=true), logged(robot, true, currents=False))
-    assert {each.verdict.outcome for each in good.drive_gains.values()} == {Outcome.GIVEN}
+    assert {each.verdict.outcome for each in good.drive_gains.values()} == {Grade.GIVEN}
 
 
 @pytest.mark.slow

@@ -10,10 +10,10 @@ from five_bar_logs import STEEL, Plant
 from stated_arm import plant, robot
 
 from gtau.estimation.diagnostics.tool_bodies import PAYLOAD_BODY, TOOL_BODY, other_loads
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
@@ -55,7 +55,7 @@ def test_an_undeclared_body_is_named_and_the_file_is_not_blamed(
     bodies = cause_of(result)["bodies"]
     assert {each["run"]: each["more"] for each in bodies} == pytest.approx(more, rel=0.03)
     assert all(abs(each["more"] - more[each["run"]]) < each["half"] < 0.1 for each in bodies)
-    assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
+    assert Grade.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
     assert result.audit is None
 
 
@@ -66,7 +66,7 @@ def test_a_payload_on_another_body_is_named(tmp_path: Path) -> None:
     result = identify(arm, [made.run(0), loaded])
     (found,) = (each for each in result.effects if each.effect == "tool bodies")
     assert (found.cause.kind, found.cause.subject) == (PAYLOAD_BODY, "j3")
-    assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
+    assert Grade.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
 
 
 def test_runs_with_the_same_load_are_not_suspected(tmp_path: Path) -> None:

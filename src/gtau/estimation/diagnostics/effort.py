@@ -31,11 +31,11 @@ from gtau.estimation.diagnostics.effort_rows import (
     with_gravity,
 )
 from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
+from gtau.estimation.diagnostics.verdict import WRENCHES
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.dataset import Dataset
-from gtau.findings import Finding
-from gtau.findings.kind import Grade
-from gtau.findings.words import listed, phrase
+from gtau.findings import Finding, Grade
+from gtau.findings.words import listed
 
 LATE = 0.5  # unexplained share of a joint's current, shifted by more than a delay can be, over that as logged
 LATE_STEADY = 0.6  # unexplained share of the shifted current over the share that terms without acceleration leave
@@ -245,7 +245,7 @@ def _altered_findings(
             text=f"the {kind}s of {listed(names)} look {'swapped' if len(names) == 2 else 'permuted'}: "
             f"{100 * after:.2g} % is unexplained after exchanging them, {100 * before:.2g} % as logged",
             # wrong wrenches make single currents look wrong
-            advice=f"{phrase('wrenches')}; otherwise {advice}" if _wrenches(dataset) else advice,
+            advice=f"{WRENCHES}; otherwise {advice}" if _wrenches(dataset) else advice,
             grade=Grade.CONTRADICTORY,
         )
         return (swapped,)

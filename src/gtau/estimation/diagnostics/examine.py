@@ -16,7 +16,7 @@ from gtau.estimation.diagnostics.position_noise import FEWEST_FOR_TESTS, positio
 from gtau.estimation.diagnostics.refits import untested
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
 from gtau.estimation.diagnostics.tool_bodies import REFUTED_STD, other_body, other_loads
-from gtau.estimation.diagnostics.verdict import OUTCOMES, unexplained_shares
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.effects.description import CONTRADICTED, contradictions, estimated_effects
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import Mixed, estimate_effects
@@ -25,8 +25,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.findings import Finding
-from gtau.findings.kind import Grade
+from gtau.findings import Finding, Grade
 from gtau.progress import Progress, silent
 
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
@@ -84,7 +83,7 @@ class Examination:
     @property
     def findings_on_joints(self) -> bool:
         """Whether the columns of some joints hold something else."""
-        return any(finding.joints and finding.kind in OUTCOMES for finding in self.findings)
+        return any(finding.joints and finding.decisive for finding in self.findings)
 
     @property
     def contradicting(self) -> tuple[EstimatedEffect, ...]:
@@ -137,7 +136,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             effects, causes, refits, findings = nothing, nothing, (refit,), []
         elif not findings and effort.gravity_open:
             findings += gravity_not_shown(fit)
-        findings += frozen
+        findings = [*frozen, *findings]
     except GtauError as refusal:
         findings.append(untested("effects that the model may lack", refusal))
     return Examination(effects, causes, refits, (*findings, *position_noise(fit)), effort, mixed)

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.findings import Finding
-from gtau.findings.kind import Grade
+from gtau.findings import Finding, Grade
 
 CORRECT = {True: "correct the robot file", False: "correct the positions by the encoder's zero"}
 
@@ -84,7 +83,7 @@ class GeometryTest:
 
     @property
     def note(self) -> Finding:
-        """Outcome as a note."""
+        """Grade as a note."""
         sizes = [
             [f"{1e3 * size:.2g} {'mm' if kind == 'position' else 'mrad'}" for size in both]
             for kind, both in self.distances.items()

@@ -19,8 +19,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stack
 from gtau.estimation.regression.assembly import file_sums, inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding
-from gtau.findings.kind import Grade
+from gtau.findings import Finding, Grade
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import INERTIAL
 

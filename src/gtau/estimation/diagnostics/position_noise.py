@@ -29,8 +29,7 @@ from gtau.estimation.regression.run_blocks import (
     usable_rows,
     window_clusters,
 )
-from gtau.findings import Finding
-from gtau.findings.kind import Grade
+from gtau.findings import Finding, Grade
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
 

@@ -12,8 +12,7 @@ from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.scale_source import require_scale
-from gtau.findings import Finding
-from gtau.findings.kind import Grade
+from gtau.findings import Finding, Grade
 from gtau.signals.reading.statements import Payload
 
 
