@@ -44,8 +44,8 @@ def test_an_arm_on_a_wall_is_named() -> None:
     result = identify(robot, logged(robot, true, currents=False))
     wrong = [each.verdict for each in result.drive_gains.values() if each.verdict.outcome == Grade.CONTRADICTORY]
     assert wrong
-    (cause,) = wrong[0].finding.causes
-    assert (wrong[0].finding.kind, cause.kind) == ("description refuted", OTHER_GRAVITY)
+    assert (wrong[0].kind, wrong[0].causes) == ("description refuted", (OTHER_GRAVITY,))
+    cause = result.effects[0].cause
     np.testing.assert_allclose(cause.values["gravity"], true, atol=1e-9)
     before, after = np.array(list(cause.values["left"].values())).T
     assert (after < 0.003).all()
@@ -65,9 +65,8 @@ def test_another_gravity_that_turns_all_gains_is_named_before_their_signs(shared
     result = identify(robot, read_runs(experiment, experiment.runs))
     for gain in result.drive_gains.values():
         assert (gain.value or 0.0) < 0
-        assert gain.verdict.finding is not None
-        (cause,) = gain.verdict.finding.causes
-        np.testing.assert_allclose(cause.values["gravity"], (0.0, 0.0, -G), atol=1e-9)
+        assert gain.verdict.causes == (OTHER_GRAVITY,)
+        np.testing.assert_allclose(result.effects[0].cause.values["gravity"], (0.0, 0.0, -G), atol=1e-9)
 
 
 def test_what_to_write_is_what_helps(tmp_path: Path) -> None:

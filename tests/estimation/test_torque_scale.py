@@ -189,4 +189,4 @@ def test_one_joint_in_another_scale_is_named_without_any_payload(joint: str) -> 
     named = {name: gain.verdict.finding for name, gain in result.drive_gains.items() if gain.verdict.finding}
     (finding,) = named.values()
     assert set(named) < {"1", "2"}
-    assert finding.causes[0].kind == TORQUE_SCALE.name
+    assert finding.causes == (TORQUE_SCALE.name,)
