@@ -40,7 +40,7 @@ def test_repairs_are_graded_by_what_they_cost() -> None:
     )
     stuck = Finding("refused", text="stuck", advice="record it again", grade=Grade.ERROR)
     assert (small.severity, large.severity) == (Grade.INFORMATION, Grade.WARNING)
-    assert list(by_severity([small, large, stuck])) == list(Grade)  # the worst first
+    assert list(by_severity([small, large, stuck])) == [Grade.ERROR, Grade.WARNING, Grade.INFORMATION]
     assert by_severity([small, small]) == {Grade.INFORMATION: [small]}
 
 
@@ -98,7 +98,7 @@ def test_every_log_that_is_refused_is_a_finding_in_the_words_of_identify(folder:
     stops = by_severity(checked.notes)[Grade.ERROR]
     assert str(refused.value) == f"{stops[0]}."
     assert "is stuck at 0.5" in stops[0].what
-    assert stops[0].action.startswith("give the column")
+    assert stops[0].advice.startswith("give the column")
     assert "back.csv, line 1002: time goes back from" in stops[1].what
     assert (checked.worst, checked.logs, checked.preparation) == (Grade.ERROR, (), None)
 
