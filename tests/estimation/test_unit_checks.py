@@ -161,7 +161,7 @@ def test_torques_in_another_unit_give_an_arm_of_no_weight_that_arms_have(factor:
         arm, file=replace(arm.file, inertias=()), joints=tuple(replace(j, limits=Limits()) for j in arm.joints)
     )
     result = identify(bare, scaled([run], [factor] * 4))
-    assert kinds(result) == (dict.fromkeys(arm.actuated, F.UNLIKE_FILE) if factor != 1.0 else {})
+    assert kinds(result) == (dict.fromkeys(arm.actuated, "inertias out of scale") if factor != 1.0 else {})
     assert ("kg per metre of its reach" in headline(result)) == (factor != 1.0)
 
 
