@@ -29,9 +29,9 @@ from gtau.simulation.closed_loop import (
     Engine,
     Hardware,
     Reference,
+    close_loop,
     rounded,
     sample,
-    simulate,
 )
 from gtau.simulation.experiment_files import apparatus
 from gtau.simulation.simulation_file import read_simulation
@@ -97,7 +97,7 @@ def main(figure: Path | None) -> None:
             none = np.zeros(len(model.actuated))
             parts = replace(parts, current_noise=none, current_quantum=none)  # of what is logged, to compare currents
             rng = np.random.default_rng(1)
-            made = simulate(described.name, engine, law, parts, rng, model.actuated)
+            made = close_loop(described.name, engine, law, parts, rng, model.actuated)
             parameters = loaded_parameters(library, described.payload)
             error, current = run_c(library, engine, law, parts, parameters, np.random.default_rng(1))
             for who, each in (("Python", made.error), ("C", error)):

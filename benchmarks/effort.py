@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import GEARED
-from gtau.estimation.diagnostics.effort import AS_STATED, rank_meanings, stated_meaning
+from gtau.estimation.diagnostics.effort import AS_STATED, effort_of
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.diagnostics.unit_checks import BEYOND_GEARS
 from gtau.estimation.estimators.least_squares import fit_by
@@ -36,7 +36,6 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.results.conclusions import findings
-from gtau.findings import FindingKind as F
 from gtau.result import identify
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Joint, Limits, Mdh, Robot
@@ -190,9 +189,6 @@ ALTERED: dict[str, Alteration] = {  # the command, that due to gravity, rated va
     "two exchanged": lambda command, gravity, rated, late: swapped(command, (1, 2)),
     "three permuted": lambda command, gravity, rated, late: swapped(swapped(command, (0, 1)), (1, 2)),
     "scaled by 0.7": lambda command, gravity, rated, late: 0.7 * command,
-    "second reversed": lambda command, gravity, rated, late: (
-        command * np.where(np.arange(command.shape[1]) == 1, -1, 1)
-    ),
     "all reversed": lambda command, gravity, rated, late: -command,
     "backwards in time": lambda command, gravity, rated, late: command[::-1],
 }
@@ -245,15 +241,14 @@ def measured(name: str, data: Path) -> dict[str, str]:
 
 
 def meaning(dataset: Dataset, slowest: float) -> str:
-    """The answer of the ranking and of the size, without that of a payload."""
-    ranking, doubtful = rank_meanings(dataset, slowest), list(doubtful_commands(dataset.runs, dataset.robot))
-    scale = stated_meaning(ranking).values.get("scale")
-    share = 0.0 if scale is None else sum(map(abs, np.multiply(scale, (1, 2))))
+    """The likeliest description, and what the size says without a payload."""
+    effort, doubtful = effort_of(dataset, slowest), list(doubtful_commands(dataset.runs, dataset.robot))
+    share = 0.0 if effort.scale is None else sum(map(abs, np.multiply(effort.scale, (1, 2))))
     if doubtful:
         return str(doubtful[0].kind)
-    if ranking[0].kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
-        return str(F.MOTOR_SIDE)
-    return ranking[0].kind
+    if effort.kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
+        return "torques of the motors"
+    return effort.kind
 
 
 def main() -> None:

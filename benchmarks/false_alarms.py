@@ -27,14 +27,21 @@ from scipy.stats import beta
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import findings
-from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.result import Result, identify
 
 SECONDS = 6.0
 # Of what stands in a log as it was recorded nothing is said that is wrong: clipped, filtered and held signals, rests.
-CLAIMS = (F.MODEL, "scale of the gains", F.POSITION_NOISE, F.LIMITS, "sampling rate", F.FILTERED, "held signal")
+CLAIMS = (
+    "model",
+    "scale of the gains",
+    "position noise",
+    "joint limits",
+    "sampling rate",
+    "filtered command",
+    "held signal",
+)
 
 
 def alarms_of(result: Result) -> list[str]:
@@ -48,10 +55,10 @@ def alarms_of(result: Result) -> list[str]:
         f"{kind}: {verdict.why}"
         for kind, verdicts in judged.items()
         for verdict in verdicts
-        if verdict.outcome == Outcome.CONTRADICTORY
+        if verdict.outcome == Grade.CONTRADICTORY
     ]
     # legs do differ: the parameters of each are drawn by themselves
-    claimed = [note for note in findings(result) if note.topic in CLAIMS and note.kind != F.UNLIKE_LEGS]
+    claimed = [note for note in findings(result) if note.topic in CLAIMS and note.kind != "unlike legs"]
     return said + [f"{note.kind}: {note.what}" for note in claimed]
 
 

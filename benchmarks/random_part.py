@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gtau.estimation.diagnostics.verdict import Outcome, delay_verdicts
+from gtau.estimation.diagnostics.verdict import delay_verdicts
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import degrees_of_freedom
@@ -31,6 +31,7 @@ from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, triangle
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, block_of
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
@@ -262,7 +263,7 @@ def judge(case: Case, system: System, solution: Solution) -> Repetition:
         solution.values[which] - expected,
         std[which],
         degrees_of_freedom(problem, solution, True)[which],
-        np.array([each.outcome != Outcome.NOT_IDENTIFIABLE for each in delays]),
+        np.array([each.outcome != Grade.NOT_IDENTIFIABLE for each in delays]),
         np.sqrt(np.diag(alone.jackknife))[which],
         degrees_of_freedom(apart, alone, True)[which],
     )

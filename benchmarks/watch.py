@@ -1,6 +1,7 @@
 """Watching robots: faults on every joint, false alarms over simulated years, kills, and long histories.
 
     python benchmarks/watch.py faults ur10e --seeds 2
+    python benchmarks/watch.py signals ur10e xmate7p
     python benchmarks/watch.py years --robots 100
     python benchmarks/watch.py kills --count 100
     python benchmarks/watch.py size
@@ -36,6 +37,7 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 from gtau.watch.alarms import visible_changes
 from gtau.watch.detectors import evidence
+from gtau.watch.signal_faults import signal_faults
 from gtau.watch.statistics import LogStatistics, statistics_of
 from gtau.watch.watch import Watch
 
@@ -92,6 +94,15 @@ def with_fault(model: Result, run: Run, fault: Fault) -> Run:
             current = np.stack([np.interp(run.time - fault.size, run.time, column) for column in current.T], axis=1)
         case "clock":
             run = replace(run, time=(1 + fault.size) * run.time)
+        case "rub" | "ripple" | "contact":  # of a size in residuals of the model
+            place = (run.position[:, j] - run.position[:, j].min()) / np.ptp(run.position[:, j])
+            shape = {
+                "rub": np.sign(qd[:, j]) * (np.abs(place - 0.6) < 0.15),
+                "ripple": np.sin(40 * place),
+                "contact": np.abs(run.time - run.time.mean()) < 0.3,
+            }[fault.kind]
+            (rms,) = (error.rms for error in model.residuals if error.joint == joint)
+            current[:, j] += fault.size * rms / model.gains[j] * shape
     return replace(run, position=position, command=current)
 
 
@@ -172,6 +183,27 @@ def fault_row(model: Result, healthy: LogStatistics, faulty: LogStatistics, faul
     words = f"{fault.kind} {fault.size:+g}{f', over {fault.ramp} days' if fault.ramp else ''}"
     when = "-" if not first else f"{np.median(first):.0f}"
     return f"{joint or '-'} | {words} | {visible} | {len(first)} of {seeds} | {when} | {named} of {len(first)}"
+
+
+def signals(names: list[str], data: Path) -> None:
+    """Print which rubs, ripples and contacts of each joint are named as rubs or ripples."""
+    print("| robot | fault, residuals | named | another name |")
+    print("| --- | --- | ---: | ---: |")
+    for name in names:
+        model, run = reference(name, data)
+        healthy = statistics_of(model, run)
+        before = np.nan_to_num(healthy.values), healthy.speed, healthy.uneven
+        joints = model.robot.actuated
+        for kind, sizes in {"rub": (3, 4, 6, 8), "ripple": (3, 4, 6, 8), "contact": (4, 8, 16, 40)}.items():
+            for size in sizes:
+                logs = [statistics_of(model, with_fault(model, run, Fault(kind, j, size))) for j in range(len(joints))]
+                causes = [signal_faults(model, log, *before) for log in logs]
+                said = [[(cause.kind, cause.joint) for cause in named] for named in causes]
+                right = sum(named == [(kind, joint)] for named, joint in zip(said, joints, strict=True))
+                print(
+                    f"| {name} | {kind} {size} | {right} of {len(joints)} | {sum(map(bool, said)) - right} |",
+                    flush=True,
+                )
 
 
 def visible_words(watch: Watch, fault: Fault, joint: str) -> str:
@@ -310,7 +342,7 @@ def size(data: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("what", choices=("faults", "years", "kills", "size"))
+    parser.add_argument("what", choices=("faults", "signals", "years", "kills", "size"))
     parser.add_argument("names", nargs="*", default=["ur10e"])
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--robots", type=int, default=100)
@@ -321,6 +353,8 @@ def main() -> None:
     match given.what:
         case "faults":
             faults(given.names, given.seeds, given.data)
+        case "signals":
+            signals(given.names, given.data)
         case "years":
             years(given.robots, given.stride)
         case "kills":

@@ -1,7 +1,6 @@
-"""Write ``lookup/messages.md``: every finding by its name, with an example and its remedy.
+"""Write ``lookup/messages.md``: every finding by its name, with its message and its remedy.
 
-The words are those of the code: where a finding is raised, with ... for what differs from case to case; of other
-findings the examples that ``tests/estimation/test_sentences.py`` asserts.
+The words are read from where a finding is raised in the source, with ``…`` for what differs from case to case.
 """
 
 from __future__ import annotations
@@ -9,22 +8,23 @@ from __future__ import annotations
 import ast
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from runpy import run_path
+from types import SimpleNamespace
 
-from gtau.estimation.diagnostics.verdict import OUTCOMES
-from gtau.findings import Finding, Grade, Outcome
-from gtau.findings.words import templates, write_limits
+from gtau.estimation.effects.registry import EFFECTS
+from gtau.findings import Finding, Grade
+from gtau.findings.grade import VERDICTS
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "gtau"
 PAGE = ROOT / "docs" / "lookup" / "messages.md"
-EXAMPLES = ROOT / "tests" / "estimation" / "test_sentences.py"
 HEAD = """# Messages
 
 Every finding that can appear in a summary, a report or `gtau check`, with its remedy. This page is generated from the
-source by `python docs/make_messages.py`; joints and numbers are examples, and long messages are cut.
+source by `python docs/make_messages.py`; … stands for what differs from case to case, and long messages are cut.
 
 - [Verdicts](#verdicts): findings that lower a verdict
 - [Notes](#notes): other findings
@@ -33,64 +33,146 @@ source by `python docs/make_messages.py`; joints and numbers are examples, and l
 The first column is the `kind` in `model.json` and `finding.kind` in Python. An error, which ends a command with exit
 code 2, is one sentence that states the problem, its place and the remedy; it is not listed here.
 """
+# functions that raise findings, and the names of their positional arguments
+RAISE = {
+    "Finding": ("kind",),
+    "reading": ("kind", "text", "advice"),
+    "repair": ("kind", "share", "text", "advice"),
+    "_wrong": ("kind", "joints", "text", "advice"),
+}
+GRADES = {"reading": Grade.INFORMATION, "repair": Grade.INFORMATION, "_wrong": Grade.CONTRADICTORY}
+ADVISE = {"write_limits", "clock_advice", "unloaded_advice", "which_payload", "log_with_gravity", "_milliamperes"}
+LONGEST = 12  # words of a message
+Line = tuple[int, ast.expr]
 
 
-def raised(path: Path) -> Iterator[Finding]:
-    """Yield the findings that a file raises with words of their own."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    constants: dict[str, list[ast.expr]] = defaultdict(list)  # by name, in the order of the file
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Assign):
-            together = isinstance(node.targets[0], ast.Tuple) and isinstance(node.value, ast.Tuple)
-            names, values = (node.targets[0].elts, node.value.elts) if together else (node.targets, [node.value])
-            for name, value in zip(names, values, strict=False):
-                constants[ast.unparse(name)].append(value)
+@dataclass(frozen=True)
+class Module:
+    """A file of the source: what its names stand for, and the texts that its functions return."""
 
-    def words(node: ast.expr | None) -> str:
+    tree: ast.Module
+
+    @cached_property
+    def assigned(self) -> dict[str, list[Line]]:
+        """Values of names by the lines on which they are assigned."""
+        values: dict[str, list[Line]] = defaultdict(list)
+        for node in ast.walk(self.tree):
+            if isinstance(node, ast.Assign):
+                for target in node.targets:
+                    together = isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple)
+                    pairs = zip(target.elts, node.value.elts, strict=False) if together else [(target, node.value)]
+                    for name, value in pairs:
+                        values[ast.unparse(name)].append((node.lineno, value))
+        return {name: sorted(lines, key=lambda line: line[0]) for name, lines in values.items()}
+
+    @cached_property
+    def functions(self) -> list[int]:
+        """First lines of the functions."""
+        return sorted(node.lineno for node in ast.walk(self.tree) if isinstance(node, ast.FunctionDef))
+
+    def lines(self, name: str, before: int) -> list[Line]:
+        """List the values of a name in the function of a line before that line, or those of a constant."""
+        first = 0 if name.isupper() else max((line for line in self.functions if line <= before), default=0)
+        return [(line, value) for line, value in self.assigned.get(name, ()) if first <= line < before]
+
+    def value(self, name: str, before: int, since: int = 0) -> ast.expr | None:
+        """Return the first value of a name from a line on, or the last one before it."""
+        lines = self.lines(name, before)
+        later = [value for line, value in lines if since and line >= since]
+        return later[0] if later else lines[-1][1] if lines else None
+
+
+def modules() -> dict[Path, Module]:
+    """Read the source."""
+    return {path: Module(ast.parse(path.read_text(encoding="utf-8"))) for path in sorted(SOURCE.rglob("*.py"))}
+
+
+def findings(read: Mapping[Path, Module]) -> Iterator[Finding]:
+    """Yield the findings that the source raises; those without a grade of their own are causes."""
+    constants = {
+        name: value.value
+        for module in read.values()
+        for name, lines in module.assigned.items()
+        for _, value in lines
+        if name.isupper() and isinstance(value, ast.Constant) and isinstance(value.value, str)
+    }
+    functions = {
+        node.name: (module, node)
+        for module in read.values()
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.FunctionDef) and node.name in ADVISE
+    }
+
+    def words(module: Module, node: ast.expr | None, since: int = 0, depth: int = 0) -> str:
+        """Put an expression into words, with names as they stand from a line on."""
         match node:
             case ast.Constant(str(text)):
                 return text
             case ast.JoinedStr(parts):
-                return "".join(words(part) for part in parts)
+                return "".join(words(module, part, since, depth) for part in parts)
             case ast.BinOp(left, ast.Add(), right):
-                return words(left) + words(right)
-            case ast.FormattedValue(ast.Call() as value):
-                return words(value)
+                return words(module, left, since, depth) + words(module, right, since, depth)
+            case ast.FormattedValue(value, format_spec=None):
+                return words(module, value, since, depth)
             case ast.IfExp(_, one, other):
-                return max(words(one), words(other), key=len)
-            case ast.Name(name) if before := [value for value in constants[name] if value.lineno < node.lineno]:
-                return words(max(before, key=lambda value: value.lineno))
-            case ast.Call(ast.Name("write_limits")):
-                return write_limits("…")
+                return max((words(module, part, since, depth) for part in (one, other)), key=len)
+            case ast.Name(name) if (value := module.value(name, node.lineno, since)) is not None and depth < 5:
+                return words(module, value, since, depth + 1)
+            case ast.Name(name):
+                return constants.get(name, "…")
+            case ast.Call(ast.Name("wrenches_first"), (_, advice)):
+                return words(module, advice, since, depth)
+            case ast.Call(ast.Name(name)) if name in functions and depth < 5:
+                home, function = functions[name]
+                returned = [part.value for part in ast.walk(function) if isinstance(part, ast.Return)]
+                return words(home, returned[-1], 0, depth + 1)
         return "" if node is None else "…"
 
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("Finding", "reading", "repair"):
-            given = {keyword.arg: keyword.value for keyword in node.keywords}
-            if node.args and "text" in given:
-                stated = ast.unparse(given.get("grade", ast.Constant(""))).removeprefix("Grade.")
-                grade = Grade.__members__.get(stated, Grade.INFORMATION)
-                kind, text, advice = (words(part) for part in (node.args[0], given["text"], given.get("advice")))
-                yield Finding(kind, text=text, advice=advice, grade=grade)
+    for module in read.values():
+        for node in ast.walk(module.tree):
+            if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in RAISE):
+                continue
+            given = dict(zip(RAISE[node.func.id], node.args, strict=False))
+            given |= {keyword.arg: keyword.value for keyword in node.keywords if keyword.arg}
+            if not {"kind", "text"} <= given.keys():
+                continue
+            graded = "grade" in given or "shown_as" in given or node.func.id in GRADES
+            stated = ast.unparse(given["grade"]).removeprefix("Grade.") if "grade" in given else ""
+            grade = Grade.__members__.get(stated, GRADES.get(node.func.id, Grade.WARNING))
+            for since, kind in kinds(module, given["kind"]):
+                text, advice = (words(module, given.get(part), since) for part in ("text", "advice"))
+                yield Finding(words(module, kind), text=text, advice=advice, grade=grade if graded else Grade.GIVEN)
 
 
-def examples() -> dict[str, list[Finding]]:
-    """Return examples of findings by kind; of those whose words are given by others there are none."""
-    made: dict[str, list[Finding]] = defaultdict(list)
-    for finding, *_ in run_path(str(EXAMPLES))["SENTENCES"]:
-        made[finding.kind].append(finding)
-    for finding in (finding for path in sorted(SOURCE.rglob("*.py")) for finding in raised(path)):
-        if "…" not in (finding.kind, finding.text):
-            made[finding.kind].append(finding)
-    return made
+def kinds(module: Module, kind: ast.expr) -> list[Line]:
+    """List the kinds that an expression stands for, with the lines from which on their words stand."""
+    if isinstance(kind, ast.IfExp):
+        return [(0, kind.body), (0, kind.orelse)]
+    if isinstance(kind, ast.Name) and not kind.id.isupper():
+        return module.lines(kind.id, kind.lineno)
+    return [(0, kind)]
 
 
-LONGEST = 12  # words of an example
+def effects() -> Iterator[Finding]:
+    """Yield the causes of all effects, as they are named for a joint."""
+    fit = SimpleNamespace(system=SimpleNamespace(payloads=("…",)))
+    column = SimpleNamespace(joint="…", subject="…", about="…")
+    for effect in EFFECTS:
+        yield effect.cause(fit, column, 0.0)  # type: ignore[arg-type]
+
+
+def by_kind(listed: Iterable[Finding]) -> dict[str, Finding]:
+    """List findings by kind, the first of each, without those whose words are given elsewhere."""
+    found: dict[str, Finding] = {}
+    for finding in listed:
+        if (finding.text.strip("… ") or finding.grade == Grade.GIVEN) and "…" not in finding.kind:
+            found.setdefault(finding.kind, finding)
+    return found
 
 
 def shortened(text: str) -> str:
-    """Cut a long example."""
-    words = text.split()
+    """Cut a long message."""
+    words = re.sub(r"…[ %]+(?=…)", "", text).split()
     return " ".join([*words[: LONGEST - 1], "…"]) if len(words) > LONGEST else text
 
 
@@ -100,45 +182,38 @@ def cell(text: str) -> str:
     return re.sub(r"([|<*_\[\]])", r"\\\1", text)
 
 
-def table(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
+def table(listed: Iterable[Finding]) -> str:
     """Return a table of findings."""
     lines = ["| name | message | what to do |", "| --- | --- | --- |"]
-    for kind in kinds:
-        first = made[kind][0]
-        lines.append(f"| {kind} | {cell(shortened(first.what))} | {cell(first.action)} |")
+    for finding in listed:
+        message = shortened(finding.text.replace("{own}", "…"))
+        lines.append(f"| {finding.kind} | {cell(message)} | {cell(finding.advice)} |")
     return "\n".join(lines) + "\n"
 
 
-def remedies(kinds: Sequence[str], made: Mapping[str, list[Finding]]) -> str:
+def remedies(listed: Iterable[Finding]) -> str:
     """Return a table of names with remedies; names with the same one share a row."""
     actions: dict[str, list[str]] = defaultdict(list)
-    for kind in kinds:
-        actions[made[kind][0].action].append(kind)
+    for finding in listed:
+        actions[finding.advice].append(finding.kind)
     rows = (f"| {', '.join(alike)} | {cell(action)} |\n" for action, alike in actions.items())
     return "| name | what to do |\n| --- | --- |\n" + "".join(rows)
 
 
-def judges(finding: Finding) -> bool:
-    """Decide whether a finding lowers a verdict."""
-    return finding.grade in list(Outcome)
-
-
 def page() -> str:
     """Return the page."""
-    made = examples()
-    words = templates()
-    outcomes = dict(OUTCOMES) | {kind: Outcome(first.grade) for kind, (first, *_) in made.items() if judges(first)}
-    listed = [kind for section in ("verdicts", "notes", "logs") for kind in words[section]]
-    listed += [kind for kind, (first, *_) in made.items() if first.grade]
-    notes = [kind for kind in listed if kind not in outcomes]
+    raised = list(findings(modules()))
+    said = by_kind(finding for finding in raised if finding.grade != Grade.GIVEN).values()
+    causes = by_kind([*effects(), *(finding for finding in raised if finding.grade == Grade.GIVEN)]).values()
     text = HEAD + "\n## Verdicts\n"
-    for outcome in dict.fromkeys(outcomes.values()):
-        text += f"\n### {outcome.value.capitalize()}\n\n"
-        text += table([kind for kind, each in outcomes.items() if each is outcome], made)
-    text += "\n## Notes\n\n" + remedies([kind for kind in notes if made[kind][0].action], made)
-    text += "\nFor information, without a remedy: " + ", ".join(k for k in notes if not made[k][0].action) + ".\n"
+    for grade in reversed(VERDICTS):
+        text += f"\n### {grade.value.capitalize()}\n\n" + table(each for each in said if each.grade == grade)
+    notes = [finding for finding in said if not finding.decisive]
+    text += "\n## Notes\n\n" + remedies(finding for finding in notes if finding.advice)
+    text += "\nFor information, without a remedy: "
+    text += ", ".join(finding.kind for finding in notes if not finding.advice) + ".\n"
     text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
-    return text + remedies(list(words["causes"]), made)
+    return text + remedies(causes)
 
 
 if __name__ == "__main__":

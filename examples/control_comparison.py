@@ -25,9 +25,9 @@ from gtau.simulation.closed_loop import (
     Controller,
     Reference,
     Simulated,
+    close_loop,
     pid,
     sample,
-    simulate,
 )
 from gtau.simulation.experiment_files import apparatus
 from gtau.simulation.simulation_file import Simulation, check_joints, read_simulation
@@ -140,7 +140,7 @@ def compare_control(
                 done = (number * len(STRATEGIES) + place) * repetitions + repetition
                 progress("control laws", done, total)
                 rng = np.random.default_rng([simulation.seed, number, repetition])
-                made.append(simulate(strategy, engine, law, parts, rng, robot.actuated))
+                made.append(close_loop(strategy, engine, law, parts, rng, robot.actuated))
             errors = [np.abs(each.error) for each in made]
             maximum = np.mean([each.max(axis=0) for each in errors], axis=0)
             rms = np.mean([np.sqrt(np.mean(each**2, axis=0)) for each in errors], axis=0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from table import write_csv
 
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.findings import Grade
 from realism.departures import DEPARTURES, MOTIONS
 from realism.plants import PLANTS
 
@@ -49,7 +49,7 @@ class Gains:
 def pooled(records: Sequence[dict]) -> Gains:
     gains = [gain for record in records for gain in record["gains"]]
     outcomes = [gain["outcome"] for gain in gains]
-    gains = [gain for gain in gains if gain["outcome"] in (Outcome.GOOD, Outcome.WEAK)]
+    gains = [gain for gain in gains if gain["outcome"] in (Grade.GOOD, Grade.WEAK)]
     value, truth, truth_std, std, low, high, half = (
         np.array([gain[key] for gain in gains], dtype=float)
         for key in ("value", "truth", "truth_std", "std", "low", "high", "random_half")
@@ -59,9 +59,9 @@ def pooled(records: Sequence[dict]) -> Gains:
         (value - truth) / np.hypot(std, truth_std),
         (low < truth) & (truth < high),
         np.abs(value - truth) < half,
-        np.array([gain["outcome"] == Outcome.GOOD for gain in gains], dtype=bool),
-        outcomes.count(Outcome.CONTRADICTORY),
-        outcomes.count(Outcome.NOT_IDENTIFIABLE),
+        np.array([gain["outcome"] == Grade.GOOD for gain in gains], dtype=bool),
+        outcomes.count(Grade.CONTRADICTORY),
+        outcomes.count(Grade.NOT_IDENTIFIABLE),
     )
 
 
@@ -185,8 +185,8 @@ def _off(gain: dict) -> float:
 
 
 def _is_missed(gain: dict) -> bool:
-    silent = gain["outcome"] == Outcome.GOOD and _off(gain) > ACCURACY
-    believed = gain["outcome"] in (Outcome.GOOD, Outcome.WEAK)
+    silent = gain["outcome"] == Grade.GOOD and _off(gain) > ACCURACY
+    believed = gain["outcome"] in (Grade.GOOD, Grade.WEAK)
     return silent or (believed and not gain["low"] < gain["truth"] < gain["high"])
 
 
@@ -212,7 +212,7 @@ def by_robot(made: Sequence[dict]) -> list[list[str]]:
 
 def _alarms(record: dict) -> int:
     return sum(
-        outcome == Outcome.CONTRADICTORY
+        outcome == Grade.CONTRADICTORY
         for gain in record["gains"]
         for outcome in (gain["outcome"], gain["second_outcome"])
     )
@@ -226,7 +226,7 @@ def of_motions(moved: Sequence[dict]) -> str:
     ]
     for name in MOTIONS:
         gains = [gain for each in moved if each["departure"] == name for gain in each["gains"]]
-        gains = [gain for gain in gains if gain["outcome"] in (Outcome.GOOD, Outcome.WEAK)]
+        gains = [gain for gain in gains if gain["outcome"] in (Grade.GOOD, Grade.WEAK)]
         if gains:
             error, std, random_std, random, low, high, truth = (
                 np.array([gain[key] for gain in gains], dtype=float)

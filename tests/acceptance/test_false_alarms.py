@@ -11,8 +11,8 @@ from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
 import gtau.estimation.regression.dataset
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import INFLATED
+from gtau.findings import Grade
 from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -70,7 +70,7 @@ def test_no_alarm_in_clean_experiments(source: str, seeds: range) -> None:
         runs, gains = experiment(model, np.random.default_rng([7, seed]))
         result = identify(model.robot, runs)
         found = [gain.verdict for gain in result.drive_gains.values()]
-        alarms += [(seed, verdict.sentence) for verdict in found if verdict.outcome == Outcome.CONTRADICTORY]
+        alarms += [(seed, verdict.sentence) for verdict in found if verdict.outcome == Grade.CONTRADICTORY]
         alarms += [(seed, "lack of fit")] if result.statistics["lack_of_fit"] > INFLATED else []
         for gain, truth in zip(result.drive_gains.values(), gains, strict=True):
             low, high = gain.interval(0.95) or (0.0, 0.0)

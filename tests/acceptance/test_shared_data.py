@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from models_to_export import of_equations
 
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import read_runs
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.report.uncertainty import PAPER
 from gtau.result import Result, identify
@@ -103,9 +103,9 @@ def test_ur10e_gains(ur10e: Result) -> None:
         assert gains[k].value == pytest.approx(CONTROLLER[k], rel=0.08)
     assert gains[0].rel_std > 3
     # healthy logs: nothing is contradictory, and the elbow, which lifts most, is known to 3 %
-    assert {gain.verdict.outcome for gain in gains} <= {Outcome.GOOD, Outcome.WEAK}
-    assert gains[0].verdict.outcome == Outcome.WEAK
-    assert gains[2].verdict.outcome == Outcome.GOOD
+    assert {gain.verdict.outcome for gain in gains} <= {Grade.GOOD, Grade.WEAK}
+    assert gains[0].verdict.outcome == Grade.WEAK
+    assert gains[2].verdict.outcome == Grade.GOOD
 
 
 def test_the_page_shows_the_gains_that_are_found(orthoglide: Result, ur10e: Result) -> None:
@@ -136,8 +136,8 @@ def test_a_current_halved_in_one_run_of_a_ur10e_is_named(folder: Path) -> None:
     elbow = list(identify(load_robot(experiment.robot), [free, replace(loaded, command=command)]).drive_gains.values())[
         2
     ]
-    assert elbow.verdict.outcome is Outcome.CONTRADICTORY
-    assert elbow.verdict.finding.causes[0].kind == "gain of a run"
+    assert elbow.verdict.outcome is Grade.CONTRADICTORY
+    assert elbow.verdict.finding.causes[0] == "gain of a run"
 
 
 @pytest.mark.slow
@@ -149,7 +149,7 @@ def test_two_pairs_of_one_robot_agree_within_their_intervals(ur10e: Result, fold
     )
     (folder / "january.yaml").write_text(text)
     other = identify(folder / "january.yaml")
-    assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in other.drive_gains.values()}
+    assert Grade.CONTRADICTORY not in {gain.verdict.outcome for gain in other.drive_gains.values()}
     pairs = [(gain, other.drive_gains[joint]) for joint, gain in ur10e.drive_gains.items()]
     z = [(a.value - b.value) / np.hypot(a.std, b.std) for a, b in pairs]
     assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.3
@@ -228,7 +228,7 @@ def test_ur10e_by_total_least_squares(folder: Path, ur10e: Result) -> None:
     said = " ".join(result.summary().split())
     assert f"singular values of W_tot ({PAPER}, eq. 33): {result.statistics['singular_ratio']:.2f}" in said
     gains = result.drive_gains
-    assert Outcome.CONTRADICTORY not in {gain.verdict.outcome for gain in gains.values()}
+    assert Grade.CONTRADICTORY not in {gain.verdict.outcome for gain in gains.values()}
     for joint, gain in gains.items():
         assert abs(gain.value - ur10e.drive_gains[joint].value) < 2 * gain.std
 
@@ -267,7 +267,7 @@ def test_tx40_as_the_page_says(folder: Path) -> None:
     """Torques are taken for what they are, and explained as well as said."""
     result = identify(folder / "tx40.yaml")
     assert (result.kind, result.method) == ("torque", "wls")
-    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Outcome.GIVEN}
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Grade.GIVEN}
     assert [error.relative for error in result.residuals] == pytest.approx([2.7, 2.9, 3.5, 4.5, 10.9, 6.8], abs=0.4)
 
 

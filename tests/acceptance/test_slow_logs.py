@@ -8,10 +8,10 @@ from orthoglide_logs import orthoglide
 
 from gtau.demo.orthoglide import standard_parameters
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved, delays_lost_in_noise
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.signals.reading.statements import Payload
@@ -58,10 +58,10 @@ def logs(rate: float, slowest: float, seconds: float, noise: float) -> list[Run]
 def test_gains_of_slow_logs(rate: float, slowest: float, seconds: float, noise: float) -> None:
     """With noise of one per cent, slow motions leave a small tilt of gravity open, which '12' does not settle."""
     result = identify(ROBOT, logs(rate, slowest, seconds, noise))
-    weak = {joint for joint, gain in result.drive_gains.items() if gain.verdict.outcome == Outcome.WEAK}
+    weak = {joint for joint, gain in result.drive_gains.items() if gain.verdict.outcome == Grade.WEAK}
     assert weak <= ({"12"} if noise > 1e-3 else set())
     for joint, gain in result.drive_gains.items():
-        assert joint in weak or gain.verdict.outcome == Outcome.GOOD
+        assert joint in weak or gain.verdict.outcome == Grade.GOOD
         assert gain.value == pytest.approx(GAIN, rel=2 * noise)
         assert abs((gain.value or 0.0) - GAIN) < 3.5 * (gain.std or 0.0) < 0.15 * GAIN
 
@@ -76,7 +76,7 @@ def test_delays_lost_in_noise_are_told_from_those_that_are_not() -> None:
 def test_a_delay_lost_in_noise_is_not_estimated() -> None:
     delays = identify(ROBOT, logs(20.0, 0.05, 100.0, 5e-2)).delays
     assert {joint for joint, delay in delays.items() if delay.value == 0.0} == {"11", "12"}
-    assert {delays[joint].verdict.outcome for joint in ("11", "12")} == {Outcome.NOT_IDENTIFIABLE}
+    assert {delays[joint].verdict.outcome for joint in ("11", "12")} == {Grade.NOT_IDENTIFIABLE}
     assert delays["13"].value == pytest.approx(0.0, abs=2 * (delays["13"].std or 0.0))
 
 

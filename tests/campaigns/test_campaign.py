@@ -32,7 +32,6 @@ from gtau.cli.commands import app
 from gtau.documents.files import write_table
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
 from gtau.estimation.results.estimate import Estimate
@@ -42,7 +41,7 @@ from gtau.excitation.forecast import sampled_motions
 from gtau.excitation.nlp import Programme, random_start
 from gtau.excitation.prior import KnownGain
 from gtau.excitation.task import DesignProblem
-from gtau.findings import Finding, Outcome
+from gtau.findings import Finding, Grade
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
@@ -207,9 +206,9 @@ def test_a_robot_file_is_named_from_the_new_folder(tmp_path: Path, monkeypatch: 
     assert read_yaml(Path("third/design.yaml")).data["robot"] == "../arms/robot.urdf"
 
 
-def gain(joint: str, value: float | None, random: float, model: float, outcome: Outcome = Outcome.GOOD) -> Estimate:
+def gain(joint: str, value: float | None, random: float, model: float, outcome: Grade = Grade.GOOD) -> Estimate:
     std = float(np.hypot(random, model))
-    return Estimate(joint, value, std, "N m/A", verdict=Verdict(outcome), model_std=model)
+    return Estimate(joint, value, std, "N m/A", verdict=Finding(outcome.value, grade=outcome), model_std=model)
 
 
 def result_of(*gains: Estimate) -> SimpleNamespace:
@@ -246,9 +245,7 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
 
 def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
     """It is named in the first round, and no motion is tried against it again."""
-    cause = Finding(
-        "torque constant", ("a",), values={"what": "a falling torque constant", "action": "log the current"}
-    )
+    cause = Finding("torque constant", ("a",), text="a falling torque constant", advice="log the current")
     effect = EstimatedEffect("saturation", cause, 0.1, 0.01, "1/A", 30.0, 0.4)
     result = SimpleNamespace(drive_gains={"a": gain("a", 1.0, 0.01, 0.3)}, effects=(effect,))
     once = decide(result, 3.0, [round_of("first")], None)
@@ -262,7 +259,7 @@ def test_an_effect_that_the_data_show_twice_ends_the_campaign() -> None:
 
 
 def test_a_drift_asks_for_a_warm_up_run_which_is_played_and_not_evaluated(copied: Path) -> None:
-    cause = Finding(FRICTION_DRIFT.name, values={"what": "Coulomb friction of 'left' changing along the runs"})
+    cause = Finding(FRICTION_DRIFT.name, text="Coulomb friction of 'left' changing along the runs")
     drift = EstimatedEffect(FRICTION_DRIFT.name, cause, -0.2, 0.02, "", 30.0, 0.2)
     cold, file = read_rounds(copied)[0], read_design_file(copied)
     assert warming(SimpleNamespace(effects=(replace(drift, likelihood=1.0),)), cold) == ""
@@ -336,7 +333,9 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
     assert beside.beside == pytest.approx((0.07, 0.0, 0.0))
     assert not beside.at_hand
     carried, result = [], of(0.05)
-    result.currents = lambda q, qd, qdd, payload: carried.append(payload) or 0 * q
+    result.gains = np.ones(len(task.model.actuated))
+    torques = "gtau.campaigns.candidates.torques"
+    monkeypatch.setattr(torques, lambda _, q, qd, qdd, payload: carried.append(payload) or 0 * q)
     runs = list(_simulated(beside, result, 0))
     assert carried[1].parameters == pytest.approx({"mx": 0.08, "my": 0.0, "mz": 0.3, "zz": 0.02})
     assert runs[1].payload.parameters == {"zz": 0.02}
@@ -347,7 +346,8 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
     monkeypatch.setattr(f"{home}.write_experiment", lambda *_: None)
     monkeypatch.setattr(f"{home}.warming", lambda *_: "")
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("random part", "'hand' is wide"))
-    result.save, result.alternatives, last = lambda path: None, (), round_of("first")
+    monkeypatch.setattr(f"{home}.save", lambda *_: None)
+    result.alternatives, last = (), round_of("first")
     for width, advised in ((2.0, True), (5.9, False)):
         monkeypatch.setattr(
             f"{home}.expected_width", lambda one, *_, width=width: width if one and one.beside[0] else 6.0
@@ -462,7 +462,7 @@ def test_a_round_confirms_nothing_where_those_before_are_set_aside(
         return Decision("stopped", "")
 
     found = result_of(gain("left", 1.0, 0.01, 0.01))
-    found.save = lambda path: None
+    monkeypatch.setattr(module, "save", lambda *_: None)
     monkeypatch.setattr(module, "identified", lambda *_: found)
     monkeypatch.setattr(module, "slower", lambda *_: ())
     monkeypatch.setattr(module, "decide", decided)
@@ -524,6 +524,19 @@ def test_parameters_that_are_those_of_no_robot_are_not_rehearsed(copied: Path, m
     assert tried == [model, None]
     with pytest.raises(GtauError, match="cannot be continued"):
         rehearsal.rehearse(design, file, None, silent)
+
+
+def test_an_interrupted_rehearsal_names_no_folder_that_is_gone(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from gtau.campaigns import rehearsal
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt("logs finished in a folder that is removed")
+
+    monkeypatch.setattr(rehearsal, "simulate", stopped)
+    task, _ = read_design(copied / "design.yaml")
+    x = random_start(task, np.random.default_rng(0), 0.5)
+    with pytest.raises(KeyboardInterrupt, match=r"^$"):
+        rehearsal.rehearse(Design(task, "gains", x, 1.0, (), 0), read_design_file(copied), None, silent)
 
 
 def test_a_motion_that_the_rehearsal_refuses_is_played_slower(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -591,7 +604,7 @@ def test_a_second_round_without_a_motion_goes_on_from_the_first(copied: Path, mo
         raise GtauError("no motion within the limits was found")
 
     assert play(copied / "01").returncode == 0
-    monkeypatch.setattr("gtau.campaigns.campaign.design", refuses)
+    monkeypatch.setattr("gtau.campaigns.campaign.excite", refuses)
     state = campaign(copied)
     assert state.next == "play"
     assert any(note.startswith("the next motion repeats round 01 with other parts") for note in state.decision["notes"])
@@ -667,8 +680,9 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         return Design(task, "gains", x, 1.0, (), 0)
 
     home = "gtau.campaigns.campaign"
-    saved = SimpleNamespace(save=lambda path: write_json(path, {"model": 1}), effects=())
-    monkeypatch.setattr(f"{home}.design", drawn)
+    saved = SimpleNamespace(effects=())
+    monkeypatch.setattr(f"{home}.save", lambda _, path: write_json(path, {"model": 1}))
+    monkeypatch.setattr(f"{home}.excite", drawn)
     monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ()))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("confirm", "all gains are within 3 %"))

@@ -27,9 +27,9 @@ import gtau.estimation.identify
 from gtau.cli.commands import COMMANDS, app
 from gtau.cli.identification import percent
 from gtau.documents.files import beside
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.estimators.registry import NAMES
 from gtau.estimation.experiment_runs import read_runs
+from gtau.findings import Grade
 from gtau.robots.readers.read import CATALOG, catalog_names
 from gtau.signals.reading.experiment import read_experiment
 
@@ -171,8 +171,8 @@ def test_runs_of_half_a_second_give_no_gain(here: Path, rows: int) -> None:
     for joint, true in zip(JOINTS, GAINS, strict=True):
         low, high = result.drive_gains[joint].interval()
         assert low < true < high
-        assert result.drive_gains[joint].verdict.outcome == (Outcome.WEAK if low > 0 else Outcome.NOT_IDENTIFIABLE)
-    assert result.accepted == any(gain.verdict.outcome == Outcome.WEAK for gain in result.drive_gains.values())
+        assert result.drive_gains[joint].verdict.outcome == (Grade.WEAK if low > 0 else Grade.NOT_IDENTIFIABLE)
+    assert result.accepted == any(gain.verdict.outcome == Grade.WEAK for gain in result.drive_gains.values())
 
 
 @pytest.mark.slow

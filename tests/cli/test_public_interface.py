@@ -18,8 +18,7 @@ from programs import wait_until
 import gtau
 from gtau.cli.console import progress_lines
 from gtau.estimation.compare import EstimatorComparison, MethodRow
-from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.report.comparison import comparison_page
 from gtau.report.render.terminal import plain
 
@@ -86,12 +85,6 @@ def test_what_is_known_only_in_sums_has_its_deviation_in_per_cent(result: gtau.R
     assert re.search(rf"{lost.name} .* > 1000 +kg m2", summary(lost.name, 2.0))
 
 
-def test_legs_that_are_not_built_alike_get_one_note(result: gtau.Result) -> None:
-    (note,) = [str(note) for note in result.notes if note.kind == F.UNLIKE_LEGS]
-    assert "fv_" not in note
-    assert "fs_" not in note
-
-
 def test_the_price_of_the_reduction(result: gtau.Result) -> None:
     text = result.replaced(statistics={**result.statistics, "reduction_loss": 1.25}).summary()
     assert "raises the torque residual of the worst joint by 1.2 %." in " ".join(text.split())
@@ -100,7 +93,7 @@ def test_the_price_of_the_reduction(result: gtau.Result) -> None:
 def test_a_comparison_is_data() -> None:
     gains, std = np.array([20009.0, 149920.0, 1.5]), np.array([7.0, 165.0, 0.1])
     rows = (
-        MethodRow("ml", gains, std, np.ones(3), 1.0, Outcome.GOOD, half_widths=2 * std),
+        MethodRow("ml", gains, std, np.ones(3), 1.0, Grade.GOOD, half_widths=2 * std),
         MethodRow("wls", gains, None, np.ones(3), 1.0),
         MethodRow("iv", refusal="no motion can be simulated"),
     )

@@ -18,7 +18,7 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_document import NoteEntry
-from gtau.findings import Finding, Grade, Severity
+from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity, note_document
 from gtau.report.check import expectation
 from gtau.report.findings import findings_table
@@ -39,9 +39,9 @@ def test_repairs_are_graded_by_what_they_cost() -> None:
         repair("stale samples", share, text=f"{1000 * share:.0f} samples are stale") for share in (0.001, 0.04)
     )
     stuck = Finding("refused", text="stuck", advice="record it again", grade=Grade.ERROR)
-    assert (small.severity, large.severity) == (Severity.INFORMATION, Severity.WARNING)
-    assert list(by_severity([small, large, stuck])) == list(Severity)  # the worst first
-    assert by_severity([small, small]) == {Severity.INFORMATION: [small]}
+    assert (small.severity, large.severity) == (Grade.INFORMATION, Grade.WARNING)
+    assert list(by_severity([small, large, stuck])) == [Grade.ERROR, Grade.WARNING, Grade.INFORMATION]
+    assert by_severity([small, small]) == {Grade.INFORMATION: [small]}
 
 
 def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
@@ -57,7 +57,7 @@ def test_a_note_of_an_older_file_is_read_by_its_topic() -> None:
     document = {"grade": "information", "kind": "repair", "finding": None, "source": "run", "what": "dropped 2 rows"}
     document |= {"joint": None, "time": None, "share": 0.001, "action": None}
     read = TypeAdapter(NoteEntry).validate_python(document)
-    assert (str(read), read.kind, read.severity) == ("run: dropped 2 rows", "repair", Severity.INFORMATION)
+    assert (str(read), read.kind, read.severity) == ("run: dropped 2 rows", "repair", Grade.INFORMATION)
 
 
 def test_what_several_logs_share_is_said_once_and_no_more_than_asked_for() -> None:
@@ -95,12 +95,12 @@ def test_every_log_that_is_refused_is_a_finding_in_the_words_of_identify(folder:
     checked = check(path)
     with pytest.raises(GtauError) as refused:
         identify(path)
-    stops = by_severity(checked.notes)[Severity.ERROR]
+    stops = by_severity(checked.notes)[Grade.ERROR]
     assert str(refused.value) == f"{stops[0]}."
     assert "is stuck at 0.5" in stops[0].what
-    assert stops[0].action.startswith("give the column")
+    assert stops[0].advice.startswith("give the column")
     assert "back.csv, line 1002: time goes back from" in stops[1].what
-    assert (checked.worst, checked.logs, checked.preparation) == (Severity.ERROR, (), None)
+    assert (checked.worst, checked.logs, checked.preparation) == (Grade.ERROR, (), None)
 
 
 def test_what_is_wrong_with_all_logs_is_listed_once_with_their_names(folder: Path) -> None:
@@ -120,7 +120,7 @@ def test_joints_faster_than_their_limits_are_found_by_check_and_by_identify(fold
         (folder / "limited.yaml").write_text(robot.replace("velocity: 6", f"velocity: {limit}"))
         path = damaged(folder, "fast", "five-bar", "limited.yaml")
         checked = check(path)
-        assert checked.worst == Severity.WARNING
+        assert checked.worst == Grade.WARNING
         limits = [note for note in checked.notes if f"times its limit of {float(limit):.4g} rad/s" in str(note)]
         assert len(limits) >= 2
     assert set(limits) <= set(findings(identify(path)))
@@ -135,11 +135,11 @@ def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Pa
     path.write_text(path.read_text() + "prior_gains: {left: 2.5, right: 4}\n")
     (same,) = check(path).notes
     assert same == note
-    assert "use --method wls with prior_gains" in same.action
+    assert "use --method wls with prior_gains" in same.advice
     assert check(path, method="wls").notes == ()
     (unknown,) = check(damaged(folder, "unknown", ", mass: 1.2", "")).notes
-    assert unknown.severity == Severity.INFORMATION
-    assert "gtau payload" in unknown.action
+    assert unknown.severity == Grade.INFORMATION
+    assert "gtau payload" in unknown.advice
     assert expectation([unknown]) == "gtau payload can use these logs as they are."
 
 

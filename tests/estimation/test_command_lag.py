@@ -11,8 +11,7 @@ from scipy.signal import lfilter
 
 from gtau.estimation.diagnostics.log_checks import command_lag, command_lags
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.findings import FindingKind as F
-from gtau.findings import Severity
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.signals.reading.statements import Payload
@@ -61,10 +60,11 @@ def test_currents_before_the_motion_are_a_delay_and_those_after_it_are_late(late
 def test_torques_are_judged_alike_and_the_grade_follows_what_is_lost() -> None:
     strong, weak = (logged(lag, kind="torque") for lag in (0.02, 0.005))
     (found,) = command_lag(strong, strong.system())
-    assert (found.kind, found.values["kind"]) == (F.COMMAND_LAG, "torque")
-    assert (found.topic, found.severity) == (F.FILTERED, Severity.WARNING)
+    assert found.kind == "command lag"
+    assert found.what.startswith("the torques lag behind the motion by ")
+    assert (found.topic, found.severity) == ("filtered command", Grade.WARNING)
     (found,) = command_lag(weak, weak.system())
-    assert (found.kind, found.severity) == (F.SLIGHT_COMMAND_LAG, Severity.INFORMATION)
+    assert (found.kind, found.severity) == ("slight command lag", Grade.INFORMATION)
 
 
 @pytest.mark.parametrize("others", [np.nan, 0.05])

@@ -11,7 +11,6 @@ import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from stated_arm import plant, robot
 
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.description import contradictions, estimated_effects
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import Mixed, estimate_effects
@@ -19,6 +18,7 @@ from gtau.estimation.effects.registry import EFFECTS
 from gtau.estimation.effects.run_drift import difference_root, run_covariance, run_modes
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.signals.reading.statements import Payload
@@ -92,7 +92,7 @@ def test_a_wrong_gear_ratio_is_named(tmp_path: Path, joint: str, scale: float) -
     best = max(scales, key=lambda effect: effect.share)
     assert best.cause.joints == (joint,)
     assert best.size == pytest.approx(100 * (1 / scale - 1), rel=0.3)
-    assert Outcome.CONTRADICTORY in {gain.verdict.outcome for gain in result.drive_gains.values()}
+    assert Grade.CONTRADICTORY in {gain.verdict.outcome for gain in result.drive_gains.values()}
 
 
 def test_healthy_logs_contradict_nothing(runs: list[Run]) -> None:
@@ -124,7 +124,7 @@ def test_friction_that_falls_along_a_run_contradicts_nothing(share: float) -> No
     result = identify(ROBOT, [logged[0], replace(logged[1], payload=known)])
     for joint, truth in zip(JOINTS, GAINS, strict=True):
         gain = result.drive_gains[joint]
-        assert gain.verdict.outcome in (Outcome.GOOD, Outcome.WEAK), gain.verdict.sentence
+        assert gain.verdict.outcome in (Grade.GOOD, Grade.WEAK), gain.verdict.sentence
         low, high = gain.interval() or (0.0, 0.0)
         assert low < truth < high
 

@@ -13,8 +13,8 @@ from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
-from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.findings import FindingKind as F
+from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
@@ -25,13 +25,19 @@ from gtau.signals.run import Run, read_run
 
 FREE = (0.0, 0.0, 0.0)
 FRICTION = ("fv_", "fs_", "off_")
-NAMES = {F.WITHOUT_GRAVITY, F.NO_GRAVITY_SHOWN, F.WHOLE_NUMBERS, F.MOTOR_SIDE, F.MODEL_TORQUES}
+NAMES = {
+    WITHOUT_GRAVITY,
+    "torques without gravity, or a balanced robot",
+    "whole numbers",
+    "torques of the motors",
+    "torques of a model",
+}
 
 
 def named(result: Result) -> set[str]:
     """Kinds of this module among the findings and the causes of verdicts."""
     found = [each.verdict.finding for each in result.drive_gains.values() if each.verdict.finding]
-    kinds = {each.kind for of in found for each in (of, *of.causes)} | {each.kind for each in result.notes}
+    kinds = {kind for of in found for kind in (of.kind, *of.causes)} | {each.kind for each in result.notes}
     return kinds & NAMES
 
 
@@ -60,8 +66,8 @@ def compensated() -> Result:
 
 
 def test_torques_without_gravity_are_named_and_contradict_the_description(compensated: Result) -> None:
-    assert named(compensated) == {F.WITHOUT_GRAVITY}
-    assert {each.verdict.outcome for each in compensated.drive_gains.values()} > {Outcome.CONTRADICTORY}
+    assert named(compensated) == {WITHOUT_GRAVITY}
+    assert {each.verdict.outcome for each in compensated.drive_gains.values()} > {Grade.CONTRADICTORY}
     said = next(each.verdict for each in compensated.drive_gains.values() if each.verdict.finding)
     assert "gravity: [0, 0, 0]" in said.advice
 
@@ -96,15 +102,15 @@ def test_robots_that_gravity_does_not_move_are_not_asked_about_it() -> None:
 def test_a_five_bar_without_gravity_is_asked_whether_it_is_balanced() -> None:
     free = replace(five_bar().robot, gravity=FREE)
     runs = logged(free, FREE, currents=False)
-    assert named(identify(five_bar().robot, runs)) == {F.NO_GRAVITY_SHOWN}
+    assert named(identify(five_bar().robot, runs)) == {"torques without gravity, or a balanced robot"}
 
 
 def test_torques_of_motors_are_named_by_their_scale_and_by_limits_of_effort() -> None:
     robot = five_bar().robot
-    assert named(identify(robot, torques(60.0, loaded=True))) == {F.MOTOR_SIDE}
+    assert named(identify(robot, torques(60.0, loaded=True))) == {"torques of the motors"}
     peaks = np.abs(torques()[0].command).max(axis=0)
     arm = limited(robot, (float(100 * peaks[0]), float(120 * peaks[1])))
-    assert named(identify(arm, torques())) == {F.MOTOR_SIDE}
+    assert named(identify(arm, torques())) == {"torques of the motors"}
     assert not named(identify(limited(robot, (1e4, 1e4)), torques()))  # the same for all: a placeholder
 
 
@@ -112,14 +118,14 @@ def test_torques_of_motors_are_named_by_their_scale_and_by_limits_of_effort() ->
 def test_shares_of_the_rated_torque_are_named_by_their_steps(full: float) -> None:
     (run,) = torques()
     run = replace(run, command=np.round(full * run.command / (0.7 * np.abs(run.command).max(axis=0))))
-    assert named(identify(five_bar().robot, [run])) == {F.WHOLE_NUMBERS}
-    assert F.WHOLE_NUMBERS in {each.kind for each in check(five_bar().robot, [run]).notes}
+    assert named(identify(five_bar().robot, [run])) == {"whole numbers"}
+    assert "whole numbers" in {each.kind for each in check(five_bar().robot, [run]).notes}
 
 
 def test_torques_that_a_model_computed_are_named() -> None:
     chi = {name: 0.0 if name.startswith(FRICTION) else value for name, value in CHI.items()}
     runs = [replace(run, command=np.round(run.command, 4)) for run in torques(chi=chi)]
-    assert named(identify(five_bar().robot, runs)) == {F.MODEL_TORQUES}
+    assert named(identify(five_bar().robot, runs)) == {"torques of a model"}
 
 
 def test_magnitudes_are_refused_where_some_joints_hold_against_gravity() -> None:

@@ -1,4 +1,4 @@
-"""What a column of effort holds is one ranked answer; benchmarks/effort.py makes the table of measured logs."""
+"""What a column of effort holds has one answer; benchmarks/effort.py makes the table of measured logs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,17 @@ import pytest
 from five_bar_logs import five_bar
 from gravity_logs import logged
 
-from gtau.estimation.diagnostics.effort import AS_STATED, NONE, effort_findings, rank_meanings, stated_meaning
+from gtau.estimation.diagnostics.effort import (
+    AS_STATED,
+    MAGNITUDES,
+    NONE,
+    SWAPPED_CHANNELS,
+    Effort,
+    effort_of,
+)
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
+from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.robot import Robot
@@ -31,22 +37,17 @@ def torques() -> Run:
     return run
 
 
-def ranked(robot: Robot, run: Run) -> tuple[tuple[Finding, ...], Dataset]:
+def held(robot: Robot, run: Run) -> Effort:
     dataset = reduce_runs(robot, [run])
-    return rank_meanings(dataset, dataset.system().problem.longest_delays.max()), dataset
-
-
-def reverse(command: np.ndarray) -> np.ndarray:
-    return command * [1, -1, 1, 1, 1, 1]
+    return effort_of(dataset, dataset.system().problem.longest_delays.max())
 
 
 SPOILT: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, tuple[int, ...]]] = {
     "as they are": (lambda command: command, AS_STATED, ()),
     "scaled": (lambda command: 1.33 * command, AS_STATED, ()),
-    "exchanged": (lambda command: command[:, [0, 2, 1, 3, 4, 5]], F.SWAPPED, (1, 2)),
-    "permuted": (lambda command: command[:, [0, 2, 3, 1, 4, 5]], F.SWAPPED, (1, 2, 3)),
-    "reversed": (reverse, F.REVERSED, (1,)),
-    "magnitudes": (np.abs, F.MAGNITUDES, (0, 1, 3)),
+    "exchanged": (lambda command: command[:, [0, 2, 1, 3, 4, 5]], SWAPPED_CHANNELS, (1, 2)),
+    "permuted": (lambda command: command[:, [0, 2, 3, 1, 4, 5]], SWAPPED_CHANNELS, (1, 2, 3)),
+    "magnitudes": (np.abs, MAGNITUDES, (0, 1, 3)),
     "of another motion": (lambda command: command[::-1], NONE, ()),
 }
 
@@ -54,26 +55,28 @@ SPOILT: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, tuple[int, ...]
 @pytest.mark.parametrize("spoil", SPOILT)
 def test_the_most_likely_meaning_is_the_true_one(spoil: str, torques: Run) -> None:
     alter, kind, joints = SPOILT[spoil]
-    ranking, dataset = ranked(ROBOT, replace(torques, command=np.ascontiguousarray(alter(torques.command))))
-    assert ranking[0].kind == kind
-    assert {ROBOT.actuated[j] for j in joints} <= set(ranking[0].joints)
-    assert {finding.kind for finding in effort_findings(ranking, dataset)} == ({kind} if joints else set())
+    effort = held(ROBOT, replace(torques, command=np.ascontiguousarray(alter(torques.command))))
+    assert effort.kind == kind
+    assert {finding.kind for finding in effort.findings} == ({kind} if joints else set())
+    assert {ROBOT.actuated[j] for j in joints} <= {joint for finding in effort.findings for joint in finding.joints}
 
 
 def test_gravity_is_missing_only_where_its_coefficient_is_zero(torques: Run) -> None:
-    ranking, _ = ranked(ROBOT, torques)
-    assert stated_meaning(ranking).values["gravity"][0] > 0.5
+    effort = held(ROBOT, torques)
+    assert effort.gravity is not None
+    assert effort.gravity[0] > 0.5
     (compensated,) = logged(ROBOT, FREE, currents=False)
-    ranking, _ = ranked(ROBOT, compensated)
-    assert (ranking[0].kind, stated_meaning(ranking).values["gravity"][0]) == (F.WITHOUT_GRAVITY, 0.0)
+    effort = held(ROBOT, compensated)
+    assert effort.gravity is not None
+    assert (effort.kind, effort.gravity[0]) == (WITHOUT_GRAVITY, 0.0)
 
 
 @pytest.mark.slow
 def test_currents_without_gravity_are_not_taken_for_a_wrong_length() -> None:
     result = identify(ROBOT, logged(ROBOT, FREE, currents=True))
     verdicts = [gain.verdict.finding for gain in result.drive_gains.values() if gain.verdict.finding]
-    causes = {cause.kind for finding in verdicts for cause in finding.causes}
-    assert F.WITHOUT_GRAVITY in causes
+    causes = {cause for finding in verdicts for cause in finding.causes}
+    assert WITHOUT_GRAVITY in causes
 
 
 def test_whole_numbers_are_seen_before_irregular_stamps_are_resampled(torques: Run) -> None:
@@ -88,4 +91,4 @@ def test_whole_numbers_are_seen_before_irregular_stamps_are_resampled(torques: R
     columns = {kind: {j: f"{letter}_{j}" for j in joints} for kind, letter in {"position": "q", "torque": "u"}.items()}
     run = read_run(pl.DataFrame(table), {"time": "t", **columns}, settings={"clock": "stamps"})
     assert np.mean(run.command == np.round(run.command)) < 0.5  # resampled
-    assert [finding.kind for finding in doubtful_commands([run], robot)] == [F.WHOLE_NUMBERS]
+    assert [finding.kind for finding in doubtful_commands([run], robot)] == ["whole numbers"]

@@ -16,8 +16,9 @@ from gtau import identify, load_robot
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
-from gtau.estimation.diagnostics.geometry import GeometryTest, geometry_test, to_document
-from gtau.findings import Severity
+from gtau.estimation.diagnostics.geometry import GeometryTest, to_document
+from gtau.estimation.diagnostics.geometry_search import geometry_test
+from gtau.findings import Grade
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames
 from gtau.model.lengths import variable_geometry
@@ -302,12 +303,12 @@ def test_check_says_what_poses_say(folder: Path) -> None:
     confirmed = check(described(folder, "right"))
     assert confirmed.geometry is not None
     assert confirmed.geometry.outcome == "confirmed"
-    assert confirmed.geometry.note.severity == Severity.INFORMATION
+    assert confirmed.geometry.note.severity == Grade.INFORMATION
     wrong = check(described(folder, "wrong"))
     (change,) = wrong.geometry.explained_by
     assert change.name == "l2 at all 2 places"
     assert change.value + change.change == pytest.approx(0.35, abs=max(5 * change.std, 2e-6))
-    assert wrong.geometry.note.severity == Severity.WARNING
+    assert wrong.geometry.note.severity == Grade.WARNING
     page = plain(check_page(wrong))
     assert "l2 at all 2 places 355 -> 350" in page
     assert "correct the robot file" in page

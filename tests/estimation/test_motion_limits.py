@@ -10,9 +10,8 @@ import pytest
 from five_bar_logs import Plant, write_experiment
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.regression.plausibility import prepare_runs
-from gtau.findings import FindingKind
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
@@ -71,10 +70,10 @@ def test_a_placeholder_for_the_limit_of_speed_is_a_note_and_another_clock_refuse
     slow = limited(Limits(velocity=0.01))
     (note,) = prepared(slow, run).notes
     assert "times its limit of 0.01 rad/s" in note.what
-    assert note.action.startswith(
+    assert note.advice.startswith(
         "check columns and units; if the limit is a placeholder, state the real one under 'robot'"
     )
-    assert note.action.endswith("({file: ..., limits: {left: ...}})")
+    assert note.advice.endswith("({file: ..., limits: {left: ...}})")
     with pytest.raises(GtauError, match=r"which no robot has; correct the unit of the time"):
         prepared(slow, replace(run, time=run.time / 1000))
 
@@ -100,8 +99,8 @@ def test_other_limits_are_no_other_robot(tmp_path: Path) -> None:
     limits = "robot: {file: five-bar, limits: {left: {effort: 0.1}}}"
     file.write_text(file.read_text().replace("robot: five-bar", limits))
     low = identify(file)
-    assert [note.joint for note in low.notes if note.kind == FindingKind.DOUBTFUL_LIMIT] == ["left"]
-    assert low.drive_gains["left"].verdict.outcome == Outcome.GOOD
+    assert [note.joint for note in low.notes if note.kind == "doubtful effort limit"] == ["left"]
+    assert low.drive_gains["left"].verdict.outcome == Grade.GOOD
     file.write_text(file.read_text().replace("effort: 0.1", "effort: 0.2"))
     assert experiment_of(low, file).robot.limits["left"].effort == 0.2
 

@@ -20,8 +20,8 @@ UR10E = load_robot("ur10e")
 
 def causes(result: Result) -> dict[str, tuple[str, ...]]:
     """Causes of the verdicts, with the joints that they are of."""
-    found = [gain.verdict.finding for gain in result.drive_gains.values() if gain.verdict.finding]
-    return {cause.what: cause.joints for finding in found for cause in finding.causes}
+    kinds = {kind for gain in result.drive_gains.values() for kind in gain.verdict.causes}
+    return {effect.subject: effect.cause.joints for effect in result.effects if effect.cause.kind in kinds}
 
 
 def parallelogram(robot: Robot) -> tuple[str, Robot]:

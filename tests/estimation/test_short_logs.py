@@ -11,7 +11,6 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import _late
 from gtau.estimation.diagnostics.effort_rows import JointRows
 from gtau.estimation.diagnostics.log_checks import require_motion
-from gtau.findings import Finding
 from gtau.robots.parameter import Parameter
 
 
@@ -24,12 +23,7 @@ def test_no_lag_without_acceleration_that_shows_it(rng: np.random.Generator, ine
     columns, nothing = np.column_stack([acceleration, friction]), np.zeros((400, 2))
     effort = np.column_stack([logged, shifted])
     joint = JointRows(columns, nothing, columns * [0.0, 1.0], np.array([0, 1]), effort, -0.25)
-    shares = joint.left(effort)[None]
-
-    def made(kind: str, after: np.ndarray, altered: list[int], chosen: int, **values: object) -> Finding:
-        return Finding(kind, ("arm",), values=dict(values))
-
-    assert bool(list(_late([joint], shares, made))) == late
+    assert bool(list(_late([joint], joint.left(effort)[None]))) == late
 
 
 @pytest.mark.parametrize(("share", "value", "refused"), [(7.0, 0.1, True), (0.3, 0.1, False), (7.0, 9.0, False)])

@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gtau.estimation.diagnostics.effort import rank_meanings
+from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS, effort_of
 from gtau.estimation.diagnostics.effort_rows import joint_rows
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
 from gtau.robots.robot import Joint, Mdh, Robot
@@ -61,7 +60,7 @@ def with_columns(runs: list[Run], columns: Sequence[int]) -> list[Run]:
 def test_right_columns_are_good(runs: list[Run]) -> None:
     result = identify(SCARA, runs)
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
-        assert gain.verdict.outcome == Outcome.GOOD
+        assert gain.verdict.outcome == Grade.GOOD
         assert gain.value == pytest.approx(truth, rel=2e-3)
     left = np.array([joint.left(joint.effort[:, :4]) for joint in joint_rows(reduce_runs(SCARA, runs), 0.0)])
     assert np.all(np.diag(left) < 0.01)
@@ -75,9 +74,9 @@ def test_swapped_columns_are_named(columns: tuple[int, ...], runs: list[Run]) ->
     result = identify(SCARA, with_columns(runs, columns))
     wrong = {str(k + 1) for k, column in enumerate(columns) if column != k}
     for joint, gain in result.drive_gains.items():
-        assert gain.verdict.outcome == (Outcome.CONTRADICTORY if joint in wrong else Outcome.WEAK)
+        assert gain.verdict.outcome == (Grade.CONTRADICTORY if joint in wrong else Grade.WEAK)
         if joint in wrong:
-            assert gain.verdict.finding.kind == F.SWAPPED
+            assert gain.verdict.finding.kind == SWAPPED_CHANNELS
             assert set(gain.verdict.finding.joints) == wrong
 
 
@@ -89,6 +88,6 @@ def test_what_exchanging_leaves_is_of_all_joints_and_not_of_the_noisiest(runs: l
         command = run.command.copy()
         command[:, 0] += 0.1 * command[:, 0].std() * slow / slow.std()
         disturbed.append(replace(run, command=command))
-    best, *_ = rank_meanings(reduce_runs(SCARA, with_columns(disturbed, [1, 0, 2, 3])), 0.01)
-    assert (best.kind, best.joints) == (F.SWAPPED, ("1", "2"))
-    assert best.values["exchanged"] < 0.3 * best.values["as_logged"]
+    (best,) = effort_of(reduce_runs(SCARA, with_columns(disturbed, [1, 0, 2, 3])), 0.01).findings
+    assert (best.kind, best.joints) == (SWAPPED_CHANNELS, ("1", "2"))
+    assert best.size > 0.7

@@ -9,12 +9,11 @@ import pytest
 from five_bar_logs import STEEL, Plant
 from stated_arm import plant, robot
 
-from gtau.estimation.diagnostics.other_robots import other_loads
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.tool_bodies import PAYLOAD_BODY, TOOL_BODY, other_loads
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
-from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
@@ -36,7 +35,8 @@ def arm_runs(folder: Path, loaded: tuple[bool, ...]) -> list[Run]:
 def cause_of(result: Result) -> dict:
     (found,) = (each for each in result.effects if each.effect == "tool bodies")
     cause = found.cause
-    assert cause.kind == F.TOOL_BODY
+    assert cause.kind == TOOL_BODY
+    assert "an undeclared body of" in cause.what or cause.what.endswith("than in the others")
     return dict(cause.values)
 
 
@@ -55,7 +55,7 @@ def test_an_undeclared_body_is_named_and_the_file_is_not_blamed(
     bodies = cause_of(result)["bodies"]
     assert {each["run"]: each["more"] for each in bodies} == pytest.approx(more, rel=0.03)
     assert all(abs(each["more"] - more[each["run"]]) < each["half"] < 0.1 for each in bodies)
-    assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
+    assert Grade.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
     assert result.audit is None
 
 
@@ -65,8 +65,8 @@ def test_a_payload_on_another_body_is_named(tmp_path: Path) -> None:
     loaded = replace(made.run(1, BODY), payload=Payload(name="steel", mass=BODY["m"]))
     result = identify(arm, [made.run(0), loaded])
     (found,) = (each for each in result.effects if each.effect == "tool bodies")
-    assert (found.cause.kind, found.cause.subject) == (F.PAYLOAD_BODY, "j3")
-    assert Outcome.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
+    assert (found.cause.kind, found.cause.subject) == (PAYLOAD_BODY, "j3")
+    assert Grade.CONTRADICTORY in {each.verdict.outcome for each in result.drive_gains.values()}
 
 
 def test_runs_with_the_same_load_are_not_suspected(tmp_path: Path) -> None:
@@ -97,6 +97,10 @@ def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> Estima
 def test_loads_beside_gains(carried: tuple[bool, ...], declared: tuple[bool, ...], more: dict[str, float]) -> None:
     found = of_five_bar(carried, declared)
     bodies = [] if found is None else found.cause.values["bodies"]
+    if found is not None:
+        absent = next(iter(more.values())) < 0
+        assert ("less at the tool in run 'run 2' than payload 'steel'" in found.cause.what) == absent
+        assert found.cause.what.startswith("an undeclared body of 1.") != absent
     assert {each["run"]: each["more"] for each in bodies} == pytest.approx(more, rel=0.02)
     if found is not None:  # the gains without it are the true ones
         assert found.largest_move > 10

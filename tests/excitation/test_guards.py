@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Verdict
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.clearance import FLOOR, Capsule, bounding_capsule
 from gtau.excitation.constraints import usages_of_motion
@@ -24,7 +23,7 @@ from gtau.excitation.guards import speed_of_tool
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import COULOMB, ERROR, ROTOR, VISCOUS, KnownGain, identified_gains
 from gtau.excitation.task import DesignProblem
-from gtau.findings import Outcome
+from gtau.findings import Finding, Grade
 from gtau.report.design import design_page
 from gtau.report.render.terminal import plain
 
@@ -211,6 +210,7 @@ def test_the_tool_is_no_faster_than_its_limit(tmp_path: Path) -> None:
         1.7,
         "tool: at most 1.7 m/s, which the maker of 'Panda_hand' allows; state limits.tool_speed",
     )
+    assert speed_of_tool(replace(task.model.robot, name="kinova_gen3"), None)[0] == 0.5
 
 
 def test_floors_that_make_no_sense_are_not_guessed(tmp_path: Path) -> None:
@@ -333,8 +333,8 @@ def test_torques_are_limited_with_the_inertias_of_the_file(tmp_path: Path) -> No
     assert assumed["parameters"].startswith("parameters: the inertias of the robot's file, every other link a rod of")
 
 
-def result_with(value: float, std: float, outcome: Outcome) -> SimpleNamespace:
-    gain = Estimate("gain_arm", value, std, "N m/A", verdict=Verdict(outcome))
+def result_with(value: float, std: float, outcome: Grade) -> SimpleNamespace:
+    gain = Estimate("gain_arm", value, std, "N m/A", verdict=Finding(outcome.value, grade=outcome))
     return SimpleNamespace(robot=SimpleNamespace(actuated=("arm",)), drive_gains={"arm": gain})
 
 
@@ -342,10 +342,10 @@ def test_contradictory_gains_are_no_priors() -> None:
     with pytest.raises(
         GtauError, match=r"gain of joint 'arm' in m.json is contradictory, so it cannot be a prior; identify"
     ):
-        identified_gains(result_with(0.00039, 1e-5, Outcome.CONTRADICTORY), Path("m.json"))
+        identified_gains(result_with(0.00039, 1e-5, Grade.CONTRADICTORY), Path("m.json"))
     with pytest.raises(GtauError, match="which may be zero, so it cannot be a prior"):
-        identified_gains(result_with(1.0, 0.8, Outcome.WEAK), Path("m.json"))
-    (weak,) = identified_gains(result_with(10.0, 1.0, Outcome.WEAK), Path("m.json"))
+        identified_gains(result_with(1.0, 0.8, Grade.WEAK), Path("m.json"))
+    (weak,) = identified_gains(result_with(10.0, 1.0, Grade.WEAK), Path("m.json"))
     assert weak.source == "weak"
     assert weak.interval == pytest.approx((8.04, 11.96), abs=0.01)
 

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from engines import closed_torques, random_parameters
-from robots_for_tests import OBLIQUE, four_bar, hexapod, home, planar_3rrr
+from robots_for_tests import OBLIQUE, four_bar, hexapod, home
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.unit_checks import leg_differences
-from gtau.model.base_parameters import base_parameters, regrouped, symmetric_order
+from gtau.model.base_parameters import base_parameters, symmetric_order
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import turning
@@ -190,48 +189,3 @@ def test_like_legs_regroup_alike() -> None:
         if name.removesuffix("R").endswith(f"_cylinder_{leg}")
     }
     assert len(forms) * 6 == sum("_cylinder_" in name for name in found.names)
-
-
-def test_the_leg_that_differs_is_found(rng: np.random.Generator) -> None:
-    robot = planar_3rrr()
-    same = replace(
-        robot,
-        joints=tuple(replace(j, placement=Pose(), axis=(0, 0, 1.0)) if j.name[0] == "0" else j for j in robot.joints),
-    )
-    base = base_parameters(InverseDynamics(load_robot("delta")))
-    delta = load_robot("delta")
-    assert same == robot
-    matrix = rng.normal(size=(base.count, base.count))
-    covariance = 1e-4 * (matrix @ matrix.T / base.count + np.eye(base.count))
-    alike = np.array([float(sum(map(ord, name.split("_")[0])) % 7) for name in base.names])
-    noisy = alike + rng.multivariate_normal(np.zeros(base.count), covariance)
-    terms = regrouped(base, InverseDynamics(delta).parameter_names)
-    for difference in leg_differences(delta, terms, noisy, covariance):
-        assert difference.values["probability"] > 1e-3
-        assert abs(difference.values["t"]) < 4.5
-    k = next(k for k, name in enumerate(base.names) if name.startswith("fv_22"))
-    noisy[k] += 0.5
-    found = list(leg_differences(delta, terms, noisy, covariance))
-    assert list(dict.fromkeys(difference.subject for difference in found)) == ["11", "12", "13"]
-    worst = max(found, key=lambda difference: abs(difference.values["t"]))
-    assert (worst.subject, worst.values["parameter"]) == ("12", base.names[k])
-    assert worst.values["probability"] < 1e-12
-
-
-def test_distances_of_like_legs_are_chi_distributed(rng: np.random.Generator) -> None:
-    robot = load_robot("five-bar")
-    base = base_parameters(InverseDynamics(robot))
-    matrix = rng.normal(size=(base.count, base.count))
-    covariance = matrix @ matrix.T + 0.1 * np.eye(base.count)
-    draws = rng.multivariate_normal(np.zeros(base.count), covariance, size=400)
-    terms = regrouped(base, InverseDynamics(robot).parameter_names)
-    found = [list(leg_differences(robot, terms, draw, covariance)) for draw in draws]
-    assert {difference.subject for differences in found for difference in differences} == {"left"}  # of two legs one
-    probabilities = np.sort([differences[0].values["probability"] for differences in found])
-    assert np.abs(probabilities - np.linspace(0, 1, 400)).max() < 0.1
-
-
-def test_robots_without_like_legs_have_no_differences() -> None:
-    base = base_parameters(InverseDynamics(load_robot("ur10e")))
-    terms = regrouped(base, InverseDynamics(load_robot("ur10e")).parameter_names)
-    assert not list(leg_differences(load_robot("ur10e"), terms, np.zeros(base.count), np.eye(base.count)))

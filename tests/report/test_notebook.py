@@ -17,7 +17,7 @@ import gtau
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
 from gtau.estimation.compare import EstimatorComparison, MethodRow
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.findings import Grade
 from gtau.ipython import SHOWN, html, register
 from gtau.report.page import number as plain
 
@@ -77,7 +77,7 @@ def test_a_comparison_shows_itself_and_is_a_table() -> None:
     found = EstimatorComparison(
         JOINTS,
         (
-            MethodRow("ml", gains, std, residuals, 0.1, Outcome.GOOD, half_widths=2 * std),
+            MethodRow("ml", gains, std, residuals, 0.1, Grade.GOOD, half_widths=2 * std),
             MethodRow("iv", refusal="no motion can be simulated"),
         ),
     )

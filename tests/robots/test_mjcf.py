@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -566,6 +567,32 @@ def test_a_rod_between_two_balls_spins_idly_wherever_its_loop_is_cut(
     q, qd, qdd = rng.uniform(-0.2, 0.2, (3, 20, 1))
     found, expected = (
         InverseDynamics(each, "inertial").torques(q, qd, qdd, stated_inertias(each)) for each in (robot, at_the_rod)
+    )
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("link", ["", '<inertial pos="0 0 0" mass="0.01" diaginertia="1e-7 1e-7 1e-7"/>'])
+def test_three_hinges_between_a_rod_and_a_ball_are_a_ball(link: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    """Whichever axis is the last, with links in between whose masses the crank then carries at the point."""
+    ball = '<joint name="b1" type="ball"/>'
+    x, y, z = (
+        f'<joint name="b1_{name}" axis="{axis}"/>' for name, axis in {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}.items()
+    )
+    text = crank_rod_and_lever("hinge").replace(ball, x + y + z)
+    if link:
+        rod = re.search(r'(<body name="rod"[^>]*>)(.*?/>)', text, re.DOTALL)
+        assert rod is not None
+        text = text.replace(rod[0] + x + y + z, f"{rod[1]}{x}{link}<body>{y}{link}<body>{rod[2]}{z}")
+        text = text.replace("</body></body></body>", "</body>" * 5)
+    robot, at_the_rod = load(text, tmp_path), load(crank_rod_and_lever("rod"), tmp_path)
+    assert robot.notes[0].startswith("the joints 'b1_x', 'b1_y', 'b1_z' meet in one point")
+    stated = stated_inertias(at_the_rod)
+    for kind, per_mass in {"m": 1.0, "mx": 0.1, "yy": 0.01, "zz": 0.01}.items():
+        stated[f"{kind}_crank"] += 0.02 * per_mass if link else 0.0
+    q, qd, qdd = rng.uniform(-0.2, 0.2, (3, 20, 1))
+    found, expected = (
+        InverseDynamics(each, "inertial").torques(q, qd, qdd, chi)
+        for each, chi in ((robot, stated_inertias(robot)), (at_the_rod, stated))
     )
     np.testing.assert_allclose(found, expected, atol=1e-9)
 

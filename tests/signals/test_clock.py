@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
+from gtau.signals.preparation.bandwidth import spectra
+from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.reading.statements import PreparationSettings
 from gtau.signals.repair.clock import clock_of
 from gtau.signals.run import Run, read_run
@@ -189,6 +191,21 @@ def test_currents_that_are_held_are_recognised(tmp_path: Path) -> None:
     assert any("commands are held: updated at about 100 Hz" in str(note) for note in run.notes)
     np.testing.assert_allclose(run.command[:-10], currents(time)[:-10], atol=2e-4)
     assert run.valid.all()
+
+
+@pytest.mark.parametrize("hold", [4, 10])
+def test_filters_stay_below_half_the_rate_of_held_signals(hold: int, tmp_path: Path) -> None:
+    """Interpolated samples hold images of the motion above, which are no motion."""
+    time, kept = regular(), np.arange(SAMPLES) // hold * hold
+    fast = motion(time) + 0.01 * np.sin(2 * np.pi * 9 * time)[:, None]
+    run = read_run(write(tmp_path / "h.csv", time, fast[kept], currents(time)[kept]), SIGNALS)
+    assert run.updates == pytest.approx(1000 / hold)
+    for spectrum in spectra(run):
+        assert spectrum.frequency[-1] < 500 / hold
+        assert spectrum.bandwidth < 10
+    cutoff = choose_preparation([run]).cutoff
+    assert cutoff is not None
+    assert cutoff < 500 / hold
 
 
 def test_slow_rounded_motions_and_rests_are_not_stale(tmp_path: Path) -> None:

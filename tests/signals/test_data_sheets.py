@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome
-from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
@@ -77,16 +76,16 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
 
 def test_a_gain_far_off_the_data_sheet_is_contradictory(tmp_path: Path) -> None:
     result = identify(bench(tmp_path, "{gear_ratio: 5, torque_constant: 0.05}"))
-    assert result.drive_gains["arm"].verdict.finding.kind == F.PRIOR_GAIN
+    assert result.drive_gains["arm"].verdict.finding.kind == "prior gain"
 
 
 def test_motors_that_turn_against_their_joints_may_have_negative_gains(tmp_path: Path) -> None:
     """Which are contradictory where nobody expects them."""
     expected = identify(bench(tmp_path, SHEET.replace("50", "-50", 1), gain=-2.1)).drive_gains["arm"]
     assert expected.value == pytest.approx(-2.1, rel=0.01)
-    assert expected.verdict.outcome == Outcome.GOOD
+    assert expected.verdict.outcome == Grade.GOOD
     unexpected = identify(bench(tmp_path, "{rotor_inertia: 2.0e-5}", gain=-2.1)).drive_gains["arm"]
-    assert unexpected.verdict.finding.kind == F.ALL_NEGATIVE
+    assert unexpected.verdict.finding.kind == "all gains negative"
 
 
 @pytest.mark.parametrize(

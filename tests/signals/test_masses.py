@@ -34,6 +34,8 @@ from gtau.signals.reading.masses import masses_in_name
         ("0kg.csv", (0.0,)),
         ("inertia_5kgm2.csv", ()),
         ("loaded_1_5kg.csv", (1.5, 5.0)),
+        ("0.7+0.5kg.csv", (1.2, 0.5)),
+        ("steel_2+plate_1kg.csv", (1.0,)),
         ("1-5kg.csv", (1.5, 5.0)),
         ("load_0_48kg.csv", (0.48, 48.0)),
         ("load_1kg5.csv", (1.5, 1.0)),

@@ -14,7 +14,7 @@ from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.units import si_factor
-from gtau.signals.reading.written_units import read_unit
+from gtau.signals.reading.written_units import read_unit, split_unit
 from gtau.signals.run import read_run
 
 N = 600
@@ -182,3 +182,22 @@ def test_a_written_unit_of_time_is_not_replaced_by_a_likelier_one(tmp_path: Path
     draft = discover([log])
     assert draft.units["time"] == "ms"
     assert "not a plausible sampling rate in ms" in draft.reasons.time
+
+
+@pytest.mark.parametrize(
+    ("name", "rest", "unit"),
+    [
+        ("i_left/mA", "i_left", "mA"),
+        ("q_left / °", "q_left", "deg"),
+        ("t/ms", "t", "ms"),
+        ("tau/(mN m)", "tau", "mN m"),
+        ("q (gon)", "q", "gon"),
+        ("/joint_states/effort/a", "/joint_states/effort/a", ""),
+        ("effort/shoulder", "effort/shoulder", ""),
+        ("i/A", "i/A", ""),  # perhaps joint A: the same without a unit
+    ],
+)
+def test_units_stand_after_a_stroke_as_physicists_label_axes(name: str, rest: str, unit: str) -> None:
+    left, found = split_unit(name)
+    assert left == rest
+    assert (found.text if found else "") == unit

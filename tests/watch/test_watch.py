@@ -224,7 +224,7 @@ def test_no_fault_of_the_signals_is_named_without_one(model: Result, healthy: li
     changed = [log for change in others for log in days_of(model, 100, 1, **change)]
     late = statistics_of(model, replace(day(100), command=np.roll(day(100).command, 10, axis=0)))
     for log in (*healthy, *changed, late):
-        assert signal_faults(model, log, values, log.speed) == ()
+        assert signal_faults(model, log, values, log.speed, np.ones(2)) == ()
 
 
 def test_an_odd_log_is_set_aside_until_the_next_agrees(model: Result, healthy: list[LogStatistics]) -> None:
@@ -391,6 +391,13 @@ def test_histories_are_refused_where_they_do_not_suit(model: Result, healthy: li
         foreign.execute("CREATE TABLE other (x)")
     with pytest.raises(GtauError, match="is not a history of gtau"):
         Watch(model, other)
+    for k, place in enumerate(("logs SET alarm", "events SET details", "settings SET document")):
+        damaged = tmp_path / f"{k}"
+        watched(model, healthy[:2], damaged).reset("2026-01-02")
+        with closing(sqlite3.connect(damaged / "history.db")) as history, history:
+            history.execute(f"UPDATE {place} = ?", ("[" * 100_000,))
+        with pytest.raises(GtauError, match=r"history.db holds a damaged document \(nested too deep\); restore it"):
+            Watch(model, damaged)
 
 
 def test_years_of_blocks_are_condensed(model: Result, tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from gtau.estimation.experiment_runs import options_of
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.excitation.design_file import DesignFile
-from gtau.findings import Outcome
+from gtau.findings import Grade
 from gtau.findings.words import to_width
 from gtau.progress import Progress
 from gtau.signals.reading.logs import read_log
@@ -96,12 +96,12 @@ def identified(path: Path, accuracy: float, progress: Progress) -> Result | Deci
     except GtauError as refusal:
         return Decision(BLOCKED, f"no result: {str(refusal).rstrip('.')}")
     outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
-    if result.believable and Outcome.CONTRADICTORY not in outcomes:
+    if result.believable and Grade.CONTRADICTORY not in outcomes:
         return result
     verdicts = [(joint, gain.verdict) for joint, gain in result.drive_gains.items()]
     verdicts += [(load.name, load.verdict) for load in result.payloads]
     verdicts += [(name, estimate.verdict) for name, estimate in result.parameters.items()]
-    name, worst = max(verdicts, key=lambda pair: list(Outcome).index(pair[1].outcome))
+    name, worst = max(verdicts, key=lambda pair: pair[1].outcome.rank)
     said = ": ".join(filter(None, (f"'{name}' is {worst.outcome.value}", worst.why)))
     return Decision(BLOCKED, said, listed(result), notes=(worst.advice,) if worst.advice else ())
 
@@ -211,7 +211,7 @@ def _cause(result: Result, joint: str) -> tuple[str, ...]:
         verdict = result.drive_gains[joint].verdict
         return tuple(filter(None, (verdict.why, verdict.advice)))
     share = f"{100 * suspect.share:.0f} % of the residual variance"
-    return f"the data speak for {suspect.subject} ({share})", suspect.cause.action
+    return f"the data speak for {suspect.subject} ({share})", suspect.cause.advice
 
 
 def _suspect(result: Result) -> EstimatedEffect | None:

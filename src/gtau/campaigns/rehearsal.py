@@ -104,7 +104,10 @@ def _under_control(
         drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
         rate = max(task.rate, 500.0)
         simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **known}
-        simulate(simulated, out / "logs", lambda _, done, total: progress("rehearsing", done, total))
+        try:
+            simulate(simulated, out / "logs", lambda _, done, total: progress("rehearsing", done, total))
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt from None  # its words are of a folder that goes
         columns = ("t", *(log_column(kind, joint) for kind in "qv" for joint in task.model.actuated))
         log = read_log(out / "logs" / "loaded.csv", columns).arrays()
     errors, torques = {}, {}

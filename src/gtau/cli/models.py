@@ -29,6 +29,7 @@ from gtau.cli.console import (
 from gtau.cli.logs import Commands, Payloads, RobotOfLogs, Sources, experiment_of, is_log, said_if_refused
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError, missing_extra
+from gtau.findings import Grade
 
 if TYPE_CHECKING:
     from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
@@ -126,7 +127,6 @@ def payload(
     if to is not None and out is None:
         raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
-        from gtau.estimation.diagnostics.verdict import Outcome
         from gtau.estimation.results.model_document import payload_documents
         from gtau.estimation.results.model_file import load
         from gtau.report.evidence import settings_of
@@ -144,7 +144,7 @@ def payload(
         with said_if_refused(guessed):
             weighed = weigh(result, experiment, gains=gains.value, progress=progress)
     bodies, notes = _bodies(weighed, frame, file, needed=bool(frame or to))
-    notes += [f"{guess.what}; {guess.action}".removesuffix("; ") for guess in guessed]
+    notes += [f"{guess.what}; {guess.advice}".removesuffix("; ") for guess in guessed]
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)
     if out is not None:
@@ -166,7 +166,7 @@ def payload(
     answer(json_, lambda: document, lambda: weighing_page(result, weighed, gains.value, exact, bodies), written)
     _show_notes([] if json_ else notes)
     doubted = gains == GainChoice.identified and not exact and not result.believable
-    if doubted or Outcome.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
+    if doubted or Grade.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
         raise typer.Exit(3)  # so that a script does not go on with such a mass
 
 

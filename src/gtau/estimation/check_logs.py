@@ -25,7 +25,6 @@ from gtau.estimation.diagnostics.unit_checks import (
     doubtful_payloads,
     units_and_signs,
 )
-from gtau.estimation.diagnostics.verdict import OUTCOMES
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -37,7 +36,7 @@ from gtau.estimation.regression.plausibility import prepare_runs
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import NearestPose, distances_along, nearest_poses
-from gtau.findings import Finding, Grade, Severity
+from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -140,9 +139,9 @@ class ExperimentCheck:
         return f"ExperimentCheck({self.robot.name!r}, {counts})"
 
     @property
-    def worst(self) -> Severity:
+    def worst(self) -> Grade:
         """The grade of the worst finding."""
-        return next(iter(by_severity(self.notes)), Severity.INFORMATION)
+        return next(iter(by_severity(self.notes)), Grade.INFORMATION)
 
 
 @takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER)
@@ -203,11 +202,11 @@ def check(
                 notes.append(geometry.note)
     for_use = [log for log in checked if not log.validation]
     notes += few_rows(for_use)
-    if not any(note.severity == Severity.ERROR for note in notes):
+    if not any(note.severity == Grade.ERROR for note in notes):
         subject, known = replace(subject, runs=[log.run for log in for_use]), {note.kind for note in notes}
         estimator = estimator_for(options, used)
         together = _together(subject, estimator, reduced(subject, estimator, progress, preparation))
-        notes += [note for note in together if note.kind not in OUTCOMES or note.kind not in known]
+        notes += [note for note in together if not note.decisive or note.kind not in known]
     return ExperimentCheck(robot, preparation, tuple(checked), tuple(notes), geometry)
 
 

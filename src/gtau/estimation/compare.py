@@ -12,12 +12,13 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome, worst
+from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.estimator import Gains
 from gtau.estimation.estimators.registry import NAMES, estimator_of
 from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.identify import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
+from gtau.findings import Grade
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import gain_unit
@@ -46,7 +47,7 @@ class MethodRow:
     std: np.ndarray | None = None
     residuals: np.ndarray | None = None
     seconds: float = 0.0
-    outcome: Outcome | None = None
+    outcome: Grade | None = None
     refusal: str = ""
     half_widths: np.ndarray | None = None
 

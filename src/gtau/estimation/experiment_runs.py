@@ -209,7 +209,7 @@ def geometry_of(
     signals = experiment.signals
     if signals.pose is None:
         return None
-    from gtau.estimation.diagnostics.geometry import geometry_test
+    from gtau.estimation.diagnostics.geometry_search import geometry_test
     from gtau.signals.reading.side_signals import read_poses
 
     logged = [read_poses(run.log, signals, experiment.units, run) for run in runs]

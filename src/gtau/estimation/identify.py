@@ -18,9 +18,8 @@ from gtau.estimation.diagnostics.log_checks import (
     smoothed_commands,
 )
 from gtau.estimation.diagnostics.other_columns import angle_of_parallelogram
-from gtau.estimation.diagnostics.other_robots import TOOL_BODIES
 from gtau.estimation.diagnostics.stated_constants import sensor_scales, sensor_verdict, weigh_known
-from gtau.estimation.diagnostics.verdict import Outcome
+from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.experiment_runs import Options, Subject, geometry_of
@@ -29,15 +28,16 @@ from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
 from gtau.estimation.results.friction_curves import friction_step
-from gtau.estimation.results.result import Result
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.estimation.results.result import NO_BODIES, Result
+from gtau.estimation.results.torque_scale import SCALE_UNTESTED
+from gtau.findings import Finding, Grade
+from gtau.findings.words import listed
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Drive, data_sheet_notes
 
 PAPER_RATIO = 10.0  # the paper's r_sigma for the essential parameters
-NO_GAIN = {Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE}
+NO_GAIN = {Grade.CONTRADICTORY, Grade.NOT_IDENTIFIABLE}
 
 
 def identify_subject(subject: Subject, progress: Progress = silent) -> Result:
@@ -58,18 +58,20 @@ def _identified(subject: Subject, estimator: Estimator, dataset: Dataset, system
     *attempts, last = plan(subject, estimator, dataset, system)
     untested: tuple[Finding, ...] = ()
     if last.untested:
-        untested = (Finding(F.SCALE_UNTESTED, (), dataset.robot.tool, {"payloads": list(last.untested)}),)
+        why = f"no joint torque shows the mass of {listed(last.untested, ' or ')} by itself on '{dataset.robot.tool}'"
+        advice = "check 'tool' of the robot, which carries the payload, or state the payload's 'center'"
+        untested = (_untested_scale(why, advice),)
     for attempt in attempts:
         try:
             result = _attempted(attempt, subject, dataset, system, progress)
         except GtauError as refusal:
-            untested = (Finding(F.SCALE_UNTESTED, values={"why": str(refusal).rstrip(".")}),)
+            untested = (_untested_scale(str(refusal).rstrip(".")),)
             continue
         first, *_ = result.drive_gains.values()
         lost = first.verdict.finding
-        if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Outcome.NOT_IDENTIFIABLE}:
+        if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Grade.NOT_IDENTIFIABLE}:
             return result
-        untested = (Finding(F.SCALE_UNTESTED, values={"joint": first.name}, causes=(lost,)),)
+        untested = (_untested_scale(f"that of no joint is identifiable ('{first.name}': {lost.what})"),)
     result = _attempted(last, subject, dataset, system, progress)
     return result.replaced(notes=(*untested, *result.notes))
 
@@ -81,7 +83,7 @@ def _attempted(attempt: Attempt, subject: Subject, dataset: Dataset, system: Sys
     except GtauError:
         require_payload_excitation(system)
         if attempt.gains is None and (angle := angle_of_parallelogram(system, progress)):
-            what, action = angle.sentence
+            what, action = angle.what, angle.advice
             raise GtauError(
                 f"the robot as described gives no drive gains; {what} explains the logs: {action}."
             ) from None
@@ -89,6 +91,16 @@ def _attempted(attempt: Attempt, subject: Subject, dataset: Dataset, system: Sys
     if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
         require_payload_excitation(system)
     return result
+
+
+def _untested_scale(why: str, advice: str = "add runs with a heavier payload of known mass, or longer ones") -> Finding:
+    return Finding(
+        SCALE_UNTESTED,
+        text=f"the torques are assumed to be correct, because their scale could not be tested: {why}",
+        advice=advice,
+        grade=Grade.INFORMATION,
+        shown_as="reading",
+    )
 
 
 def estimate(
@@ -115,7 +127,7 @@ def estimate(
     examined = examine(fit, progress)
     mixes = estimator.name in ("ml", "wls") and not as_paper
     moved = examined.moved(fit) if mixes and estimator.name == "ml" else None
-    if moved and any(sensor_verdict(scale, accuracy).outcome == Outcome.CONTRADICTORY for scale in sensor_scales(fit)):
+    if moved and any(sensor_verdict(scale, accuracy).outcome == Grade.CONTRADICTORY for scale in sensor_scales(fit)):
         moved = None  # what a sensor contradicts, effects would explain in part
     estimates = estimates_of(fit, examined, not as_paper, moved is not None, mixes)
     require_motion(fit, estimates)
@@ -136,13 +148,14 @@ def estimate(
         try:
             bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
         except GtauError as refusal:  # what the data contradict, no bodies may have
-            lost = Finding(F.NO_BODIES, values={"why": str(refusal).rstrip(".")})
+            text = f"physically consistent parameters were not found: {str(refusal).rstrip('.')}"
+            lost = Finding(NO_BODIES, text=text, shown_as="model")
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
-        plain = fit
+        plain, examined = fit, replace(examined, mixed=None)  # which is of all parameters
     findings = diagnose(plain, examined, estimates, payloads, options.gains, accuracy, audit)
     findings += () if lost is None else (lost,)
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)

@@ -36,7 +36,8 @@ STATES = 64  # random poses, which show whether a distance can change
 SAME = 1e-9  # m
 STATE = "limits.shapes"
 TOOL_SPEED = 1.5  # m/s, to which Universal Robots sets new arms; a first motion took a UR5's tool to 3.8 m/s
-# m/s, by a robot's name: Franka states 1.7; those of Kinova and Ufactory are cautious, not checked against manuals
+# m/s, by a word in a robot's name, as manuals state: 1.7 (Franka, limits of its control interface), 0.5 (Kinova, guide
+# of the Gen3: 50 cm/s in Cartesian translation), 1 (Ufactory, user manual of the xArm: up to 1000 mm/s)
 MAKERS = {"panda": 1.7, "gen3": 0.5, "xarm": 1.0}
 
 
@@ -99,7 +100,7 @@ def speed_of_tool(robot: Robot, stated: float | None) -> tuple[float, str]:
     if stated is not None:
         return stated, f"tool: at most {stated:g} m/s, as stated"
     name = robot.name.lower()
-    allowed = next((speed for start, speed in MAKERS.items() if name.startswith(start)), None)
+    allowed = next((speed for word, speed in MAKERS.items() if word in name), None)
     why = "the usual setting of arms beside people" if allowed is None else f"which the maker of '{robot.name}' allows"
     fastest = allowed or TOOL_SPEED
     return fastest, f"tool: at most {fastest:g} m/s, {why}; state limits.tool_speed"
@@ -177,7 +178,7 @@ def _floor(
     if isinstance(floor, str):
         return None, "floor: not checked, as 'limits: {floor: none}' says"
     if floor is not None:
-        return floor, f"floor: {floor:g} m along z of the base, as stated"
+        return floor, f"floor: {floor:zg} m along z of the base, as stated"
     probe = clearance(model.layout, least, {**shapes, FLOOR: [Floor(0.0)]})
     moving = random_motion(model, STATES, np.random.default_rng(0)).c
     pairs = [pair for pair in probe.pairs if FLOOR in pair and np.ptp(probe.nearest(moving, pair).distance) > SAME]
@@ -191,7 +192,7 @@ def _floor(
     down = model.robot.gravity[2] < -0.99 * float(np.linalg.norm(model.robot.gravity)) < 0
     plane = "" if down else ", the plane of its mounting: where the real floor is is unknown"
     lower = " (the resting arm is closer to z = 0 than the clearance)" if height < 0 else ""
-    return height, f"floor: guessed at z = {height:.3g} m of the base{plane}{lower}; {state}"
+    return height, f"floor: guessed at z = {height:z.3g} m of the base{plane}{lower}; {state}"
 
 
 def _above(

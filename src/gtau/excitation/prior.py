@@ -15,7 +15,7 @@ from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import load
 from gtau.estimation.results.result import Result
-from gtau.findings import Outcome
+from gtau.findings import Grade
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
@@ -121,9 +121,9 @@ def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
     gains = []
     for joint in result.robot.actuated:
         gain = result.drive_gains.get(joint)
-        outcome = Outcome.NOT_IDENTIFIABLE if gain is None else gain.verdict.outcome
+        outcome = Grade.NOT_IDENTIFIABLE if gain is None else gain.verdict.outcome
         interval = None if gain is None or gain.value is None else gain.interval() or (gain.value, gain.value)
-        if outcome in (Outcome.CONTRADICTORY, Outcome.NOT_IDENTIFIABLE) or gain is None or interval is None:
+        if outcome in (Grade.CONTRADICTORY, Grade.NOT_IDENTIFIABLE) or gain is None or interval is None:
             raise GtauError(
                 f"the gain of joint '{joint}' in {file} is {outcome.value}, so it cannot be a prior; identify it "
                 "again, or give prior.gains from the data sheets in place of prior.model."

@@ -14,12 +14,12 @@ from unicodedata import normalize
 
 from gtau.documents.files import identifier, in_csv
 from gtau.documents.yaml_document import yaml_text
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_frame, estimates_table
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import wrapped
+from gtau.findings import Grade
 from gtau.model.base_parameters import regrouped
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Mdh, Robot
@@ -73,7 +73,7 @@ def _entry(estimate: Estimate) -> dict[str, object]:
     entry: dict[str, object] = {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
     if (interval := estimate.interval()) is not None:
         entry["interval"] = list(interval)
-    if estimate.verdict.outcome not in (Outcome.GOOD, Outcome.GIVEN):
+    if estimate.verdict.outcome not in (Grade.GOOD, Grade.GIVEN):
         entry["verdict"] = estimate.verdict.outcome.value
     if estimate.regroups:
         entry["regrouping"] = estimate.regroups

@@ -1,38 +1,33 @@
-"""Findings, as data: raised where logs are read and fits are judged, and put into words where a person reads them."""
+"""Findings, as data: raised with their words where logs are read and fits are judged."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from gtau.findings.kind import FindingKind as F
-from gtau.findings.kind import Grade, Severity
-from gtau.findings.words import Sentence, clock_advice, filled, phrase, write_limits
-
-MAY_BE_WRENCHES = {F.SWAPPED, F.REVERSED, F.ALL_NEGATIVE, F.REFUTED, F.UNEXPLAINED}
+from gtau.findings.grade import NOTES, VERDICTS, Grade
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding of a check; as text, a sentence without its full stop.
+    """One finding of a check; as text, a sentence without its full stop. The verdict on an estimate is one too.
 
     Attributes
     ----------
     kind : str
-        What was found: a :class:`FindingKind`, or what a hypothesis names as a cause.
+        What was found.
     joints : tuple of str
         Joints whose gains, delays, drives or columns it is about.
     subject : str
-        Payload, sensor, parameter, body or leg that it is about, where there is one.
+        Payload, sensor, parameter or body that it is about, where there is one.
     values : mapping
-        Numbers, names and switches of the sentence; shares and moves as ratios, SI units. The sentence itself, ``what``
-        and ``action``, where it comes from a file or a refusal.
-    causes : tuple of Finding
-        What explains it; the first counts most, and all have the same effect.
+        Numbers that other code needs.
+    causes : tuple of str
+        Kinds of what explains it, such as the name of an effect; the best first.
     size : float
-        The larger counts of two findings of one kind on a joint. Beside the verdicts, by how many half widths of its
-        95 % interval it may move an estimate, where that is known; the larger stands first.
+        By how many half widths of its 95 % interval it may move an estimate, where that is known; of notes alike the
+        larger stands first.
     source : str
         Name of the run or robot, empty for a finding on all of them.
     time : float, optional
@@ -40,12 +35,12 @@ class Finding:
     share : float, optional
         Share of the samples that it concerns.
     text, advice : str
-        What was found, and what to do about it; empty where the templates have the words. ``{own}`` in the text stands
-        for what differs from joint to joint.
+        What was found, and what to do about it; empty where there is nothing to say. ``{own}`` in the text stands for
+        what differs from joint to joint.
     own : str
         What stands for ``{own}`` in the text of this joint, such as ``+-5.3 %``.
-    grade : Grade, optional
-        How much it matters; None where the kind tells.
+    grade : Grade
+        How much it matters.
     shown_as : str
         What files show as its kind, where several kinds share it; the kind itself otherwise.
     """
@@ -54,7 +49,7 @@ class Finding:
     joints: tuple[str, ...] = ()
     subject: str = ""
     values: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    causes: tuple[Finding, ...] = ()
+    causes: tuple[str, ...] = ()
     size: float = 0.0
     source: str = ""
     time: float | None = None
@@ -62,23 +57,17 @@ class Finding:
     text: str = ""
     advice: str = ""
     own: str = ""
-    grade: Grade | None = None
+    grade: Grade = Grade.WARNING
     shown_as: str = ""
 
     def __str__(self) -> str:
         """Compose the sentence."""
-        what, action = self.sentence
-        return (f"{self.source}: " if self.source else "") + what + (f"; {action}" if action else "")
+        return (f"{self.source}: " if self.source else "") + self.what + (f"; {self.advice}" if self.advice else "")
 
     @property
     def what(self) -> str:
         """What was found; of a cause, its name."""
-        return self.sentence[0]
-
-    @property
-    def action(self) -> str:
-        """What to do about it, empty where there is nothing to do."""
-        return self.sentence[1]
+        return self.text.replace("{own}", self.own)
 
     @property
     def joint(self) -> str:
@@ -88,57 +77,46 @@ class Finding:
     @property
     def topic(self) -> str:
         """What files show as its kind: the same for kinds that matter alike."""
-        if self.text:
-            return self.shown_as or self.kind
-        return F(self.kind).topic
+        return self.shown_as or self.kind
 
     @property
-    def severity(self) -> Severity:
-        """How much it matters."""
-        if self.grade is not None:
-            return Severity(self.grade)
-        return F(self.kind).severity
+    def severity(self) -> Grade:
+        """How much it matters beside other notes: what lowers a verdict is a warning."""
+        return self.grade if self.grade in NOTES else Grade.WARNING
 
     @property
-    def sentence(self) -> Sentence:
-        """What was found and what to do about it, wrenches first where they may be the cause and none of them is."""
-        if self.text:
-            return self.text.replace("{own}", self.own), self.advice
-        if "what" in self.values:
-            return self.values["what"], self.values.get("action", "")
-        first, last = (self.joints[0], self.joints[-1]) if self.joints else ("", "")
-        given: dict[str, Any] = {"also": "", "joint": "", "count": len(self.joints), "payload": True, **self.values}
-        given |= {"joints": self.joints, "time": self.time, "subject": self.subject, "joint": first or given["joint"]}
-        given |= {
-            "other": last,
-            "estimate": f"the gain of '{first}'" if first else self.subject or "estimates",
-            "clock": clock_advice(self.values.get("rate")),
-            "limits": write_limits(self.subject or first),
-        }
-        if self.causes:
-            cause = self.causes[0]
-            cause = replace(cause, values={**cause.values, "payload": given["payload"]})
-            given |= {"cause": named_causes(self.causes), "to_do": cause.action}
-        what, to_do = filled(self.kind, given)
-        if self.values.get("wrenches") and self.kind in MAY_BE_WRENCHES and not any(map(_of_wrench, self.causes)):
-            to_do = f"{phrase('wrenches')}; otherwise {to_do}"
-        return what, to_do
+    def decisive(self) -> bool:
+        """Whether it lowers the verdict on an estimate."""
+        return self.grade in VERDICTS
 
     def of_source(self, source: str) -> Finding:
         """Return the finding with this run or robot as its source; what was its source is a log of that."""
         return replace(self, source=source, text=f"{self.source}: {self.text}" if self.source else self.text)
 
+    # as a verdict on an estimate
 
-def _of_wrench(cause: Finding) -> bool:
-    return cause.kind in ("wrench offsets", "wrench points")
+    @property
+    def outcome(self) -> Grade:
+        """How credible the estimate is."""
+        return self.grade
+
+    @property
+    def why(self) -> str:
+        """The reason, empty where nothing speaks against the estimate."""
+        return self.what
+
+    @property
+    def sentence(self) -> str:
+        """The verdict as one sentence, without its subject."""
+        return self.grade.value + (f": {self.what}; {self.advice}" if self.text else "")
+
+    @property
+    def finding(self) -> Finding | None:
+        """What speaks against the estimate; None where nothing does."""
+        return self if self.text else None
 
 
-def named_causes(causes: Sequence[Finding]) -> str:
-    """Name causes that have the same effect."""
-    return " or ".join(dict.fromkeys(cause.what for cause in causes))
-
-
-def by_severity(findings: Iterable[Finding]) -> dict[Severity, list[Finding]]:
+def by_severity(findings: Iterable[Finding]) -> dict[Grade, list[Finding]]:
     """Group findings by severity, the worst first, each sentence once; no severity without findings.
 
     Within a severity what may move an estimate most stands first, others in their order.
@@ -146,34 +124,37 @@ def by_severity(findings: Iterable[Finding]) -> dict[Severity, list[Finding]]:
     listed: dict[str, Finding] = {}
     for finding in sorted(findings, key=lambda finding: -finding.size):
         listed.setdefault(str(finding), finding)
-    groups = {level: [finding for finding in listed.values() if finding.severity == level] for level in Severity}
-    return {level: members for level, members in groups.items() if members}
+    groups = {grade: [finding for finding in listed.values() if finding.severity == grade] for grade in NOTES}
+    return {grade: members for grade, members in groups.items() if members}
 
 
 def finding_document(finding: Finding) -> dict[str, Any]:
-    """Describe a finding behind a verdict as a JSON document."""
+    """Describe a finding behind a verdict, or a cause, as a JSON document."""
     return {
-        "kind": str(finding.kind),
+        "kind": finding.kind,
         "joints": list(finding.joints),
         "subject": finding.subject,
         "values": dict(finding.values),
-        "causes": [finding_document(cause) for cause in finding.causes],
+        "causes": list(finding.causes),
+        "text": finding.text,
+        "own": finding.own,
+        "advice": finding.advice,
+        "grade": finding.grade.value,
     }
 
 
 def note_document(finding: Finding) -> dict[str, Any]:
     """Describe a finding beside the verdicts as a JSON document, with its sentence."""
-    what, action = finding.sentence
     return {
         "grade": finding.severity.value,
         "kind": finding.topic,
-        "finding": str(finding.kind),
+        "finding": finding.kind,
         "source": finding.source or None,
         "joint": finding.joint or None,
         "time": finding.time,
         "share": finding.share,
-        "what": what,
-        "action": action or None,
+        "what": finding.what,
+        "action": finding.advice or None,
     }
 
 

@@ -1,101 +1,15 @@
-"""Words of findings: the templates of their sentences are data, ``words.yaml``; here is how they are filled in."""
+"""Words of numbers and names in findings."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from datetime import UTC, datetime
-from functools import cache
-from importlib.resources import files
-from math import asin, atan2, ceil, floor, hypot, log10, pi
-from typing import TYPE_CHECKING, Any
+from math import ceil, floor, log10
 
 from gtau.errors import quoted
 
-if TYPE_CHECKING:
-    from jinja2 import Environment
-
 MOST_PERCENT = 1000.0
 """Per cent, above which a size is none: what has it is no estimate, and no error of one."""
-Sentence = tuple[str, str]
-"""Reason and advice, of a cause its name and advice, which is empty where there is nothing to do."""
-
-
-@cache
-def templates() -> dict[str, dict[str, Any]]:
-    """Read the templates: ``verdicts``, ``notes``, ``logs``, ``causes`` and ``watch`` by kind, ``phrases`` by name."""
-    import yaml
-
-    text = files("gtau.findings").joinpath("words.yaml").read_text(encoding="utf-8")
-    read: dict[str, dict[str, Any]] = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-    return read
-
-
-def filled(kind: str, values: Mapping[str, Any]) -> Sentence:
-    """Fill in the sentence of a kind."""
-    what, action = (_environment().get_template(f"{kind}: {part}").render(values) for part in ("what", "action"))
-    return what, action
-
-
-def phrase(name: str) -> str:
-    """Return a phrase without values."""
-    return _environment().get_template(name).render()
-
-
-@cache
-def _environment() -> Environment:
-    from jinja2 import DictLoader, Environment, StrictUndefined
-
-    class Absent(StrictUndefined):
-        """What a finding lacks: false, but never printed."""
-
-        def __bool__(self) -> bool:  # type: ignore[override]
-            return False
-
-    sources = dict(templates()["phrases"])
-    for section in ("verdicts", "notes", "logs", "causes", "watch"):
-        for kind, sentence in templates()[section].items():
-            sources |= {f"{kind}: {part}": sentence.get(part, "") for part in ("what", "action")}
-    environment = Environment(
-        loader=DictLoader(sources),
-        undefined=Absent,
-        autoescape=False,
-        variable_start_string="${",
-        variable_end_string="}",
-        block_start_string="<%",
-        block_end_string="%>",
-        comment_start_string="<#",
-        comment_end_string="#>",
-    )
-    environment.globals["pi"] = pi
-    environment.filters |= {
-        "form": _form,
-        "percent": _percent,
-        "percent_text": percent_text,
-        "plural": lambda number: "s" * (number != 1),
-        "quoted": lambda names, between=", ": between.join(map(quoted, names)),
-        "numbers": lambda numbers, spec, unit=1: ", ".join(f"{unit * number:{spec}}" for number in numbers),
-        "to_width": to_width,
-        "direction": _direction,
-        "rpy": _rpy,
-    }
-    return environment
-
-
-def _direction(gravity: Sequence[float]) -> str:
-    """Name an axis, or write a direction of unit length."""
-    size = hypot(*gravity)
-    unit = [round(component / size, 2) + 0.0 for component in gravity]
-    along = [k for k in range(3) if unit[k]]
-    if len(along) == 1:
-        return f"{'-' if unit[along[0]] < 0 else '+'}{'xyz'[along[0]]}"
-    return "({:.2g}, {:.2g}, {:.2g})".format(*unit)
-
-
-def _rpy(gravity: Sequence[float]) -> str:
-    """Write the roll, pitch and yaw of a base with this gravity."""
-    x, y, z = gravity
-    roll = atan2(-y, -z) if round(hypot(y, z), 3) else 0.0
-    return f"{roll:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
 
 
 def moment(time: float, digits: int = 9) -> str:
@@ -107,21 +21,23 @@ def moment(time: float, digits: int = 9) -> str:
     return f"{datetime.fromtimestamp(time, UTC).isoformat(' ', 'milliseconds')[:-6]} UTC ({time:.3f} s)"
 
 
-def _form(value: float, spec: str) -> str:
-    """Write a number, zero without a sign."""
-    text = format(value, spec)
-    return text if text.strip("-0.") else text.removeprefix("-")
-
-
-def _percent(share: float, spec: str) -> str:
+def percent(share: float, spec: str = ".2g") -> str:
     """Write a share in per cent, or "more than 1000 %" above ten times the whole."""
-    return f"{_form(100 * share, spec)} %" if abs(share) <= MOST_PERCENT / 100 else f"more than {MOST_PERCENT:g} %"
+    if abs(share) > MOST_PERCENT / 100:
+        return f"more than {MOST_PERCENT:g} %"
+    text = format(100 * share, spec)
+    return f"{text if text.strip('+-0.') else text.lstrip('-')} %"
 
 
 def percents(values: Iterable[float]) -> str:
     """Write the range of shares (per cent), one number where they are alike."""
     shown = [f"{value:.2f}" if value <= MOST_PERCENT else f"more than {MOST_PERCENT:g}" for value in sorted(values)]
     return f"{' to '.join(dict.fromkeys((shown[0], shown[-1])))} %"
+
+
+def listed(names: Iterable[str], between: str = " and ") -> str:
+    """Quote names and join them."""
+    return between.join(map(quoted, names))
 
 
 def counted(number: int, noun: str) -> str:

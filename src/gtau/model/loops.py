@@ -245,7 +245,7 @@ def _unreachable(loops: Loops, q: np.ndarray, label: str) -> GtauError:
 
 def pose_words(robot: Robot, q: np.ndarray) -> str:
     """Name the positions ``q`` (n,) of the actuated joints, for a message."""
-    return ", ".join(f"q_{name} = {value:.4g}" for name, value in zip(robot.actuated, q, strict=True))
+    return ", ".join(f"q_{name} = {value:z.4g}" for name, value in zip(robot.actuated, q, strict=True))
 
 
 def differentiate(loops: Loops, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:

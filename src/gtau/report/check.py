@@ -10,7 +10,7 @@ from typing import Any
 from gtau.estimation.check_logs import WEIGHING, ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.results.estimate import write_distances
-from gtau.findings import Finding, Severity
+from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity, note_document
 from gtau.findings.words import counted
 from gtau.report import logs
@@ -109,7 +109,7 @@ def check_page(checked: ExperimentCheck) -> Page:
 
 def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
-    style = {Severity.ERROR: "bad", Severity.WARNING: "weak", Severity.INFORMATION: "good"}[checked.worst]
+    style = {Grade.ERROR: "bad", Grade.WARNING: "weak", Grade.INFORMATION: "good"}[checked.worst]
     time = sum(logs.seconds(log.run) for log in used)
     said = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
     words = Text(expectation(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
@@ -121,9 +121,9 @@ def expectation(notes: Sequence[Finding]) -> str:
     listed = by_severity(same_in_several(notes))
     weighing = any(note.kind == WEIGHING for note in notes)
     command = "gtau payload" if weighing else "gtau identify"
-    if errors := listed.get(Severity.ERROR):
+    if errors := listed.get(Grade.ERROR):
         return f"{command} will refuse these logs: {counted(len(errors), 'error')} to resolve first."
-    if warnings := listed.get(Severity.WARNING):
+    if warnings := listed.get(Grade.WARNING):
         return f"{command} can read these logs; {counted(len(warnings), 'warning')} to look into first."
     return f"{command} can use these logs as they are."
 

@@ -23,7 +23,7 @@ def findings_section(notes: Sequence[Finding], most: int | None = None) -> Secti
 def findings_table(notes: Sequence[Finding], most: int | None = None) -> Table:
     """Tabulate notes, the worst first, at most ``most`` of them."""
     rows = [
-        (grade.value, note.source, _where(note), note.what, note.action)
+        (grade.value, note.source, _where(note), note.what, note.advice)
         for grade, members in by_severity(same_in_several(notes)).items()
         for note in members
     ]
@@ -51,12 +51,12 @@ def same_in_several(notes: Sequence[Finding]) -> list[Finding]:
     """
     alike: dict[tuple[str, str], list[Finding]] = {}
     for note in notes:
-        alike.setdefault((note.what, note.action), []).append(note)
+        alike.setdefault((note.what, note.advice), []).append(note)
     groups: dict[tuple[str, ...], list[Finding]] = {}
     for same in alike.values():
         sources = ", ".join(dict.fromkeys(note.source for note in same if note.source))
         note = replace(same[0], source=sources, time=None) if len(same) > 1 else same[0]
-        groups.setdefault((note.kind, note.joint, note.action), []).append(note)
+        groups.setdefault((note.kind, note.joint, note.advice), []).append(note)
     merged = []
     for group in groups.values():
         of_logs = [note for note in group if note.source]

@@ -6,18 +6,18 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.experiment_runs import ACCURACY
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
+from gtau.findings import Grade
 from gtau.findings.words import percent_text, to_width
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
 
-GOOD_OUTCOMES = (Outcome.GOOD, Outcome.GIVEN)
+GOOD_OUTCOMES = (Grade.GOOD, Grade.GIVEN)
 LEAST = 0.01  # share of a source of the scale that is mentioned
 NOT_SHOWN = 1000.0  # per cent: a larger standard deviation is shown as larger
 
@@ -84,7 +84,7 @@ def reasons_table(result: Result, beside_actions: bool = False) -> Table | None:
         (Column("reason", Kind.SENTENCE), "why"),
     ]
     if not beside_actions:
-        columns.append((Column("action", Kind.SENTENCE), "action"))
+        columns.append((Column("action", Kind.SENTENCE), "advice"))
     listed = table_of(reasons(result), *columns, listed=True)
     return listed if listed.rows else None
 

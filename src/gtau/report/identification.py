@@ -8,13 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import OUTCOMES, Outcome
+from gtau.estimation.diagnostics.stated_constants import SCALED_BY_FILE
+from gtau.estimation.diagnostics.verdict import WIDE_SCALE
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import Result
-from gtau.findings import FindingKind as F
 from gtau.findings import Grade
 from gtau.findings.words import percent_text, percents
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
@@ -46,7 +46,7 @@ def summary_page(result: Result) -> Page:
     """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
     notes = [note for note in findings(result) if note.kind != DRAFT]
     guessed = [note for note in result.notes if note.kind == DRAFT]
-    assumed = tuple("; ".join(filter(None, (note.what, note.action))) for note in guessed)
+    assumed = tuple("; ".join(filter(None, (note.what, note.advice))) for note in guessed)
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
     return page(
@@ -124,10 +124,10 @@ def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section
     """Show the verdict with what to do about it, and the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
-    if outcomes[Outcome.NOT_IDENTIFIABLE] or not result.believable or missed(result):
+    if outcomes[Grade.NOT_IDENTIFIABLE] or not result.believable or missed(result):
         style = "bad"
-    decisive = [str(note) for note in remarks(result) if note.kind in OUTCOMES]
-    decisive += [str(note) for run in runs for note in run.notes if note.grade == Grade.CONTRADICTORY]
+    decisive = [str(note) for note in remarks(result) if note.decisive]
+    decisive += [str(note) for run in runs for note in run.notes if note.decisive]
     head = (headline(result),) if style == "bad" else ()
     said = (*head, *decisive, *actions(result), *next_steps(result, runs))
     words = headline(result) if style == "good" else counts(result)
@@ -143,15 +143,15 @@ def actions(result: Result) -> list[str]:
         return f"{joint} (+-{percent_text(half, accuracy)} %)" if half else joint
 
     listed = reasons(result)
-    return [f"{', '.join(map(named, r.joints))}, {r.outcome.value}: {r.action}" for r in listed]
+    return [f"{', '.join(map(named, r.joints))}, {r.outcome.value}: {r.advice}" for r in listed]
 
 
 def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
     """Say what to do next with a result that is believed."""
     if not result.believable:
         return []
-    against = [gain.verdict.finding for gain in result.drive_gains.values()]
-    if any(finding is not None and finding.kind == F.WIDE_SCALE and "file" in finding.values for finding in against):
+    wide = [joint for joint, gain in result.drive_gains.items() if gain.verdict.kind == WIDE_SCALE]
+    if any(SCALED_BY_FILE in result.scale[joint] for joint in wide):
         first = "Next: log a run with a payload of known mass, which gives the scale better than any file"
     elif not all(gain.verdict.outcome in GOOD_OUTCOMES for gain in result.drive_gains.values()):
         first = "Next: plan a motion that narrows these intervals (gtau excite DESIGN.yaml), and log it"

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from gtau.documents.files import write_table
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
@@ -41,7 +40,7 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
-    noted = [(run.run.name, note, note.grade == Grade.CONTRADICTORY) for run in runs for note in run.notes]
+    noted = [(run.run.name, note, note.decisive) for run in runs for note in run.notes]
     said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
     doubted = any(decisive for *_, decisive in noted)
     verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "bad" if doubted else "neutral")
@@ -185,7 +184,7 @@ def masses_words(payloads: Sequence[PayloadEstimate], given: str) -> str:
         ends, half = mass.interval(), mass.half_interval() or 0.0
         low, high = (to_width(end, half) for end in ends or (0.0, 0.0))
         between = "" if ends is None else f" ({given}95 % interval {low} to {high} kg)"
-        if payload.verdict.outcome == Outcome.CONTRADICTORY:
+        if payload.verdict.outcome == Grade.CONTRADICTORY:
             parts.append(f"the mass of '{name}' contradicts the data{between}: {payload.verdict.sentence}")
         elif ends is not None and ends[0] < 0:
             parts.append(f"the mass of '{name}' cannot be distinguished from zero{between}")

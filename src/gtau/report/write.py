@@ -95,9 +95,8 @@ def stamped(
 
 def versions() -> dict[str, str]:
     """List versions of gtau, Python and the packages that compute."""
-    from gtau import __version__
-
-    packages = {"gtau": __version__, "Python": f"{platform.python_version()}, {platform.system()} {platform.machine()}"}
+    python = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
+    packages = {"gtau": version("gtau"), "Python": python}
     for package in PACKAGES:
         try:
             packages[package] = version(package)

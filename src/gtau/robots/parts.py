@@ -18,7 +18,7 @@ from gtau.documents.validation import some_of, unknown
 from gtau.errors import GtauError
 from gtau.robots.floating import turning
 from gtau.robots.geometry import moved_ends
-from gtau.robots.parameter import lumped, parameter_of, rigid_body
+from gtau.robots.parameter import Parameter, lumped, parameter_of, rigid_body
 from gtau.robots.placement import compose, euler_angles, pose_of, rounded, turn
 from gtau.robots.robot import GROUND, INERTIAL, Attachment, Coupling, Joint, Placement, Pose, Robot
 
@@ -58,7 +58,7 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
     Joints determined from them through couplings are held too.
     """
     positions = _with_coupled(robot, positions)
-    shown = [f"'{name}' at {position:.4g}" for name, position in positions.items()]
+    shown = [f"'{name}' at {position:z.4g}" for name, position in positions.items()]
     note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {some_of(shown, NAMED)}"
     return lock_joints(robot, positions).noted(note)
 
@@ -181,7 +181,7 @@ def without_idle_pins(robot: Robot) -> Robot:
         # the second pin first, so that the first one stays
         for a, b in ((closure.b, closure.a), (closure.a, closure.b)):
             ends.append((a, None if closure.kind == "connect" else b, f"closure {number}"))
-    for ball in filter(None, (_ball(robot, joint) for joint in robot.joints)):
+    for ball in filter(None, (_hinges(robot, joint) for joint in robot.joints)):
         ends.append((Attachment(ball[0].antecedent, ball[0].placement), None, f"ball '{ball[2].name}'"))
     for end, other, place in ends:
         if other is None:
@@ -190,7 +190,7 @@ def without_idle_pins(robot: Robot) -> Robot:
                 continue
             point = near.placement.position
             along = slides[0] if slides else point / max(float(np.linalg.norm(point)), 1e-300)
-            aimed = _aimed(robot, pin, along)
+            aimed = _aimed(_with_ball(robot, pin, along), pin, along)
             if aimed is not robot:
                 return without_idle_pins(aimed)
             apart = [np.cross(direction, pin.axis) for direction in (point, *slides)]
@@ -270,14 +270,49 @@ def _line(pin: Joint, end: Attachment) -> tuple[np.ndarray, np.ndarray]:
     return to_end @ np.array(pin.axis), to_end @ -end.placement.position
 
 
+def _with_ball(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
+    """Make a ball of three hinges, the last one ``pin`` not ``along`` a rod (3,), that meet in one point.
+
+    With links in between, the rod turns about itself all the same, and nothing feels it: their masses then are at the
+    point, on the body that carries the ball, and their inertias and the friction of the hinges are left out.
+    """
+    hinges = _hinges(robot, pin)
+    if hinges is None or _ball(robot, pin) or np.linalg.norm(np.cross(pin.axis, along)) < COAXIAL:
+        return robot
+    first, second, _ = hinges
+    at = {body: Attachment(body) for body in (GROUND, *robot.bodies)}
+    at |= dict.fromkeys((first.name, second.name), Attachment(first.antecedent, first.placement))
+    stated = [(name, value) for name, value in robot.file.inertias if parameter_of(name).body != second.name]
+    masses = {link.name: rigid_body(robot.inertias, link.name).mass for link in (first, second)}
+    stated = [(name, value) for name, value in stated if parameter_of(name).body != first.name]
+    if mass := sum(masses.values()):
+        stated.append((str(Parameter("m", first.name)), mass))
+    links = replace(robot, file=replace(robot.file, inertias=tuple(stated)))
+    made = {link.name: replace(link, parameters="none") for link in (first, second)}
+    made[pin.name] = replace(pin, parameters="inertial")
+    heavy = first.antecedent if mass else ""
+    joints = (made.get(joint.name, _heavy(joint) if joint.name == heavy else joint) for joint in robot.joints)
+    names = listed([joint.name for joint in hinges])
+    note = f"the joints {names} meet in one point and let the link of '{pin.name}' turn about itself: they are a ball"
+    note += f", without friction, and the {mass:.3g} kg of the links between them are at its centre" * (mass > 0)
+    return replace(robot, joints=tuple(joints), file=replace(robot.file, inertias=_inertias(links, at))).noted(note)
+
+
 def _ball(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
     """Find the three pins of a ball, whose links in between are massless, by the last one."""
+    hinges = _hinges(robot, last)
+    massless = hinges is not None and all(joint.parameters == "none" for joint in hinges[:2])
+    return hinges if massless else None
+
+
+def _hinges(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
+    """Find three passive pins, square to each other, that meet in one point and turn one link, by the last one."""
     before = {joint.name: joint for joint in robot.joints}
     middle = before.get(last.antecedent, last)
     ball = (before.get(middle.antecedent, last), middle, last)
     axes = np.array([joint.axis for joint in ball])
     orthogonal = last.placement == middle.placement == Pose() and np.allclose(axes @ axes.T, np.eye(3), atol=COAXIAL)
-    inner = all(joint.parameters == "none" and _pin(robot, Attachment(joint.name)) for joint in ball[:2])
+    inner = all(_pin(robot, Attachment(joint.name)) for joint in ball[:2])
     passive = last.turns and last.name not in robot.driven and last.spring is None
     return ball if orthogonal and inner and passive else None
 
@@ -287,6 +322,7 @@ def _aimed(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
 
     The robot itself where the pin is not the last of a ball, or its axis is along already.
     """
+    pin = robot.joint(pin.name)
     if (ball := _ball(robot, pin)) is None or np.linalg.norm(np.cross(pin.axis, along)) < COAXIAL:
         return robot
     axes = np.array([joint.axis for joint in ball]).T

@@ -33,7 +33,8 @@ class Log:
 
     ``settings`` of the preparation were made by hand, ``notes`` report repairs, ``whole_share`` is the share of
     whole numbers among the joints' commands before they were resampled (None: they were not), ``side`` are the values
-    of side signals by key, and ``window`` (s) is the length of a moving average that had smoothed the commands.
+    of side signals by key, ``window`` (s) is the length of a moving average that had smoothed the commands, and
+    ``updates`` (Hz) is the rate at which held signals change.
     """
 
     paths: tuple[Path, ...] = ()
@@ -44,6 +45,7 @@ class Log:
     whole_share: float | None = None
     side: Mapping[str, SideValues] = field(default_factory=dict)
     window: float | None = None
+    updates: float | None = None
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -162,6 +164,11 @@ class Run:
         """Sampling rate, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
+    @property
+    def updates(self) -> float:
+        """Rate at which all signals change, Hz: lower than the sampling rate where they are held."""
+        return min(self.log.updates or self.rate, self.rate)
+
     def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:
         """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``.
 
@@ -259,7 +266,7 @@ def read_parts(
     samples = replace(samples, channels=channels)
     side, runs = read_side_signals(paths, signals, units, part), []
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
-        checked, valid, whole_share, window = check(piece, notes, settings.clock)
+        checked, valid, whole_share, window, updates = check(piece, notes, settings.clock)
         runs.append(
             Run(
                 (paths[0].name if paths[0].is_dir() else paths[0].stem) + checked.part.label,
@@ -271,7 +278,7 @@ def read_parts(
                 as_payload(payload),
                 valid=valid,
                 channels=channels,
-                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window),
+                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window, updates),
             )
         )
         notes = []

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.friction.law import SHAPES, transmitted
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_values
 from gtau.estimation.regression.dataset import at_rate_of
@@ -21,6 +20,7 @@ from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joi
 from gtau.estimation.regression.rows import Law, instants, stream_torques
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import Result
+from gtau.findings import Grade
 from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
@@ -104,7 +104,7 @@ def joint_torques(
     for torque in torques[:2]:
         for row, joint in zip(torque, model.actuated, strict=True):
             delay = result.delays[joint]
-            if delay.value and delay.verdict.outcome != Outcome.NOT_IDENTIFIABLE:
+            if delay.value and delay.verdict.outcome != Grade.NOT_IDENTIFIABLE:
                 row[:] = np.interp(time + delay.value, time, row)
     torques[2] *= result.gains[:, None]
     return torques

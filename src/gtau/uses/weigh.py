@@ -11,9 +11,8 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.other_robots import other_loads
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
-from gtau.estimation.diagnostics.verdict import verdict_of
+from gtau.estimation.diagnostics.tool_bodies import other_loads
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import fit_by, wls
@@ -143,8 +142,7 @@ def weigh(
             "warm up",
             grade=Grade.CONTRADICTORY,
         )
-        verdict = verdict_of(against)
-        judged = {run.payload.name: verdict for run in chosen if run.payload is not None}
+        judged = {run.payload.name: against for run in chosen if run.payload is not None}
     return tuple(
         replace(payload, weighed=payload.weighed and replace(payload.weighed, by_model=by_model))
         for payload in payload_estimates(system, vector, judged)
@@ -268,13 +266,12 @@ def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], prog
     load = other_loads(fit_by(solve, select_friction(dataset, solve, progress), free_gains=False))
     if load is None:
         return None
-    text, advice = load.cause.sentence
     return Finding(
         "description refuted",
         load.cause.joints,
-        text=f"{text} would explain {100 * load.share:.0f} % of the residual variance",
-        advice=advice,
-        causes=(load.cause,),
+        text=f"{load.subject} would explain {100 * load.share:.0f} % of the residual variance",
+        advice=load.cause.advice,
+        causes=(load.cause.kind,),
         grade=Grade.CONTRADICTORY,
     )
 

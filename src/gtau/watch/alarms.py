@@ -18,7 +18,7 @@ from gtau.estimation.results.result import Result
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.watch.causes import causes_of, contacts_of
 from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, alone, evidence, far_off, mean_of, median
-from gtau.watch.history import Alarm, Explained, History, Logs, WatchSettings
+from gtau.watch.history import Alarm, Cause, History, Logs, WatchSettings
 from gtau.watch.quantities import Quantity, identified
 from gtau.watch.signal_faults import SIGNAL_FAULTS, signal_faults
 from gtau.watch.statistics import RESIDUAL, LogStatistics
@@ -198,14 +198,14 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
         x = np.abs(view.counted - view.reference)[:, far]
         last = [*_last(x, ~(x > view.tolerance[far]).any(axis=1)), view.there[-1]]
         alarm = _alarm("tolerance", model, view, log, np.flatnonzero(far), int(last[0]))
-        causes = alarm.explanations  # where none fits, it may be the motion
-        if any(_is_beyond(view, cause, far) for cause in causes) or (not causes and beyond(view, start, 2.0).any()):
+        parts = [part for cause in alarm.explanations for part in cause.parts]  # where none fits, it may be the motion
+        if any(_is_beyond(view, part, far) for part in parts) or (not parts and beyond(view, start, 2.0).any()):
             return alarm
     return _alarm("change", model, view, log, changed, start) if len(changed) else None
 
 
-def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
-    """Return whether a cause, or that beside it, is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
+def _is_beyond(view: View, cause: Cause, far: np.ndarray) -> bool:
+    """Return whether a cause is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
     if cause.kind in ("rate", *SIGNAL_FAULTS):
         return True  # it makes the others wrong
     kind = "friction" if cause.quantity in PLAIN_FRICTION else cause.quantity
@@ -213,8 +213,7 @@ def _is_beyond(view: View, cause: Explained, far: np.ndarray) -> bool:
     if cause.kind == "warming":
         size -= max((abs(before) for before in view.warmings if before * cause.size > 0), default=0.0)
     concerned = [cause.joint in ("", quantity.joint) for quantity in view.quantities] & view.of_kind(kind)
-    second = cause.and_also is not None and _is_beyond(view, cause.and_also, far)
-    return second or bool((concerned & far & (size > view.tolerance)).any())
+    return bool((concerned & far & (size > view.tolerance)).any())
 
 
 def evidence_of(view: View) -> ChangeEvidence:
@@ -249,13 +248,14 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     changed = mean_of(x[after])
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
     of_charts = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
-    causes = signal_faults(model, log, of_charts, mean_of(logs.speeds[before]))
+    uneven = np.nanmax(logs.uneven[before], axis=0, initial=1.0)
+    causes = signal_faults(model, log, of_charts, mean_of(logs.speeds[before]), uneven)
     if not causes and not view.of_kind(RESIDUAL)[columns].all():
         rated = view.settings.tolerances.rated_payload or RATED
         causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, 2 * rated)
     return Alarm(
         kind=kind,  # type: ignore[arg-type]  # pydantic checks it
-        explanations=causes or contacts_of(log, np.nanmax(logs.uneven[before], axis=0, initial=1.0)),
+        explanations=causes or contacts_of(log, uneven),
         since=logs.names[start],
         date=logs.dates[start],
         charts=tuple(view.names[k] for k in columns),

@@ -15,19 +15,20 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 from scipy.stats import t as student
 
 from gtau.estimation.results.result import Result
+from gtau.findings.words import to_width
 from gtau.watch.detectors import FEWEST, mean_of
-from gtau.watch.history import Explained
-from gtau.watch.quantities import Quantity, identified
-from gtau.watch.statistics import RESIDUAL, LogStatistics
+from gtau.watch.history import Cause
+from gtau.watch.quantities import SHOWN, Quantity, identified
+from gtau.watch.statistics import RESIDUAL, UNEVEN, LogStatistics, unevenness
 
 CLOSE = 9.2  # 2 log(100): of two explanations one is a hundred times as likely
 PER_PARAMETER = 2.0  # minimum improvement of the misfit per additional parameter, by Akaike's criterion
-UNEVEN = 2.0  # times as uneven as any healthy log: intermittent forces, such as contacts
 CERTAIN = 3.0  # standard deviations from zero of the parameter stated first: mass, Coulomb friction
 EXPLAINED = 0.5  # minimum explained share of the squared change
 POOR = 3.0  # misfit per chart of one cause, above which two are tried
@@ -39,13 +40,26 @@ STOPPED = -1.1  # least change of friction, of itself: it cannot fall by more th
 LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
 
+COMMON = {"gain": "drive gain of all drives", "clock": "lag of all currents", "warming": "friction of all joints"}
+"""Names of changes of all joints at once."""
+ADVICE = {
+    "load": "compare the mounted load with the payload set in the controller, and weigh it by 'gtau payload'",
+    "gain": "check motor, belt and gear, then identify the robot again",
+    "friction": "check temperature, lubrication, brake and gear",
+    "warming": "check the temperature of robot and hall",
+    "zero": "check the encoder's zero against its mark, and the coupling",
+    "delay": "check the current logging and its filters",
+    "clock": "check the time stamps of the log",
+    "rate": "check the sampling rate and the time stamps of the log",
+    "units": "check units, signs and order of the columns of the log",
+}
 Hypothesis = tuple[str, str, np.ndarray]
 """A kind of change, its joint, and combinations (p, c) of the quantities; those may be stated that have charts."""
 
 
 def causes_of(
     model: Result, log: LogStatistics, before: np.ndarray, after: np.ndarray, healthy: np.ndarray, heaviest: float
-) -> tuple[Explained, ...]:
+) -> tuple[Cause, ...]:
     """Find the causes that fit a change and cannot be distinguished, the best one first.
 
     Charts (logs, k) ``after`` it are compared with ``healthy`` (k,), and those ``before`` it scatter. The motion of the
@@ -63,28 +77,29 @@ def causes_of(
     change = np.linalg.solve(L, mean_of(after[:, rows]) - healthy[rows])
     response = np.linalg.solve(L, log.response[rows])
 
-    def fit(*several: Hypothesis) -> Explained | None:
-        """Fit one hypothesis or two at once; None where one is not plausible."""
+    def fit(*several: Hypothesis) -> list[tuple[float, Cause]]:
+        """Fit one hypothesis or two at once, with the misfit; none where one is not plausible."""
         ends = np.cumsum([columns.shape[1] for *_, columns in several])[:-1]
         sizes, halves, misfit = _fit(change, response @ np.hstack([columns for *_, columns in several]), len(complete))
         parts = zip(several, np.split(sizes, ends), np.split(halves, ends), strict=True)
-        first, *second = [_stated(model, log, heaviest, misfit, *part) for part in parts]
-        if first is None or None in second:
-            return None
-        return first.model_copy(update={"and_also": second[0]}) if second else first
+        causes = [cause for part in parts if (cause := _stated(model, log, heaviest, *part))]
+        if len(causes) < len(several):
+            return []
+        return [(misfit, causes[0].model_copy(update={"and_also": causes[1] if causes[1:] else None}))]
 
     hypotheses = list(_hypotheses(model, log.quantities))
-    fits = [cause for hypothesis in hypotheses if (cause := fit(hypothesis))]
+    fits = [found for hypothesis in hypotheses for found in fit(hypothesis)]
     squares = float(change @ change)
-    single = min((cause.misfit for cause in fits), default=squares)
+    single = min((misfit for misfit, _ in fits), default=squares)
     if single > POOR * len(rows):
-        pairs = [fit(*pair) for pair in combinations(hypotheses, 2)]
-        fits = [cause for cause in pairs if cause and cause.misfit < SECOND * single] or fits
-    fits.sort(key=lambda cause: cause.misfit)
-    if not fits or fits[0].misfit - PER_PARAMETER > (1 - EXPLAINED) * squares:
+        pairs = [found for pair in combinations(hypotheses, 2) for found in fit(*pair)]
+        fits = [found for found in pairs if found[0] < SECOND * single] or fits
+    fits.sort(key=itemgetter(0))
+    best = fits[0][0] if fits else np.inf
+    if best - PER_PARAMETER > (1 - EXPLAINED) * squares:
         return ()
-    scale = max(1.0, fits[0].misfit / max(len(rows) - 1, 1))  # large changes are not exactly linear
-    return tuple(cause for cause in fits if cause.misfit - fits[0].misfit < CLOSE * scale)
+    scale = max(1.0, best / max(len(rows) - 1, 1))  # large changes are not exactly linear
+    return tuple(cause for misfit, cause in fits if misfit - best < CLOSE * scale)
 
 
 def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarray, float]:
@@ -103,11 +118,10 @@ def _stated(
     model: Result,
     log: LogStatistics,
     heaviest: float,
-    misfit: float,
     hypothesis: Hypothesis,
     sizes: np.ndarray,
     halves: np.ndarray,
-) -> Explained | None:
+) -> Cause | None:
     """State the parameter of a hypothesis whose interval does not hold 0: the first, unless only another is certain."""
     kind, joint, columns = hypothesis
     quantities = [log.quantities[k] for k in np.argmax(np.abs(columns), axis=0)]
@@ -127,18 +141,31 @@ def _stated(
     known = identified(model, quantity.name) if kind == "friction" else 1.0 if kind == "warming" else 0.0
     least, most = LARGEST.get(quantity.kind, (-np.inf, np.inf))
     if kind == "load":
-        least, most = (-log.payload if quantity.kind == "m" else -heaviest * REACH) - half, heaviest
+        load = log.run.payload
+        carried = 0.0 if load is None else load.mass or model.payload(load.name)["m"]
+        least, most = (-carried if quantity.kind == "m" else -heaviest * REACH) - half, heaviest
     if not least <= size <= most or (known and size / known < STOPPED):
         return None
-    return Explained(
+    unit = "1" if kind in ("warming", "units") else quantity.unit
+    relative = size / known if known and joint else None
+    if kind == "units":
+        text = f"scale of the current of {joint or 'all drives'} {size:.3g} times"
+    else:
+        title = quantity.title if joint else COMMON.get(kind, quantity.title)
+        shown, factor = SHOWN.get(unit, (unit, 1.0))
+        value, width = to_width(factor * size, factor * half), to_width(factor * half, factor * half)
+        text = f"{title} {'+' * (size > 0)}{value} ± {width} {shown}"
+        text += "" if relative is None else f", {100 * relative:+.0f} % of the model's"
+    return Cause(
         kind=kind,
         joint=joint,
         quantity=quantity.kind,
         size=size,
         half=half,
-        unit="1" if kind in ("warming", "units") else quantity.unit,
-        relative=size / known if known and joint else None,
-        misfit=misfit,
+        unit=unit,
+        relative=relative,
+        text=text,
+        advice=ADVICE[kind],
     )
 
 
@@ -157,16 +184,16 @@ def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hyp
         yield "warming", "", np.array(friction)[:, None]
 
 
-def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Explained, ...]:
+def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
     """Suspect a contact where the residual of a joint is far more uneven along the log than it ever was."""
-    ratio = log.uneven / np.maximum(uneven, 1.0)
+    ratio = unevenness(log, uneven)
     j = int(np.argmax(ratio))
     if ratio[j] < UNEVEN:
         return ()
     joint = [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
-    return (
-        Explained(kind="contact", joint=joint, quantity=RESIDUAL, size=float(ratio[j]), half=0, unit="1", misfit=0),
-    )
+    text = f"contact of {joint} (residual {ratio[j]:.3g} times less even than in any healthy log)"
+    advice = "check for cables and obstacles that touch the robot, and run the motion again"
+    return (Cause(kind="contact", joint=joint, size=float(ratio[j]), text=text, advice=advice),)
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import AliasChoices, Field, FiniteFloat
 
+from gtau.documents.files import json_in
 from gtau.documents.validation import Keys, Positive, read_group
 from gtau.errors import GtauError
 from gtau.signals.reading.statements import Tolerances
@@ -64,18 +65,32 @@ class WatchSettings(Keys):
         return max(self.robots * self.logs_per_year / self.false_alarms_per_year, 1.0)
 
 
-class Explained(Keys):
-    """One cause of an alarm: size with the half width of its 95 % interval, and its unit; ``and_also`` a second one."""
+class Cause(Keys):
+    """One cause of an alarm in numbers and words; ``and_also`` is a second one beside it.
+
+    The ``size`` of the change of a ``quantity`` has a 95 % interval of ± ``half``, and ``relative`` is its share of the
+    model's value. ``text`` names the cause and ``advice`` says what to do, without full stops.
+    """
 
     kind: str
     joint: str
-    quantity: str
+    quantity: str = "rms"
     size: FiniteFloat
-    half: FiniteFloat
-    unit: str
+    half: FiniteFloat = 0.0
+    unit: str = "1"
     relative: FiniteFloat | None = None
-    misfit: FiniteFloat
-    and_also: Explained | None = None
+    text: str
+    advice: str
+    and_also: Cause | None = None
+
+    @property
+    def parts(self) -> tuple[Cause, ...]:
+        """The cause, and the one beside it."""
+        return (self,) if self.and_also is None else (self, self.and_also)
+
+    def __str__(self) -> str:
+        """Name the cause, or two at once."""
+        return " and ".join(part.text for part in self.parts)
 
 
 class Alarm(Keys):
@@ -86,7 +101,7 @@ class Alarm(Keys):
     """
 
     kind: Literal["change", "tolerance", "log"]
-    explanations: tuple[Explained, ...]
+    explanations: tuple[Cause, ...]
     since: str
     date: str
     charts: tuple[str, ...]
@@ -152,7 +167,7 @@ class History:
                     f"{self.path} is not a history of gtau; restore it from a backup, or give another --out."
                 )
             self._database.executescript("PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL")
-            document = json.loads(self._one("SELECT document FROM settings"))
+            document = self._document(self._one("SELECT document FROM settings"))
             self.settings = read_group(WatchSettings, str(self.path), document)
 
     def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
@@ -181,6 +196,17 @@ class History:
             self._database.execute("BEGIN IMMEDIATE")
             yield
 
+    def _document(self, text: str) -> Any:
+        """Read JSON of the history; raises GtauError."""
+        try:
+            return json_in(text)
+        except ValueError as error:
+            raise GtauError(f"{self.path} holds a damaged document ({error}); restore it from a backup.") from None
+
+    def _alarm(self, text: str | None) -> Alarm | None:
+        """Read an alarm, None without a text; raises GtauError."""
+        return read_group(Alarm, str(self.path), self._document(text)) if text else None
+
     def _one(self, query: str, *values: Any) -> Any:
         """Read the first value of the first row, None where there is none."""
         return (self._database.execute(query, values).fetchone() or (None,))[0]
@@ -208,13 +234,12 @@ class History:
     def events(self) -> list[Event]:
         """What was done, the oldest first."""
         columns = "SELECT id, date, kind, subject, note, undone, details FROM events ORDER BY id"
-        return [Event(*(*event[:6], json.loads(event[6]))) for event in self._database.execute(columns)]
+        return [Event(*(*event[:6], self._document(event[6]))) for event in self._database.execute(columns)]
 
     @property
     def alarm(self) -> Alarm | None:
         """The state after the log that was added last."""
-        text = self._one("SELECT alarm FROM logs ORDER BY id DESC LIMIT 1")
-        return Alarm.model_validate_json(text) if text else None
+        return self._alarm(self._one("SELECT alarm FROM logs ORDER BY id DESC LIMIT 1"))
 
     @alarm.setter
     def alarm(self, alarm: Alarm | None) -> None:
@@ -243,7 +268,7 @@ class History:
     def undo(self, event: Event) -> None:
         """Mark an event as undone, and go back to the alarm before it."""
         self._database.execute("UPDATE events SET undone = 1 WHERE id = ?", (event.id,))
-        self.alarm = Alarm.model_validate_json(event.details["alarm"]) if event.details["alarm"] else None
+        self.alarm = self._alarm(event.details["alarm"])
 
     def condense(self) -> None:
         """Condense logs beyond the last ``KEPT`` to one row a day, whenever there are more by ``SLACK``."""

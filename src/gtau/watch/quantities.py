@@ -48,6 +48,20 @@ FEWEST_ROWS = 50  # of a joint in a log, as in an identification
 STATES = 50  # at random, at which the zero of a joint moves some torque, or none does
 UNSEEN = 1e-6  # of the largest torque, per degree: 0 of the vertical axes of three arms, 6e-8 with a rounded pi/2 in
 # the file; 4e-5 and more of all other axes, least of the last one of a UR10e
+TITLES = {
+    **{f"m{axis}": f"load (first moment {axis})" for axis in "xyz"},
+    "gain": "drive gain",
+    "fs": "Coulomb friction",
+    "fv": "viscous friction",
+    "friction": "friction",
+    "zero": "encoder zero",
+    "delay": "lag of the current",
+    "rate": "rate of the clock",
+    "rms": "residual",
+}
+"""Names of kinds that people read; all others are of the load."""
+SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}
+"""Units that people read as others, and the factors to them."""
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 
 
@@ -67,6 +81,11 @@ class Quantity:
     def name(self) -> Parameter:
         """Name in tables and files, such as ``gain_elbow``."""
         return Parameter(self.kind, self.joint or "load")
+
+    @property
+    def title(self) -> str:
+        """Name that people read, such as ``drive gain of elbow``."""
+        return TITLES.get(self.kind, "load") + (f" of {self.joint}" if self.joint else "")
 
     @property
     def charted(self) -> bool:
@@ -114,7 +133,7 @@ def normal_equations(
     Return those of each joint in each block that the jackknife leaves out (blocks, n, p + 1, p + 1), whose rows are
     divided by the model's own residual; the number of rows (blocks, n) behind them; and the mean absolute velocity (n,)
     of each joint in its rows. Raises GtauError. ``parts`` of the rows (K,) are listed if
-    asked for: their joint, block, position, direction, and the rows ``[columns | y]`` (K, p + 1) themselves.
+    asked for: their joint, position, direction, and the rows ``[columns | y]`` (K, p + 1) themselves.
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     if model.robot.floating:
@@ -156,7 +175,7 @@ def normal_equations(
             q, qd = (states[idm.layout.actuated[j], kept] for states in (part.motion.c, part.motion.yd))
             way[j] += float(np.sum(np.abs(qd)))
             if parts is not None:
-                parts.append((np.full(len(q), j), block, q, np.sign(qd), A[j, kept] / sigma[j]))
+                parts.append((np.full(len(q), j), q, np.sign(qd), A[j, kept] / sigma[j]))
     count = rows.sum(axis=0)
     if not (count >= FEWEST_ROWS).any():
         raise GtauError(

@@ -2,8 +2,9 @@
 
 None of them is a change of the quantities: all of these, free at every joint, leave a residual beyond that of healthy
 logs. A fault is named where it leaves far less: the log with two columns exchanged back, or the residual of one joint
-without a function of its position. The function is fitted without the block that it is judged in, so that only what
-recurs at a position counts. An encoder is frozen where it stands in such a log, and moved in those before.
+without a function of its position, by the mixed model of :mod:`gtau.estimation.effects`. A residual that is as uneven
+along the log as that of a contact is no function of the position. An encoder is frozen where it stands in such a log,
+and moved in those before.
 """
 
 from __future__ import annotations
@@ -15,30 +16,35 @@ from itertools import combinations, product
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.factors import add_products
-from gtau.estimation.regression.run_blocks import BLOCKS
+from gtau.estimation.effects.knots import hats
+from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
-from gtau.watch.history import Explained
+from gtau.watch.history import Cause
 from gtau.watch.quantities import normal_equations
-from gtau.watch.statistics import RESIDUAL, LogStatistics, inverse_of, residuals_of
+from gtau.watch.statistics import RESIDUAL, UNEVEN, LogStatistics, residuals_of, unevenness
 
 SIGNAL_FAULTS = ("frozen", "exchanged", "rub", "ripple")
 FEW_VALUES = 8  # positions of a frozen encoder; a joint of 4096 steps a turn takes more within a degree
 STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command's scatter elsewhere meanwhile: of
 # joints at rest in healthy logs of a UR10e, 8 of 30 exceed both, but all quantities leave nothing there
 GROWN = 2.0  # times the squares of healthy logs, left at a joint: 1.8 at most of 14 healthy logs of two measured arms
-LEFT = 0.5  # of what all quantities leave beyond healthy logs: up to 0.30 by the right fault of a five-bar, 0.27 of a
-# UR10e (two others 0.56 and 0.93, unnamed), put into healthy logs; 1.2 and more by another kind, a contact or a lag
-NODES, SMOOTH = 61, 0.1  # of a piecewise linear function over a joint's range, and the weight of its steps, in rows
+LEFT = 0.5  # of what all quantities leave beyond healthy logs: 0.04 at most by the right fault put into healthy logs of
+# a five-bar, a UR10e and an xMate 7 Pro (4 faults, 21, 21), 11 and more by those put to logs with lags of 20 and 40 ms
+NODES = 61  # of a piecewise linear function over a joint's range
+STEPS = np.tri(NODES) / np.sqrt(NODES)  # its steps from node to node are what is random
+LARGEST = 50.0  # times the residual of the model: standard deviation of the function before the data
 EXTREMES = (0.02, 0.98)  # quantiles of it along the log, between which its size is stated
 
 
-def signal_faults(model: Result, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray) -> tuple[Explained, ...]:
-    """Name the fault of a log by its samples, given ``healthy`` charts (k,) and mean velocities ``speed`` (n,)."""
-    if log.run is None:
-        return ()
+def signal_faults(
+    model: Result, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
+) -> tuple[Cause, ...]:
+    """Name the fault of a log by its samples.
+
+    Before the log there were ``healthy`` charts (k,), mean velocities ``speed`` (n,) and ``uneven`` residuals (n,).
+    """
     run, parts = log.run.ordered(model.idm.actuated, link_side=False), list[tuple[np.ndarray, ...]]()
     friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
     usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
@@ -49,14 +55,14 @@ def signal_faults(model: Result, log: LogStatistics, healthy: np.ndarray, speed:
     if frozen := tuple(_frozen(run, speed)):
         return frozen
     limit = LEFT * float(np.maximum(every - usual, 0.0)[seen].sum())
-    faults = (*_exchanged(model, run, friction, grown), *_of_position(model, run, parts, friction, single, grown))
+    faults = [
+        _of_position(model, run, parts, friction, single, j)
+        for j in np.flatnonzero(grown & (unevenness(log, uneven) < UNEVEN)).tolist()
+    ]
+    faults += _exchanged(model, run, friction, grown)
     misfits = [float(np.maximum(left - usual, 0.0)[seen].sum()) for _, left in faults]
     best = int(np.argmin([*misfits, limit]))
     return (faults[best][0],) if best < len(faults) else ()
-
-
-def _named(kind: str, joint: str, size: float, unit: str = "1", quantity: str = RESIDUAL) -> Explained:
-    return Explained(kind=kind, joint=joint, quantity=quantity, size=size, half=0, unit=unit, misfit=0)
 
 
 def _left(model: Result, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]) -> list[np.ndarray]:
@@ -65,7 +71,7 @@ def _left(model: Result, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *
     return [np.exp(2 * residuals_of(G, rows, columns, np.ones(len(G), dtype=bool))[0]) for columns in free]
 
 
-def _frozen(run: Run, speed: np.ndarray) -> Iterator[Explained]:
+def _frozen(run: Run, speed: np.ndarray) -> Iterator[Cause]:
     """Find joints that moved in earlier logs, and whose position takes few values or stays while the command does not.
 
     Their size is the share of the log with one position.
@@ -76,12 +82,12 @@ def _frozen(run: Run, speed: np.ndarray) -> Iterator[Explained]:
         still = np.repeat(np.arange(len(begins)) == np.argmax(lengths), lengths)
         share = float(still.mean())
         if len(np.unique(q)) < FEW_VALUES or (STILL < share < 1 and v[still].std() > LIVELY * v[~still].std()):
-            yield _named("frozen", joint, share)
+            text = f"frozen encoder of {joint} (one position in {100 * share:.0f} % of the log)"
+            advice = "check the encoder, its cable and the column of its position"
+            yield Cause(kind="frozen", joint=joint, size=share, text=text, advice=advice)
 
 
-def _exchanged(
-    model: Result, run: Run, friction: list[int], grown: np.ndarray
-) -> Iterator[tuple[Explained, np.ndarray]]:
+def _exchanged(model: Result, run: Run, friction: list[int], grown: np.ndarray) -> Iterator[tuple[Cause, np.ndarray]]:
     """Exchange columns of two joints back, and compute what is left (n,) then."""
     for pair, column in product(combinations(np.flatnonzero(grown), 2), ("position", "command")):
         values = getattr(run, column).copy()
@@ -90,37 +96,35 @@ def _exchanged(
             (left,) = _left(model, replace(run, **{column: values}), None, friction)
         except GtauError:  # the loops do not close there
             continue
-        quantity = run.kind if column == "command" else column
-        yield _named("exchanged", " and ".join(run.joints[j] for j in pair), 1.0, quantity=quantity), left
+        joints = " and ".join(run.joints[j] for j in pair)
+        text = f"{run.kind if column == 'command' else column}s of {joints} exchanged"
+        advice = "check the order of the columns of the log"
+        yield Cause(kind="exchanged", joint=joints, size=1.0, text=text, advice=advice), left
 
 
 def _of_position(
-    model: Result,
-    run: Run,
-    parts: list[tuple[np.ndarray, ...]],
-    friction: list[int],
-    single: np.ndarray,
-    grown: np.ndarray,
-) -> Iterator[tuple[Explained, np.ndarray]]:
-    """Fit friction and a function of the position, against the motion (a rub) or not; compute what is left (n,) then.
+    model: Result, run: Run, parts: list[tuple[np.ndarray, ...]], friction: list[int], single: np.ndarray, joint: int
+) -> tuple[Cause, np.ndarray]:
+    """Fit two functions of the position of a joint, one of them against its motion, and compute what is left (n,) then.
 
-    Steps between its nodes are weighed, so that places of few rows follow their neighbours.
+    The one without which more likelihood is lost is the cause: friction that differs along the range, or a torque.
     """
     joints, *rows = (np.concatenate(part) for part in zip(*parts, strict=True))
-    steps = np.diff(np.eye(NODES), axis=0)
-    rms = {error.joint: error.rms for error in model.residuals}
-    for j in np.flatnonzero(grown):
-        joint = run.joints[j]
-        block, q, direction, table = (part[joints == j] for part in rows)
-        at = (q - q.min()) / max(np.ptp(q), 1e-12) * (NODES - 1)
-        hats = np.maximum(0.0, 1.0 - np.abs(at[:, None] - np.arange(NODES)))
-        for kind, sign in (("rub", direction), ("ripple", np.ones_like(q))):
-            A = np.hstack([sign[:, None] * hats, table[:, [*friction, -1]]])
-            G = np.zeros((BLOCKS, A.shape[1], A.shape[1]))
-            add_products(G, A, block)
-            total, left = G.sum(axis=0), single.copy()
-            total[:NODES, :NODES] += SMOOTH * steps.T @ steps
-            fits = [np.append(-inverse_of(S[:-1, :-1]) @ S[:-1, -1], 1.0) for S in (*(total - G), total)]
-            left[j] = np.einsum("sp,spq,sq->", fits[:-1], G, fits[:-1]) / len(q)
-            size = float(np.ptp(np.quantile(hats @ fits[-1][:NODES], EXTREMES)) * (rms.get(joint) or 1.0))
-            yield _named(kind, joint, size, torque_unit(model.robot, joint)), left
+    q, direction, table = (part[joints == joint] for part in rows)
+    shape = hats(q[:, None], np.linspace([q.min()], [q.max()], NODES))[:, 0].T @ STEPS
+    columns = np.hstack([direction[:, None] * shape, shape, table[:, [*friction, -1]]])
+    products = (lag_products(columns, np.arange(len(columns)) == 0),)
+    free, own = np.zeros((len(friction) + 1, len(friction) + 1)), np.repeat([0, 1], NODES)
+    fit = fit_mixed(MixedModel(products, free, own, np.zeros(0, dtype=int), np.full(2, LARGEST)))
+    k = int(np.argmax([fit.lost_without([0]), fit.lost_without([1])]))
+    left, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own[0][own == k])
+    left[joint] = np.mean((columns @ fit.model.coefficients(fit.sizes, fit.at, 0)) ** 2)
+    name, rms = run.joints[joint], {error.joint: error.rms for error in model.residuals}
+    unit, size = torque_unit(model.robot, name), float(np.ptp(np.quantile(function, EXTREMES)) * (rms.get(name) or 1.0))
+    if k == 0:
+        kind, text = "rub", f"rub of {name} (friction that differs by {size:.2g} {unit} along its range)"
+        advice = "check bearings, seals, covers and cables of the joint"
+    else:
+        kind, text = "ripple", f"ripple of {name} (torque that differs by {size:.2g} {unit} with its position)"
+        advice = "check gear and bearings of the joint, and cables or springs that pull at it"
+    return Cause(kind=kind, joint=name, size=size, unit=unit, text=text, advice=advice), left

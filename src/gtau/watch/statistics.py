@@ -25,6 +25,7 @@ SPANNED = 1e-6  # of the square of a column: a smaller residual is linear depend
 SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
 LARGEST_ZERO = 1.0  # deg or mm: an encoder zero with a larger standard deviation is not observable
 RESIDUAL = "rms"  # kind of the residual's charts
+UNEVEN = 2.0  # times as uneven as any healthy log: intermittent forces, such as contacts
 inverse_of = partial(np.linalg.pinv, rcond=1e-10, hermitian=True)  # directions without any effect are left out
 
 
@@ -37,8 +38,7 @@ class LogStatistics:
     jackknife, 0 for these. ``response`` (k, p) is the change of each chart per unit of each of the ``quantities``, all
     columns; ``formula`` (k, k) the covariance for independent residuals of unit variance, which has the full rank that
     the jackknife lacks. ``uneven`` (n,) is the largest rms residual of a block over the median one, of each joint:
-    contacts are brief. ``speed`` (n,) is the mean absolute velocity, ``payload`` the mass that the log is stated to
-    carry, kg. The ``run`` itself is there where a fault of its signals can be sought.
+    contacts are brief. ``speed`` (n,) is the mean absolute velocity, and the ``run`` is the log itself.
     """
 
     name: str
@@ -50,8 +50,7 @@ class LogStatistics:
     formula: np.ndarray
     uneven: np.ndarray
     speed: np.ndarray
-    payload: float = 0.0
-    run: Run | None = None
+    run: Run
 
     @property
     def std(self) -> np.ndarray:
@@ -62,6 +61,11 @@ class LogStatistics:
     def shown(self) -> np.ndarray:
         """Mask (k,) of the charts that are observable in this motion."""
         return np.isfinite(self.values)
+
+
+def unevenness(log: LogStatistics, healthy: np.ndarray) -> np.ndarray:
+    """Compute how many times less even the residual of each joint (n,) is along a log than in ``healthy`` ones."""
+    return np.asarray(log.uneven / np.maximum(healthy, 1.0))
 
 
 def charts_of(model: Result) -> tuple[Quantity, ...]:
@@ -103,7 +107,6 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
         formula,
         uneven,
         speed,
-        0.0 if run.payload is None else run.payload.mass or model.payload(run.payload.name)["m"],
         run,
     )
 

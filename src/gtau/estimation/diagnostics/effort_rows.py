@@ -1,4 +1,4 @@
-"""Rows of single joints, to which a column of effort is fitted under any meaning of it.
+"""Rows of single joints, and fits of columns of effort to them.
 
 A joint's rows are its equations in the middle of the runs, with columns of their own for each payload: so neither gains
 nor the other joints matter. Gravity's part of a column is what the regressor has at rest.
@@ -6,31 +6,35 @@ nor the other joints matter. Gravity's part of a column is what the regressor ha
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.effects.linearisation import window_motion
+from gtau.estimation.effects.linearisation import least_squares_step, window_motion
+from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.rows import stream_rows
+from gtau.model.base_parameters import of_drive
 from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
 COARSE, FINE = 2, 16  # lags tried in the longest delay that the model describes, everywhere and about the best
 RANK = 1e-8  # of the largest singular value: directions below it are left out
+TINY = 1e-9  # share of a torque that is rounding
+REWEIGHTED = 3  # steps that find the variances of joints with common parameters
 
 
 @dataclass(frozen=True, eq=False)
 class JointRows:
     """The K rows of a joint.
 
-    ``columns`` (K, p) are its own, ``weight`` (K, p) gravity's part of them, ``steady`` (K, p) with those of friction
-    and offsets, and ``names`` (p,) their numbers among
-    ``base.standard``, from ``base.count`` on for a second payload, and so on; those without payload are first.
+    ``columns`` (K, p) are its own, ``weight`` (K, p) gravity's part of them, ``steady`` (K, p) that part with friction
+    and offsets, and ``names`` (p,) their numbers among ``base.standard``, from ``base.count`` on for a second payload,
+    and so on; those without payload are first.
     ``effort`` (K, n + 1) are the columns of all joints, its own as the delay of the model shifts it that fits best, and
     its own again, shifted by the ``lag`` (s) that fits best of all: None where it is such a delay.
     """
@@ -181,3 +185,97 @@ def _lags(
     a, b, c = np.take(shares, [k - 1, k, k + 1], mode="clip") ** 2
     between = (a - c) / (2 * (a - 2 * b + c)) if min(a, c) > b else 0.0
     return stated, float(fine[k] + slowest / FINE * between)
+
+
+def with_gravity(joints: Sequence[JointRows], share: float) -> np.ndarray:
+    """Fit the columns with a ``share`` of gravity, that of inertia being one: the shares that they leave (n,)."""
+    left = []
+    for j, joint in enumerate(joints):
+        R, p = joint.factor, joint.columns.shape[1]
+        left.append(unexplained(basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p]), R[:, 2 * p + j]))
+    return np.array(left)
+
+
+def fitted_together(joints: Sequence[JointRows], order: np.ndarray) -> np.ndarray:
+    """Fit the columns, in some ``order``, by common parameters: the shares that they leave (n,)."""
+    size = 1 + max(int(joint.names.max()) for joint in joints)
+    rows, efforts = [], []
+    for joint, column in zip(joints, order, strict=True):
+        R, p = joint.factor, len(joint.names)
+        rows.append(np.zeros((len(R), size)))
+        rows[-1][:, joint.names] = R[:, :p]
+        efforts.append(R[:, 2 * p + column])
+    norms = np.array([max(float(np.linalg.norm(effort)), 1e-300) for effort in efforts])
+    left = np.ones(len(joints))
+    for _ in range(REWEIGHTED):
+        weights = 1 / (norms * np.maximum(left, TINY))
+        J, e = (np.concatenate([w * part for w, part in zip(weights, parts, strict=True)]) for parts in (rows, efforts))
+        theta = least_squares_step(J, -e)
+        left = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
+    return left
+
+
+def signed(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
+    """Choose the signs of the parts between minima, first by an eigenvector, then one by one."""
+    lowest = np.flatnonzero((effort[1:-1] <= effort[:-2]) & (effort[1:-1] < effort[2:])) + 1
+    part = np.searchsorted(lowest, np.arange(len(effort)), side="right")
+    sums = np.zeros((len(lowest) + 1, basis.shape[1]))
+    np.add.at(sums, part, effort[:, None] * basis)
+    signs = np.where(np.linalg.svd(sums, full_matrices=False)[0][:, 0] < 0, -1.0, 1.0)
+    for _ in signs:
+        gains = np.sum(sums**2, axis=1) - signs * (sums @ (signs @ sums))
+        k = int(np.argmax(gains))
+        if gains[k] <= TINY * np.sum(sums**2):
+            break
+        signs[k] *= -1
+    return np.asarray(signs[part] * effort)
+
+
+def by_file(
+    joints: Sequence[JointRows], counts: np.ndarray, dataset: Dataset
+) -> tuple[tuple[float, float], tuple[float, float], float] | None:
+    """Regress the torques of the runs without payload on those that the file's inertias give, and friction.
+
+    Returns the coefficients of the file's gravity and of its whole torque, with standard deviations, and how much more
+    likely the rows are without the file's gravity than with it, a logarithm; None without inertias that show.
+    """
+    stated, base = stated_inertias(dataset.robot), dataset.base
+    if not any(stated.values()) or all(run.payload for run in dataset.runs):
+        return None
+    values = base.matrix @ [stated.get(name, 0.0) for name in dataset.model.parameter_names]
+    of_gravity, of_torque, without = [], [], 0.0
+    for j, (joint, count) in enumerate(zip(joints, counts, strict=True)):
+        first = joint.names < base.count  # without payload
+        free = joint.columns[:, first].any(axis=1)
+        names, W, effort = joint.names[first], joint.columns[free][:, first], joint.effort[free, j]
+        gravity, torque = joint.weight[free][:, first] @ values[names], W @ values[names]
+        driven = W[:, [of_drive(base.standard[k], dataset.model.actuated[j]) for k in names]]
+        of_gravity.append(_coefficient(effort, gravity, np.column_stack([torque - gravity, driven]), count))
+        of_torque.append(_coefficient(effort, torque, driven, count))
+        without += of_gravity[-1][-1]
+    if not any(size for _, _, size, _ in of_gravity):
+        return None
+    return _weighted(of_gravity), _weighted(of_torque), without
+
+
+def _coefficient(
+    effort: np.ndarray, column: np.ndarray, others: np.ndarray, count: float
+) -> tuple[float, float, float, float]:
+    """Regress on a column beside others: its coefficient, variance and size, and the likelihood of 0 over that of 1."""
+    basis = basis_of(others)
+    x, y = beside(basis, column), beside(basis, effort)
+    size = float(x @ x)
+    if not size > TINY * float(column @ column):
+        return 0.0, 0.0, 0.0, 0.0
+    coefficient, apart = float(x @ y) / size, y - x
+    rest = y - coefficient * x
+    none = count / 2 * float(np.log(max(apart @ apart, 1e-300) / max(y @ y, 1e-300)))
+    return coefficient, float(rest @ rest) / count / size, size, none
+
+
+def _weighted(parts: Sequence[tuple[float, float, float, float]]) -> tuple[float, float]:
+    """Average coefficients by the squares of their columns, (N m)^2, with the standard deviation by their scatter."""
+    coefficients, variances, sizes, _ = np.array(parts).T
+    weights = sizes / max(sizes.sum(), 1e-300)
+    mean = float(weights @ coefficients)
+    return mean, float(np.sqrt(weights**2 @ ((coefficients - mean) ** 2 + variances)))

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, UNRANKED, effort_findings, rank_meanings, stated_meaning
+from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, Effort, effort_of
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
 from gtau.estimation.diagnostics.other_columns import angle_from_another_link, reversed_torques
-from gtau.estimation.diagnostics.other_robots import (
-    REFUTED_SHARE,
-    REFUTED_STD,
-    likeliest_gravity,
-    other_body,
-    other_loads,
-)
+from gtau.estimation.diagnostics.other_gravity import REFUTED_SHARE, WITHOUT_GRAVITY, likeliest_gravity
 from gtau.estimation.diagnostics.position_noise import FEWEST_FOR_TESTS, position_noise
+from gtau.estimation.diagnostics.refits import untested
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
-from gtau.estimation.diagnostics.verdict import OUTCOMES, unexplained_shares
+from gtau.estimation.diagnostics.tool_bodies import REFUTED_STD, other_body, other_loads
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.effects.description import CONTRADICTED, contradictions, estimated_effects
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import Mixed, estimate_effects
@@ -28,14 +25,15 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.progress import Progress, silent
 
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
 LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
 HARMLESS_SHARE = 0.3  # share of the residual variance that an effect explains, up to which it is information
 
+FEW_ROWS = "too few rows for tests"
+AS_LOGGED = Effort()
 DESCRIPTIONS = {effect.name for effect in EFFECTS if effect.description}
 
 
@@ -54,8 +52,8 @@ class Examination:
     findings : tuple of Finding
         What the columns of some joints hold instead of their currents or torques, frozen encoders, noise of the
         positions, and tests that refused these data.
-    effort : tuple of Finding
-        What the columns of all joints may hold, the most likely first.
+    effort : Effort
+        What the columns of all joints hold.
     mixed : Mixed, optional
         The estimates beside all effects; None where there are too few rows.
     """
@@ -64,7 +62,7 @@ class Examination:
     causes: tuple[EstimatedEffect, ...] = ()
     refits: tuple[EstimatedEffect, ...] = ()
     findings: tuple[Finding, ...] = ()
-    effort: tuple[Finding, ...] = UNRANKED
+    effort: Effort = AS_LOGGED
     mixed: Mixed | None = None
 
     def moved(self, fit: Fit) -> Fit | None:
@@ -85,7 +83,7 @@ class Examination:
     @property
     def findings_on_joints(self) -> bool:
         """Whether the columns of some joints hold something else."""
-        return any(finding.joints and finding.kind in OUTCOMES for finding in self.findings)
+        return any(finding.joints and finding.decisive for finding in self.findings)
 
     @property
     def contradicting(self) -> tuple[EstimatedEffect, ...]:
@@ -115,53 +113,57 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """Examine a fit; ``progress`` is called as the work goes on."""
     rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.values)
     if rows < FEWEST_FOR_TESTS * unknowns:
-        return Examination(findings=(Finding(F.FEW_ROWS, values={"rows": rows, "unknowns": unknowns}),))
-    effort = rank_meanings(fit.dataset, fit.system.unreduced.longest_delays.max())
-    findings = [*effort_findings(effort, fit.dataset)]
+        few = Finding(
+            FEW_ROWS,
+            text=f"the tests of the model were skipped, because the robot moves too little ({rows} rows in the middle "
+            f"of the runs for {unknowns} unknowns): the intervals cover random errors alone",
+            advice="log longer motions",
+            grade=Grade.WARNING,
+            shown_as="model",
+        )
+        return Examination(findings=(few,))
+    effort = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
     mixed, nothing = None, tuple[EstimatedEffect, ...]()
     effects = causes = refits = nothing
+    findings = [*effort.findings]
     try:
         if (mixed := estimate_effects(fit)) is not None:
             effects, causes = estimated_effects(mixed), contradictions(mixed)
         frozen = list(frozen_encoders(fit))
-        if not frozen and (_lacking(fit) or _misfit(fit)) and (load := other_loads(fit) or other_body(fit)):
-            refits, findings = (load,), []  # what other columns or another gravity would explain is its effect
-        elif _misfit(fit) and (turned := reversed_torques(fit)):
-            refits, findings = (turned,), []
-        elif not findings and (gravity := _gravity(fit, effort, effects, progress)):
-            refits = (gravity,)
-        elif not findings and _misfit(fit) and (angle := angle_from_another_link(fit, progress)):
-            refits = (angle,)
-        elif not findings and stated_meaning(effort).values.get("open"):
+        tried = _other_descriptions(fit, effort, effects, bool(frozen), progress)
+        if refit := next(filter(None, tried), None):
+            # what is linear about the wrong description explains nothing, and what columns would hold is its effect
+            effects, causes, refits, findings = nothing, nothing, (refit,), []
+        elif not findings and effort.gravity_open:
             findings += gravity_not_shown(fit)
-        findings += frozen
+        findings = [*frozen, *findings]
     except GtauError as refusal:
-        findings.append(_untested("effects that the model may lack", refusal))
-    # what is linear about the wrong description explains nothing
-    effects, causes = (nothing, nothing) if refits else (effects, causes)
+        findings.append(untested("effects that the model may lack", refusal))
     return Examination(effects, causes, refits, (*findings, *position_noise(fit)), effort, mixed)
 
 
-def _untested(check: str, refusal: GtauError) -> Finding:
-    return Finding(F.UNTESTED, values={"check": check, "refusal": str(refusal).removesuffix(".")})
+def _other_descriptions(
+    fit: Fit, effort: Effort, effects: Sequence[EstimatedEffect], frozen: bool, progress: Progress
+) -> Iterator[EstimatedEffect | None]:
+    """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
 
-
-def _lacking(fit: Fit) -> bool:
-    return lack_of_fit(fit.system.problem, fit.solution) > LACKING
-
-
-def _misfit(fit: Fit) -> bool:
-    return float(unexplained_shares(fit.system.problem, fit.solution).max()) > GRAVITY_MISFIT
-
-
-def _gravity(
-    fit: Fit, effort: tuple[Finding, ...], effects: tuple[EstimatedEffect, ...], progress: Progress
-) -> EstimatedEffect | None:
-    """Fit with another gravity (seconds per fit) where a tilt helps, or the residual is large."""
-    missing = effort[0].kind == F.WITHOUT_GRAVITY
+    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
+    """
+    misfit = float(unexplained_shares(fit.system.problem, fit.solution).max()) > GRAVITY_MISFIT
+    lacking = lack_of_fit(fit.system.problem, fit.solution) > LACKING
+    if (lacking or misfit) and not frozen:
+        yield other_loads(fit)
+        yield other_body(fit)
+    if misfit:
+        yield reversed_torques(fit)
+    if effort.findings:
+        return
     tilted = any(effect.effect == "gravity" and effect.share > REFUTED_SHARE for effect in effects)
-    turned = _lacking(fit) and (tilted or _misfit(fit))
-    return likeliest_gravity(fit, missing, turned, progress) if missing or turned else None
+    missing, turned = effort.kind == WITHOUT_GRAVITY, lacking and (tilted or misfit)
+    if missing or turned:
+        yield likeliest_gravity(fit, missing, turned, progress)
+    if misfit:
+        yield angle_from_another_link(fit, progress)
 
 
 def estimates_of(

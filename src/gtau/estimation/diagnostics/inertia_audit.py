@@ -19,15 +19,14 @@ from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stack
 from gtau.estimation.regression.assembly import file_sums, inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import INERTIAL
 
 INERTIA_CHANCE = 0.05  # chance that a correct file has any base parameter contradicted, all tests together
 INERTIA_EXPLAINED = 0.95  # share of the torque variance added by the file: links that explain it suffice
 
-ROTORS = "the rotor inertias"
+ROTORS, PRIOR_INERTIA = "the rotor inertias", "contradictory inertias of the robot's file"
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]
 
 
@@ -268,9 +267,27 @@ def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, 
 
 def prior_findings(audit: InertiaAudit) -> Iterator[Finding]:
     """Find the links whose inertias in the file, taken as priors, the data contradict."""
-    listed: dict[str, list[list[str | float | None]]] = {}
-    for entry in audit.of("contradicted") if audit.prior else ():
-        row: list[str | float | None] = [entry.name, entry.value, entry.std, entry.stated, entry.unit]
-        listed.setdefault(entry.link, []).append(row)
-    for link, parameters in listed.items():
-        yield Finding(F.PRIOR_INERTIA, (), link, {"std": audit.prior, "parameters": parameters})
+    contradicted = audit.of("contradicted") if audit.prior else ()
+    for link in dict.fromkeys(entry.link for entry in contradicted):
+        entries = [entry for entry in contradicted if entry.link == link]
+        named = "; ".join(
+            f"{entry.name} is {entry.value:.3g} {entry.unit} from the data (standard deviation {entry.std:.2g}), "
+            f"{entry.stated:.3g} in the file"
+            for entry in entries[:3]
+        )
+        more = f" and {len(entries) - 3} more" if len(entries) > 3 else ""
+        yield Finding(
+            PRIOR_INERTIA,
+            subject=link,
+            # z has the prior of the regrouped sum; here that of the parameter itself counts, in halves of its interval
+            size=max(
+                abs(entry.value - entry.stated) / (1.96 * np.hypot(entry.std, audit.prior * entry.stated))
+                for entry in entries
+                if entry.value is not None and entry.std is not None and entry.stated is not None
+            ),
+            text=f"the inertias of '{link}' in the robot file, used as priors with a standard deviation of "
+            f"{100 * audit.prior:.0f} %, contradict the data: {named}{more}",
+            advice="give 'prior_inertias' a larger value, or correct the file",
+            grade=Grade.WARNING,
+            shown_as="model",
+        )

@@ -12,7 +12,7 @@ columns may hold.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -26,8 +26,8 @@ from gtau.estimation.estimators.newton import DELAY_MOTION
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
+from gtau.findings.words import listed, percent
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.bandwidth import end_of_commands
 from gtau.signals.reading.samples import extremes
@@ -48,6 +48,9 @@ WHOLE = 0.9  # share of commands that are whole numbers, from which all were
 UNSEEN_RATIO = 4.0  # unexplained share of a joint where another's position is frozen, over its share where that moves
 UNSEEN_MISFIT = 0.1  # unexplained share of a joint's current in the run with the frozen position
 UNFELT_PAYLOAD = 1.1  # residual of the currents without the payload over that with it
+
+COMMAND_LAG, SMOOTHED, WHOLE_NUMBERS = "command lag", "smoothed commands", "whole numbers"
+MOTOR_SIDE, FROZEN = "torques of the motors", "frozen encoder"
 
 
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -87,9 +90,23 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
     std = float(np.sqrt(max(scatter, 1.0) / weights.sum()))
     if lag < max(LAG_LEAST, LAG_SAMPLES / rate) or lag < LAG_STD * std:
         return []
-    loss = 1 - 1 / np.sqrt(1 + (2 * np.pi * bandwidth * lag) ** 2)
-    values = {"kind": kind, "lag": lag, "std": std, "bandwidth": float(bandwidth)}
-    return [Finding(F.COMMAND_LAG if loss > LAG_LOSS else F.SLIGHT_COMMAND_LAG, values=values)]
+    phase = float(2 * np.pi * bandwidth * lag)
+    loss = 1 - 1 / np.sqrt(1 + phase**2)
+    much = loss > LAG_LOSS
+    # of a lag beyond what the motion shows, only that it is longer
+    by = f"{1000 * lag:.2g} ms (standard deviation {1000 * std:.2g} ms)"
+    by = by if phase < 1 else f"more than {1000 * lag / phase:.2g} ms"
+    return [
+        Finding(
+            COMMAND_LAG if much else "slight command lag",
+            text=f"the {kind}s lag behind the motion by {by}, so they look low-passed, held or logged late; a low-pass "
+            f"filter with that time constant attenuates them by {percent(loss)} at the bandwidth of the motion, "
+            f"{bandwidth:.3g} Hz",
+            advice=f"log the {kind}s before any filter and with the time stamps of the positions",
+            grade=Grade.WARNING if much else Grade.INFORMATION,
+            shown_as="filtered command" if much else "reading",
+        )
+    ]
 
 
 def smoothed_commands(runs: Sequence[Run]) -> Iterator[Finding]:
@@ -97,16 +114,29 @@ def smoothed_commands(runs: Sequence[Run]) -> Iterator[Finding]:
     ends = {run.name: end for run in runs if (end := end_of_commands(run)) is not None}
     if ends:
         slowest = min(run.rate for run in runs if run.name in ends)
-        values = {"kind": runs[0].kind, "end": max(ends.values()), "nyquist": slowest / 2, "runs": list(ends)}
-        yield Finding(F.SMOOTHED, values=values)
+        yield _smoothed(
+            runs[0].kind,
+            ends,
+            f": above {max(ends.values()):.2g} Hz they hold nothing, not even noise, though their rate shows up to "
+            f"{slowest / 2:.3g} Hz",
+        )
     windows = {  # as logged: resampled noise has another colour
         run.name: window_of_commands(run.command, run.rate) if run.log.whole_share is None else run.log.window
         for run in runs
         if run.name not in ends
     }
     if averaged := {name: window for name, window in windows.items() if window}:
-        values = {"kind": runs[0].kind, "window": max(averaged.values()), "runs": list(averaged)}
-        yield Finding(F.SMOOTHED, values=values)
+        yield _smoothed(runs[0].kind, averaged, f" by a moving average over {max(averaged.values()):.2g} s")
+
+
+def _smoothed(kind: str, runs: Iterable[str], how: str) -> Finding:
+    return Finding(
+        SMOOTHED,
+        text=f"the {kind}s of {listed(runs)} were smoothed{how}; what a filter takes from motion and friction is in no "
+        "interval",
+        advice="identify from the logs as they were recorded",
+        shown_as="filtered command",
+    )
 
 
 def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
@@ -119,7 +149,14 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
         for run, share in zip(runs, shares, strict=True)
     )
     if integers > WHOLE and peaks.max() >= STEPS:
-        yield Finding(F.WHOLE_NUMBERS, values={"kind": kind, "largest": float(peaks.max())})
+        yield Finding(
+            WHOLE_NUMBERS,
+            text=f"the {kind}s are whole numbers, up to {peaks.max():.0f}: ‰ of the rated {kind} (CiA 402, object "
+            "0x6077), mA, counts, or SI units without decimals",
+            advice=f"state their unit and the rated values (units: {{{kind}: ‰, rated: {{...}}}}), or {{{kind}: mA}}; "
+            "in SI units, log them with decimals",
+            shown_as="unit",
+        )
         return
     efforts = {joint: robot.joint(joint).limits.effort for joint in robot.motors}
     limits = {joint: limit for joint, limit in efforts.items() if limit}
@@ -130,7 +167,23 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     }
     joint = max(of_limits, key=lambda name: of_limits[name])
     if of_limits[joint] < LIMIT_SHARE:
-        yield Finding(F.MOTOR_SIDE, (joint,), values={"share": of_limits[joint], "limit": limits[joint]})
+        yield motor_side_torques(
+            f"the torques reach {percent(of_limits[joint])} of the limit of '{joint}' ({limits[joint]:.4g}), and less "
+            "for all others",
+            (joint,),
+        )
+
+
+def motor_side_torques(text: str, joints: tuple[str, ...] = ()) -> Finding:
+    """Note that torques are those of motors before their gears, by what ``text`` says."""
+    return Finding(
+        MOTOR_SIDE,
+        joints,
+        text=f"{text}: by their size they are motor-side torques (before the gear) or currents",
+        advice="write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are "
+        "in A, or correct the limits",
+        shown_as="unit",
+    )
 
 
 def require_payload_excitation(system: System) -> None:
@@ -194,21 +247,30 @@ def lack_of_fit(problem: Problem, solution: Solution) -> float:
     return float(np.sqrt(np.median(ratio))) if ratio.size else 1.0
 
 
-def frozen_encoders(fit: Fit) -> Iterator[Finding]:
+def frozen_encoders(fit: Fit) -> list[Finding]:
     """Find the joints that never move in a run, by their positions, but whose motion its other joints feel."""
     joints, runs, n = fit.system.problem.joints, fit.dataset.runs, len(fit.gains)
     moving = np.array([np.subtract(*extremes(run.position)) < 0 for run in runs])
     acting = np.array([np.subtract(*extremes(run.command))[:n] < 0 for run in runs])
     frozen = np.argwhere(acting & ~moving).tolist()
-    shares = unexplained_by_run(fit) if frozen else np.zeros(0)
+    shares, found = unexplained_by_run(fit) if frozen else np.zeros(0), list[tuple[float, Finding]]()
     for run, joint in frozen:
         usual = shares[moving[:, joint]].max(axis=0, initial=0.0)
         least = np.where(usual > 0, np.maximum(UNSEEN_RATIO * usual, UNSEEN_MISFIT), MISFIT)
         worst = int(np.argmax(shares[run] / least))
         if shares[run, worst] > least[worst]:
-            share, named = float(shares[run, worst]), (joints[joint], joints[worst])
-            values = {"run": runs[run].name, "kind": runs[run].kind, "share": share, "usual": float(usual[worst])}
-            yield Finding(F.FROZEN, named, values=values, size=share)
+            still, felt, share = joints[joint], joints[worst], float(shares[run, worst])
+            others = f", {percent(usual[worst])} in other runs" if usual[worst] else ""
+            finding = Finding(
+                FROZEN,
+                (still, felt),
+                text=f"the position of '{still}' never changes in run '{runs[run].name}', but {percent(share)} of the "
+                f"{runs[run].kind} of '{felt}' is then unexplained{others}, so it moved",
+                advice=f"check the encoder and the position column of '{still}' in that run, and log it again",
+                grade=Grade.CONTRADICTORY,
+            )
+            found.append((share, finding))
+    return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
 
 
 def unexplained_by_run(fit: Fit) -> np.ndarray:
@@ -240,6 +302,23 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
         torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
     felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))
     if UNFELT <= felt < GRAVITY_FELT:
-        kind, loops = dataset.runs[0].kind, bool(dataset.robot.closures)
-        of_no_driver = {"own": kind} if loops or kind == "current" else {}  # drivers of arms report torques
-        yield Finding(F.NO_GRAVITY_SHOWN, values={"felt": felt, **of_no_driver})
+        kind = dataset.runs[0].kind
+        # of no driver: drivers of arms that compensate gravity report torques
+        own = bool(dataset.robot.closures) or kind == "current"
+        yield Finding(
+            "torques without gravity, or a balanced robot",
+            text=f"the data do not show whether the torques contain gravity ({percent(felt, '.1g')} of a joint's "
+            "torque at most): it hardly varies along these motions, the robot is balanced, or a driver compensates it",
+            advice=f"if a driver compensates it, {log_with_gravity(f'actual {kind}s' if own else '')}",
+            grade=Grade.INFORMATION,
+            shown_as="model",
+        )
+
+
+def log_with_gravity(signal: str = "") -> str:
+    """Advise to log torques with gravity, or a ``signal`` that has it, or to describe the robot without."""
+    signal = f"{signal} of the motors" if signal else "torques of the motors (UR: 'use_currents_as_efforts: true')"
+    return (
+        f"log the {signal}, or write 'robot: {{file: ..., gravity: [0, 0, 0]}}' in the experiment file for a model "
+        "without gravity"
+    )

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.effort import REVERSED_CHANNELS
 from gtau.estimation.diagnostics.refits import described_otherwise, residual_ratio, unrefined
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.estimator import Fit
@@ -23,7 +24,7 @@ from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
 from gtau.estimation.regression.dataset import System, reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
 from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings.words import listed
 from gtau.progress import Progress
 from gtau.robots.robot import Coupling, Robot
 
@@ -48,11 +49,14 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     if not turned:
         return None
     names = tuple(joints[j] for j in turned)
-    listed = " and ".join(f"'{name}'" for name in names)
-    what = f"reversed torques of {listed}"
-    action = f"check the signs of the {fit.dataset.runs[0].kind} and position columns of {listed}"
-    values = {"what": what, "action": action, "remains": residual_ratio(best, own)}
-    return described_otherwise(fit, COLUMNS, Finding(F.REVERSED, names, values=values), best, own)
+    cause = Finding(
+        REVERSED_CHANNELS,
+        names,
+        values={"remains": residual_ratio(best, own)},
+        text=f"reversed torques of {listed(names)}",
+        advice=f"check the signs of the {fit.dataset.runs[0].kind} and position columns of {listed(names)}",
+    )
+    return described_otherwise(fit, COLUMNS, cause, best, own)
 
 
 def _reversed(fit: Fit, joint: int) -> Fit:
@@ -77,12 +81,14 @@ def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | N
         if (ratio := residual_ratio(other, own)) < remains:
             remains, best = ratio, other
             beside = fit.dataset.robot.joint(before).antecedent
-            what = f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,"
-            action = (
-                "log the angle between the links, or describe the parallelogram in the robot file, as the catalog's "
-                f"'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link"
+            cause = Finding(
+                COLUMNS,
+                (joint,),
+                values={"remains": ratio},
+                text=f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,",
+                advice="log the angle between the links, or describe the parallelogram in the robot file, as the "
+                f"catalog's 'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link",
             )
-            cause = Finding(COLUMNS, (joint,), values={"what": what, "action": action, "remains": ratio})
     progress("angles from other links", len(described), len(described))
     return None if cause is None else described_otherwise(fit, COLUMNS, cause, best, own)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,154 +19,9 @@ from gtau.model.lengths import BodyPose, VariableGeometry
 from gtau.robots.placement import within_a_turn
 from gtau.signals.reading.body_columns import PoseColumns
 
-STEP = 1e-6  # rad: of the differences that turn angular velocities into rates of angles
+STEP = 1e-6  # m, rad and s: of differences, between rounding and the second order
 SHORTEST = 1e-3  # s: a smaller delay needs no positions of its own
-OWN = 7  # entries of a step that are the delay's and the marker's; six of the tracker's follow for each run
-
-
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """Poses of tracker and marker, and the delay of the logged poses.
-
-    ``tracker`` are the orientations (runs, 3, 3) and positions (runs, 3) of the base in the tracker's frame,
-    ``marker`` those (3, 3) and (3,) of the marker on the body; ``delay`` in s.
-    """
-
-    tracker: tuple[np.ndarray, np.ndarray]
-    marker: tuple[np.ndarray, np.ndarray] = (np.eye(3), np.zeros(3))
-    delay: float = 0.0
-
-    def moved(self, step: np.ndarray, about: np.ndarray) -> Frames:
-        """Step the frames (7 + 6 runs,): delay, marker and tracker, which rotates ``about`` points (runs, 3)."""
-        (R, p), (R_m, p_m), of_tracker = self.tracker, self.marker, step[OWN:].reshape(-1, 6)
-        turn = Rotation.from_rotvec(of_tracker[:, 3:]).as_matrix()
-        away = np.einsum("rij,rj->ri", turn, p - about)
-        return Frames(
-            (turn @ R, away + about + of_tracker[:, :3]),
-            (Rotation.from_rotvec(step[4:OWN]).as_matrix() @ R_m, p_m + step[1:4]),
-            self.delay + float(step[0]),
-        )
-
-
-def component_names(columns: PoseColumns) -> tuple[tuple[str, str], ...]:
-    """Name the compared components, with units: columns, and for a whole orientation the rotation between the two."""
-    named = [(column, "m") for column in columns.position.values()]
-    if columns.angles is not None:
-        return (*named, *((column, "rad") for column in columns.angles.turning[1]))
-    turns = [(f"turn about {axis}", "rad") for axis in "xyz"] if _turns(columns) else []
-    return (*named, *turns)
-
-
-def _turns(columns: PoseColumns) -> bool:
-    """Decide whether anything of the orientation is logged."""
-    return any(logged is not None for logged in (columns.angles, columns.quaternion, columns.rotation_vector))
-
-
-def compare(poses: Poses, body: BodyPose, frames: Frames) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Compare logged poses with those of the body, computed from the positions, behind tracker and marker.
-
-    Returns logged less computed components (N, m), and their derivatives: by the steps of :meth:`Frames.moved`, (N, m,
-    7 + 6 runs), and by the constants, (N, m, constants); and the points (runs, 3) about which the tracker turns.
-    """
-    columns, run = poses.columns, poses.run
-    R_t, p_t, (R_m, p_m) = frames.tracker[0][run], frames.tracker[1][run], frames.marker
-    twist = np.einsum("nij,nj->ni", body.by_joints, poses.qd)  # of the body, base axes
-    R_b = Rotation.from_rotvec(-frames.delay * twist[:, 3:]).as_matrix() @ body.rotation
-    still = body.position - frames.delay * twist[:, :3] + R_b @ p_m
-    R, p = R_t @ R_b @ R_m, _turned(R_t, still) + p_t
-    residual, by_twist = _components(columns, poses.values, R, p)
-    arm = _turned(R_t @ R_b, np.broadcast_to(p_m, p.shape))  # from the body's frame to the marker, tracker's axes
-
-    def carried(of_body: np.ndarray) -> np.ndarray:
-        """Transform twists (N, 6, k) of the body into those of the marker, in the tracker's axes."""
-        linear, angular = R_t @ of_body[:, :3], R_t @ of_body[:, 3:]
-        return np.concatenate([linear + np.cross(angular, arm[:, :, None], axis=1), angular], axis=1)
-
-    runs = len(frames.tracker[0])
-    about = np.array([p[run == k].mean(axis=0) for k in range(runs)])
-    by_frames = np.zeros((len(p), 6, OWN + 6 * runs))
-    by_frames[:, :, :1] = -carried(twist[:, :, None])
-    by_frames[:, :3, 1:4] = by_frames[:, 3:, 4:OWN] = R_t @ R_b
-    for k in range(runs):
-        mine, first = run == k, OWN + 6 * k
-        by_frames[mine, :, first : first + 6] = np.eye(6)
-        by_frames[mine, :3, first + 3 : first + 6] = -_cross_matrices(p[mine] - about[k])
-    return residual, by_twist @ by_frames, by_twist @ carried(body.by_constants), about
-
-
-def _first_frames(poses: Poses, body: BodyPose) -> Frames:
-    """Guess the poses of tracker and marker from full positions and orientations; otherwise leave them unchanged."""
-    columns, values, run = poses.columns, poses.values, poses.run
-    runs, measured = int(run.max()) + 1, _orientations(columns, values)
-    R_t, p_t = np.tile(np.eye(3), (runs, 1, 1)), np.zeros((runs, 3))
-    if columns.source == "tracker" and len(columns.axes) == 3:
-        for k in range(runs):
-            logged, computed = values[run == k][:, np.argsort(columns.axes)], body.position[run == k]
-            centres = logged.mean(axis=0), computed.mean(axis=0)
-            R_t[k] = Rotation.align_vectors(logged - centres[0], computed - centres[1])[0].as_matrix()
-            p_t[k] = centres[0] - R_t[k] @ centres[1]
-    frames = Frames((R_t, p_t))
-    if columns.source != "controller" and measured is not None:
-        on_body = np.swapaxes(R_t[run] @ body.rotation, 1, 2) @ measured.as_matrix()
-        frames = replace(frames, marker=(Rotation.from_matrix(on_body).mean().as_matrix(), np.zeros(3)))
-    return frames
-
-
-def _turned(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Rotate vectors (N, 3) by rotation matrices (N, 3, 3)."""
-    return np.einsum("nij,nj->ni", R, vectors)
-
-
-def _orientations(columns: PoseColumns, values: np.ndarray) -> Rotation | None:
-    """Return the logged orientations; None where they are not logged in full."""
-    turned = values[:, len(columns.position) :]
-    if columns.quaternion is not None:
-        return Rotation.from_quat(turned, scalar_first=True)
-    if columns.rotation_vector is not None:
-        return Rotation.from_rotvec(turned)
-    if columns.angles is not None and len(columns.angles.columns) == 3:
-        return Rotation.from_euler(columns.angles.turning[0], turned)
-    return None
-
-
-def _components(
-    columns: PoseColumns, values: np.ndarray, R: np.ndarray, p: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Compute logged minus computed components (N, m), and derivatives of the computed ones by a twist (N, m, 6)."""
-    axes, logged = list(columns.axes), len(columns.axes)
-    residual = values[:, :logged] - p[:, axes]
-    by_twist = np.broadcast_to(np.eye(6)[axes], (len(p), logged, 6))
-    if columns.angles is not None:
-        sequence, names = columns.angles.turning
-        count = len(names)
-
-        def angles(turn: np.ndarray) -> np.ndarray:
-            return np.asarray(Rotation.from_matrix(turn).as_euler(sequence)[:, :count])
-
-        apart = values[:, logged:] - angles(R)
-        by_turn = np.zeros((len(p), count, 6))
-        for k, axis in enumerate(np.eye(3)):
-            above, below = (angles(Rotation.from_rotvec(sign * STEP * axis).as_matrix() @ R) for sign in (1.0, -1.0))
-            by_turn[:, :, 3 + k] = within_a_turn(above - below) / (2 * STEP)
-    elif (measured := _orientations(columns, values)) is not None:
-        apart = (measured * Rotation.from_matrix(R).inv()).as_rotvec()
-        by_turn = np.broadcast_to(np.eye(6)[3:], (len(p), 3, 6))
-    else:
-        return residual, by_twist
-    return np.hstack([residual, within_a_turn(apart)]), np.concatenate([by_twist, by_turn], axis=1)
-
-
-def _cross_matrices(vectors: np.ndarray) -> np.ndarray:
-    """Build the matrices (N, 3, 3) that take the cross product with vectors (N, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.moveaxis(np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]), 2, 0)
-
-
-STEPS = 25
-SETTLED = 1e-5  # relative change of the squares by a last step,
-DAMPED = 1e-2  # if it was damped less than this
-LEAST_DAMPING = 1e-6
+STEPS, SETTLED = 25, 1e-5  # relative change of the squares by a last step
 DEPENDENT = 1e-6  # of the largest singular value: what frames explain alike is shared among them
 FLOOR = 1e-9  # m and rad: what rounding leaves; no component counts for more precise
 
@@ -189,62 +44,155 @@ class Poses:
     weights: np.ndarray
     delay: float
 
+    @cached_property
+    def orientations(self) -> Rotation | None:
+        """The logged orientations; None where they are not logged in full."""
+        columns, turned = self.columns, self.values[:, len(self.columns.position) :]
+        if columns.quaternion is not None:
+            return Rotation.from_quat(turned, scalar_first=True)
+        if columns.rotation_vector is not None:
+            return Rotation.from_rotvec(turned)
+        if columns.angles is not None and len(columns.angles.columns) == 3:
+            return Rotation.from_euler(columns.angles.turning[0], turned)
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Orientations and positions of the base in the tracker (runs, ...), turned ``about`` points, and of the marker."""
+
+    R_t: np.ndarray
+    p_t: np.ndarray
+    R_m: np.ndarray
+    about: np.ndarray
+
+
+def component_names(columns: PoseColumns) -> tuple[tuple[str, str], ...]:
+    """Name the compared components, with units: columns, and for a whole orientation the rotation between the two."""
+    named = [(column, "m") for column in columns.position.values()]
+    if columns.angles is not None:
+        return (*named, *((column, "rad") for column in columns.angles.turning[1]))
+    turns = [(f"turn about {axis}", "rad") for axis in "xyz"] if _turns(columns) else []
+    return (*named, *turns)
+
+
+def _turns(columns: PoseColumns) -> bool:
+    """Decide whether anything of the orientation is logged."""
+    return any(logged is not None for logged in (columns.angles, columns.quaternion, columns.rotation_vector))
+
+
+def first_frames(poses: Poses, body: BodyPose) -> Frames:
+    """Guess the poses of tracker and marker from full positions and orientations; otherwise leave them unchanged."""
+    columns, values, run = poses.columns, poses.values, poses.run
+    runs, measured = int(run.max()) + 1, poses.orientations
+    R_t, p_t, R_m = np.tile(np.eye(3), (runs, 1, 1)), np.zeros((runs, 3)), np.eye(3)
+    if columns.source == "tracker" and len(columns.axes) == 3:
+        for k in range(runs):
+            logged, computed = values[run == k][:, np.argsort(columns.axes)], body.position[run == k]
+            centres = logged.mean(axis=0), computed.mean(axis=0)
+            R_t[k] = Rotation.align_vectors(logged - centres[0], computed - centres[1])[0].as_matrix()
+            p_t[k] = centres[0] - R_t[k] @ centres[1]
+    if columns.source != "controller" and measured is not None:
+        on_body = np.swapaxes(R_t[run] @ body.rotation, 1, 2) @ measured.as_matrix()
+        R_m = Rotation.from_matrix(on_body).mean().as_matrix()
+    return Frames(R_t, p_t, R_m, np.array([body.position[run == k].mean(axis=0) for k in range(runs)]))
+
+
+def _turned(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Rotate vectors (N, 3) by rotation matrices (N, 3, 3)."""
+    return np.einsum("nij,nj->ni", R, vectors)
+
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
-    """Gauss-Newton solution with the ``frames`` and the constants ``chosen`` free.
+    """Poses with ``frames`` that are guessed, ``moved`` by a vector, and the constants ``chosen`` free.
 
-    ``change`` (constants,) are those of the geometry, and ``c`` (n_c, N) the configurations closed with them. ``body``
-    is the body there, and ``compared`` what :func:`compare` makes of it.
+    ``moved`` (7 + 6 runs,) are the delay in s, shift and rotation of the marker, and of the tracker in each run, about
+    the middle of its poses. ``change`` (constants,) are those of the geometry, and ``c`` (n_c, N) the configurations
+    closed with them, where the body is at ``body``.
     """
 
     poses: Poses
     frames: Frames
+    moved: np.ndarray
     change: np.ndarray
     c: np.ndarray
     body: BodyPose
-    chosen: tuple[int, ...]
+    chosen: tuple[int, ...] = ()
 
     @cached_property
-    def compared(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals (N, m), and their derivatives by frames and by constants; see :func:`compare`."""
-        return compare(self.poses, self.body, self.frames)
-
-    @property
     def free(self) -> np.ndarray:
-        """Entries of a step of the frames that are unknown (7 + 6 runs,)."""
-        columns, runs = self.poses.columns, len(self.frames.tracker[0])
+        """Entries of ``moved`` that are unknown (7 + 6 runs,)."""
+        columns, runs = self.poses.columns, len(self.frames.p_t)
         marker, tracker = columns.source != "controller", columns.source == "tracker"
         # where only a position is logged, nobody sees how a marker is turned
         return np.repeat([True, marker, marker and _turns(columns), tracker], [1, 3, 3, 6 * runs])
 
+    @cached_property
+    def _twist(self) -> np.ndarray:
+        """Twist (N, 6) of the body, base axes."""
+        return np.einsum("nij,nj->ni", self.body.by_joints, self.poses.qd)
+
+    def _apart(self, moved: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+        """Compute logged less computed components (N, m) with the body (N, 3), (N, 3, 3) in the base."""
+        poses, frames = self.poses, self.frames
+        columns, run, of_tracker = poses.columns, poses.run, moved[7:].reshape(-1, 6)
+        twist = self._twist
+        R_b = Rotation.from_rotvec(-moved[0] * twist[:, 3:]).as_matrix() @ rotation
+        p_b = position - moved[0] * twist[:, :3] + R_b @ moved[1:4]
+        R_t = Rotation.from_rotvec(of_tracker[:, 3:]).as_matrix() @ frames.R_t
+        p_t = frames.p_t + of_tracker[:, :3] + _turned(frames.R_t, frames.about)
+        R = R_t[run] @ R_b @ Rotation.from_rotvec(moved[4:7]).as_matrix() @ frames.R_m
+        p = _turned(R_t[run], p_b - frames.about[run]) + p_t[run]
+        apart, logged = poses.values[:, : len(columns.axes)] - p[:, list(columns.axes)], len(columns.axes)
+        if columns.angles is not None:
+            sequence, names = columns.angles.turning
+            angles = np.asarray(Rotation.from_matrix(R).as_euler(sequence))[:, : len(names)]
+            return np.hstack([apart, within_a_turn(poses.values[:, logged:] - angles)])
+        if poses.orientations is None:
+            return apart
+        return np.hstack([apart, (poses.orientations * Rotation.from_matrix(R).inv()).as_rotvec()])
+
+    @cached_property
+    def apart(self) -> np.ndarray:
+        """Logged less computed components (N, m), m and rad."""
+        return self._apart(self.moved, self.body.position, self.body.rotation)
+
     @property
     def residual(self) -> np.ndarray:
         """Weighted residuals (N m,)."""
-        return (self.compared[0] * self.poses.weights).reshape(-1)
+        return (self.apart * self.poses.weights).reshape(-1)
+
+    def _slope(self, other: np.ndarray) -> np.ndarray:
+        """Compute the weighted derivative (N m,) of the computed pose from what is apart after a STEP."""
+        less = self.apart - other
+        angles = [unit == "rad" for _, unit in component_names(self.poses.columns)]
+        less[:, angles] = within_a_turn(less[:, angles])
+        return (less / STEP * self.poses.weights).reshape(-1)
 
     def column(self, constant: int) -> np.ndarray:
         """Return the weighted derivatives (N m,) of the computed pose with respect to a constant."""
-        return (self.compared[2][:, :, constant] * self.poses.weights).reshape(-1)
+        step, body = STEP * self.body.by_constants[:, :, constant], self.body
+        if not np.isfinite(step).all():
+            return np.full(self.apart.size, np.nan)
+        rotation = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ body.rotation
+        return self._slope(self._apart(self.moved, body.position + step[:, :3], rotation))
 
     @cached_property
     def columns(self) -> np.ndarray:
         """Weighted derivatives (N m, k) by the delay, the frames that are free, and the constants chosen."""
-        frames = self.compared[1][:, :, self.free] * self.poses.weights[:, None]
-        return np.hstack([frames.reshape(self.residual.size, -1), *(self.column(k)[:, None] for k in self.chosen)])
+        steps = self.moved + STEP * np.eye(len(self.moved))[self.free]
+        frames = [self._slope(self._apart(step, self.body.position, self.body.rotation)) for step in steps]
+        return np.column_stack([*frames, *map(self.column, self.chosen)])
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Sizes (k,) of the columns, and the singular value decomposition of those of unit length."""
+        """Sizes (k,) of the columns, and the singular value decomposition of those of unit length, the rank kept."""
         size = np.linalg.norm(self.columns, axis=0)
         size[size == 0] = 1.0
-        return size, *np.linalg.svd(self.columns / size, full_matrices=False)
-
-    @cached_property
-    def basis(self) -> np.ndarray:
-        """Orthonormal columns (N m, rank) that span them."""
-        _, U, sigma, _ = self._factors
-        return np.asarray(U[:, sigma > DEPENDENT * sigma[0]])
+        U, sigma, Vt = np.linalg.svd(self.columns / size, full_matrices=False)
+        kept = sigma > DEPENDENT * sigma[0]
+        return size, U[:, kept], sigma[kept], Vt[kept]
 
     @cached_property
     def rest(self) -> float:
@@ -253,20 +201,14 @@ class PoseFit:
 
     def beyond(self, vector: np.ndarray) -> np.ndarray:
         """Project a ``vector`` (N m,) on the complement of the columns."""
-        return vector - self.basis @ (self.basis.T @ vector)
-
-    def step(self, damping: float) -> np.ndarray:
-        """Compute the next step (k,), damped in the directions that the poses hardly determine."""
-        size, U, sigma, Vt = self._factors
-        along = sigma / (sigma**2 + damping * sigma[0] ** 2) * (U.T @ self.residual)
-        return np.asarray(Vt.T @ along / size)
+        basis = self._factors[1]
+        return vector - basis @ (basis.T @ vector)
 
     @cached_property
     def std(self) -> np.ndarray:
         """Standard deviations (k,) from the scores of stretches, which hold where residuals are autocorrelated."""
         size, U, sigma, Vt = self._factors
-        kept = sigma > DEPENDENT * sigma[0]
-        inverse = Vt[kept].T / sigma[kept] @ U[:, kept].T / size[:, None]
+        inverse = Vt.T / sigma @ U.T / size[:, None]
         N = len(self.poses.stretch)
         parts = (inverse * self.beyond(self.residual)).reshape(len(inverse), N, -1).sum(axis=2)
         stretches = np.unique(self.poses.stretch)
@@ -282,39 +224,50 @@ def unfitted(poses: Poses, c: np.ndarray) -> PoseFit:
     """Begin a fit at configurations ``c`` (n_c, N) of the robot's file, frames guessed."""
     change = np.zeros(len(poses.geometry.constants))
     body = poses.geometry.pose(c, change)
-    return PoseFit(poses, _first_frames(poses, body), change, c, body, ())
+    frames = first_frames(poses, body)
+    return PoseFit(poses, frames, np.zeros(7 + 6 * len(frames.p_t)), change, c, body)
 
 
 def fit_poses(start: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
-    """Fit the frames and the constants ``chosen`` from a fit on; None where the loops cannot follow.
+    """Fit the frames and the constants ``chosen`` from a fit on; None where the loops cannot follow."""
+    from scipy.optimize import least_squares
 
-    Levenberg-Marquardt, as a tracker's frame is hardly determined where little of a pose is logged.
-    """
-    fit, damping = replace(start, chosen=tuple(chosen)), LEAST_DAMPING
-    for _ in range(STEPS):
-        moved = _moved(fit, fit.step(damping))
-        gained = 0.0 if moved is None else float(np.sum(fit.residual**2) - np.sum(moved.residual**2))
-        if moved is None or not gained > 0:
-            if damping > 1:
-                break
-            damping *= 10
-            continue
-        small = SETTLED * np.sum(moved.residual**2) + (FLOOR * fit.poses.weights.max()) ** 2
-        converged = damping < DAMPED and gained <= small
-        fit, damping = moved, max(damping / 10, LEAST_DAMPING)
-        if converged:
-            break
-    return fit if np.isfinite(fit.columns).all() else None
+    fit, free, geometry = replace(start, chosen=tuple(chosen)), start.free, start.poses.geometry
+    if not np.isfinite(fit.columns).all():
+        return None
 
+    @lru_cache(maxsize=2)
+    def closed(*changes: float) -> tuple[np.ndarray, np.ndarray, BodyPose] | None:
+        """Close the loops with these changes of the chosen constants."""
+        if not changes:
+            return fit.change, fit.c, fit.body
+        change = fit.change.copy()
+        change[list(fit.chosen)] = changes
+        c = geometry.close(fit.c, fit.change, change)
+        return None if c is None else (change, c, geometry.pose(c, change))
 
-def _moved(fit: PoseFit, step: np.ndarray) -> PoseFit | None:
-    """Take a step (k,) of the free frames and constants; None where the loops cannot follow."""
-    of_frames, count = np.zeros(fit.free.size), np.count_nonzero(fit.free)
-    of_frames[fit.free] = step[:count]
-    fit = replace(fit, frames=fit.frames.moved(of_frames, fit.compared[3]))
-    if not fit.chosen:
-        return fit
-    change, geometry = fit.change.copy(), fit.poses.geometry
-    change[list(fit.chosen)] += step[count:]
-    c = geometry.close(fit.c, fit.change, change)
-    return None if c is None else replace(fit, change=change, c=c, body=geometry.pose(c, change))
+    def at(unknowns: np.ndarray) -> PoseFit | None:
+        """Return the fit at these unknowns (k,); None where the loops cannot follow."""
+        moved, count = fit.moved.copy(), np.count_nonzero(free)
+        moved[free] = unknowns[:count]
+        parts = closed(*unknowns[count:].tolist())
+        if parts is None:
+            return None
+        change, c, body = parts
+        return replace(fit, moved=moved, change=change, c=c, body=body)
+
+    def residual(unknowns: np.ndarray) -> np.ndarray:
+        other = at(unknowns)
+        return np.full(fit.apart.size, np.nan) if other is None else other.residual
+
+    def slopes(unknowns: np.ndarray) -> np.ndarray:
+        other = at(unknowns)
+        return np.full(fit.columns.shape, np.nan) if other is None else -other.columns
+
+    first = np.concatenate([fit.moved[free], fit.change[list(fit.chosen)]])
+    try:
+        solved = least_squares(residual, first, slopes, x_scale="jac", ftol=SETTLED, max_nfev=STEPS)
+    except ValueError:  # not finite, as the loops cannot follow
+        return None
+    found = at(solved.x)
+    return found if found is not None and np.isfinite(found.columns).all() else None

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.refits import untested
 from gtau.estimation.effects.linearisation import FitWindow, known_rows, slopes_of, stacked_triangles
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import whitening
@@ -28,8 +29,7 @@ from gtau.estimation.regression.run_blocks import (
     usable_rows,
     window_clusters,
 )
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
 
@@ -37,6 +37,7 @@ FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, alternatives fit th
 NOISE_STD = 4.0  # Hausman's statistic of instrumental variables, from which noise of the positions is named
 DIFFERENT_STD = 3.0  # difference of another estimator's parameter, standard deviations, that makes it an alternative
 
+POSITION_NOISE = "position noise"
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
 # and at most that of the position filter times this: instruments above would share more than 3 % of the noise of the
 # accelerations.
@@ -53,8 +54,7 @@ def position_noise(fit: Fit) -> Iterator[Finding]:
     try:
         difference = instruments_difference(fit)
     except GtauError as refusal:  # its filter leaves no rows, or the loops do not close along that motion
-        said = {"check": "noise of the positions", "refusal": str(refusal).removesuffix(".")}
-        yield Finding(F.UNTESTED, values=said)
+        yield untested("noise of the positions", refusal)
         return
     if difference is None:
         return
@@ -67,10 +67,21 @@ def position_noise(fit: Fit) -> Iterator[Finding]:
     if counted.any():
         worst = int(np.argmax(np.where(counted, moves / np.maximum(usual, 1e-300), 0.0)))
         name = problem.unknowns[worst]
-        joints, subject = ((name.body,), "") if name.kind == "gain" else ((), name)
-        count = {"count": int(counted.sum()), "all": len(fit.solution.theta) + len(fit.gains)}
-        sizes = {"deviations": float(moves[worst] / usual[worst]), "t": float(moves[worst] / stds[worst])}
-        yield Finding(F.POSITION_NOISE, joints, subject, count | sizes)
+        joint = name.body if name.kind == "gain" else ""
+        what = f"the gain of '{joint}'" if joint else name
+        deviations, t = float(moves[worst] / usual[worst]), float(moves[worst] / stds[worst])
+        yield Finding(
+            POSITION_NOISE,
+            (joint,) if joint else (),
+            "" if joint else name,
+            size=deviations / 1.96,  # in halves of a 95 % interval
+            text=f"position noise biases {counted.sum()} of {len(fit.solution.theta) + len(fit.gains)} estimates by "
+            f"more than one standard deviation: {what} by {deviations:.1f} standard deviations (instrumental "
+            f"variables, which such noise does not bias, differ by {t:.0f} standard deviations of the difference); the "
+            "intervals include this bias",
+            advice="use --method iv or didim, or encoders with less noise",
+            grade=Grade.WARNING,
+        )
 
 
 def instruments_difference(fit: Fit) -> tuple[np.ndarray, np.ndarray] | None:

@@ -12,7 +12,7 @@ from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.scale_source import require_scale
-from gtau.findings import Finding
+from gtau.findings import Finding, Grade
 from gtau.signals.reading.statements import Payload
 
 
@@ -54,3 +54,13 @@ def described_otherwise(fit: Fit, effect: str, cause: Finding, other: Fit, own: 
     moves = dict(zip(fit.dataset.model.actuated, map(float, change), strict=True))
     moves = {joint: move for joint, move in moves.items() if joint in fit.dataset.robot.motors}
     return EstimatedEffect(effect, cause, 1.0, 0.0, "", likelihood, share, moves, description=True)
+
+
+def untested(check: str, refusal: GtauError) -> Finding:
+    """Note that a check refused these data."""
+    return Finding(
+        "other estimators not tried",
+        text=f"{check} could not be tested: {str(refusal).removesuffix('.')}",
+        grade=Grade.INFORMATION,
+        shown_as="reading",
+    )

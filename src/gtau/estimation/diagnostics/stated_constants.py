@@ -16,15 +16,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gtau.estimation.diagnostics.refits import refitted, residual_ratio
-from gtau.estimation.diagnostics.verdict import (
-    APART,
-    GOOD,
-    Outcome,
-    Verdict,
-    known_verdict,
-    unexplained_shares,
-    verdict_of,
-)
+from gtau.estimation.diagnostics.verdict import APART, GOOD, WIDTH, unexplained_shares
 from gtau.estimation.effects.linearisation import slopes_of, weighted, weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve, jackknife
 from gtau.estimation.estimators.newton import (
@@ -39,8 +31,7 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import FIXED, KNOWN, SIGNALS, delayed_signal, modelled, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import independent_columns
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import Channel
@@ -50,6 +41,11 @@ MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
 PAYLOAD_MOVES = 0.01  # relative move of the gains when a known payload parameter is estimated instead
 IN_METRES = 4.0  # times that a moment must be nearer to mass times the stated value, which is then in m
 LEAST_OTHERS = 0.001  # share of all else in an estimate that has a prior, below which it is the prior
+
+SCALED_BY_FILE = "the inertias of the robot's file"
+SENSOR, PRIOR = "contradictory torque sensor", "contradictory prior"
+PAYLOAD_MASS, PAYLOAD_PARAMETER = "payload mass", "payload parameter"
+SENSOR_ADVICE = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +103,7 @@ def stated_constants(system: System) -> list[StatedConstant]:
         std = max((channel.std for channel in channels if not channel.kind.measures_joint), default=0.0)
         add(_wrenches(problem), 1.0, std, torques, of_channels[problem.base].sum(axis=0), 0.0)
     if len(known):
-        source = "the inertias of the robot's file" if system.dataset.scaled_by_file else "known parameters"
+        source = SCALED_BY_FILE if system.dataset.scaled_by_file else "known parameters"
         add(source, 1.0, 0.0, 0.0, 0.0, 1.0)
     return constants
 
@@ -191,11 +187,17 @@ class SensorScale:
     gain_shift: np.ndarray
 
 
-def sensor_verdict(scale: SensorScale, accuracy: float) -> Verdict:
+def sensor_verdict(scale: SensorScale, accuracy: float) -> Finding:
     """Judge a scale: contradictory where it differs from 1 significantly and by more than the ``accuracy``."""
     if abs(scale.value - 1) <= max(APART * scale.std, accuracy):
         return GOOD
-    return verdict_of(Finding(F.SENSOR_SCALE, values={"scale": scale.value, "std": scale.std}))
+    return Finding(
+        "sensor scale",
+        text=f"all other data give torques {scale.value:.4g} times its reading (standard deviation {scale.std:.2g})",
+        advice=SENSOR_ADVICE,
+        grade=Grade.CONTRADICTORY,
+        shown_as="model",
+    )
 
 
 def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
@@ -245,12 +247,13 @@ def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
 
 def sensor_contradictions(scales: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
     """Find the gains of ``joints`` (n,) that rest on a sensor contradicting the other stated constants."""
-    for scale in scales:
+    for scale in sorted(scales, key=lambda scale: -float(np.abs(scale.gain_shift).max())):
         moves = np.abs(scale.gain_shift)
         moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
-        if sensor_verdict(scale, accuracy).outcome == Outcome.CONTRADICTORY and moved:
-            what = {"sensor": scale.channel.kind.name}
-            yield Finding(F.SENSOR, moved, scale.channel.joint, what, size=float(moves.max()))
+        if sensor_verdict(scale, accuracy).outcome == Grade.CONTRADICTORY and moved:
+            sensor, joint = scale.channel.kind.name, scale.channel.joint
+            text = f"the scale comes from the {sensor} of '{joint}', which contradicts all other data"
+            yield Finding(SENSOR, moved, joint, text=text, advice=SENSOR_ADVICE, grade=Grade.CONTRADICTORY)
 
 
 def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> list[Finding]:
@@ -272,12 +275,22 @@ def prior_contradictions(fit: Fit, covariance: np.ndarray, accuracy: float) -> l
         value = prior.value + (float(fit.solution.theta[k]) - prior.value) / others
         std = float(np.sqrt(max(covariance[k, k] - ((1 - others) * prior.std) ** 2, 0.0))) / others
         if abs(value - prior.value) > max(limit * np.hypot(std, prior.std), accuracy * abs(prior.value)):
-            values = {"found": value, "std": std, "prior": prior.value, "prior_std": prior.std}
-            wrong.append(Finding(F.PRIOR, (), name, values))
+            wrong.append(
+                Finding(
+                    PRIOR,
+                    subject=name,
+                    size=abs(value - prior.value) / (WIDTH * float(np.hypot(std, prior.std))),
+                    text=f"the known parameter {name} is {value:.4g} from the data (standard deviation {std:.2g}), but "
+                    f"{prior.value:.4g} from its prior ({prior.std:.2g})",
+                    advice="check its value, and the units and signs of the other scale references: payloads, sensors, "
+                    "wrenches",
+                    shown_as="model",
+                )
+            )
     return wrong
 
 
-def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
+def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Finding]:
     """Estimate each known value of a payload in turn, with given gains or gains from the other constants.
 
     Of several values of a payload that the data contradict, the one is named that leaves least when it alone is freed.
@@ -296,7 +309,7 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Verdict]:
     return verdicts
 
 
-def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) -> tuple[float, Verdict] | None:
+def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) -> tuple[float, Finding] | None:
     """Estimate a payload's parameter without stating it: what that leaves, and a verdict; None if not identifiable."""
     values = {other: value for other, value in payload.parameters.items() if other != kind}
     mass = None if kind == "m" else payload.mass
@@ -322,19 +335,43 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     else:
         small = abs(value - declared) <= accuracy * abs(declared)
     of_mass = payload.mass_std if mass is None else value * payload.mass_std / mass
-    tested = {
-        "parameter": kind,
-        "declared": declared,
-        "found": value,
-        "std": float(np.hypot(stds[best], of_mass)),
-        "unit": unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool),
-        "remains": residual_ratio(other, fit),
-        "given": "" if fit.free_gains else fit.dataset.runs[0].kind,
-    }
-    if kind in FIRST_MOMENTS and mass and abs(value - mass * declared) < abs(value - declared) / IN_METRES:
-        tested["moment"] = mass * declared
+    std = float(np.hypot(stds[best], of_mass))
     likelihood = float(problem.total_rows @ np.log(other.solution.sigma))
-    return likelihood, GOOD if small else known_verdict(tested, _explained(fit, other))
+    if small or abs(value - declared) <= APART * std:
+        return likelihood, GOOD
+    if kind == "m":
+        wrong = PAYLOAD_MASS
+        text = f"all other data give it a mass of {value:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg"
+        advice = "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared"
+        if not fit.free_gains:
+            torques = fit.dataset.runs[0].kind == "torque"
+            advice = (
+                "check which runs carry the payload, its mass (kg) and "
+                f"{'the unit and scale of the torques' if torques else 'the given gains'}; if the mass is certain, "
+                f"{'use --method ml' if torques else 'identify the gains'}: it then sets their scale"
+            )
+    else:
+        wrong, unit = PAYLOAD_PARAMETER, unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool)
+        text = (
+            f"given its mass and all other data, its {kind} is {value:.4g} {unit} (standard deviation {std:.2g}), not "
+            f"{declared:.4g} {unit}"
+        )
+        advice = f"check {kind}, its frame (that of the body that carries the payload) and the mass; or omit {kind}"
+        if kind in FIRST_MOMENTS and mass and abs(value - mass * declared) < abs(value - declared) / IN_METRES:
+            in_metres = f"write '{kind}: {mass * declared:.4g}' (mass times distance, kg m)"
+            advice = f"if {declared:.4g} is in m, {in_metres}; otherwise {advice}"
+    verdict = Finding(
+        wrong,
+        _explained(fit, other),
+        payload.name,
+        values={"remains": residual_ratio(other, fit)},
+        size=abs(value - declared) / std,
+        text=text,
+        advice=advice,
+        grade=Grade.CONTRADICTORY,
+        shown_as="model",
+    )
+    return likelihood, verdict
 
 
 def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Checks against what is known beside the logs: units and signs, and legs of the same geometry.
+"""Checks of units and signs, against what is known beside the logs.
 
 A wrong unit or sign fits the data as well as the truth, so that only sizes reveal it.
 Grams for kilograms scale all gains and parameters, milliamperes for amperes a gain, a reversed column turns its sign.
@@ -16,16 +16,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import NEGATIVE_STD, half_widths, motors
+from gtau.estimation.diagnostics.verdict import (
+    FAR_APART,
+    LARGE_CURRENT,
+    NEGATIVE_GAIN,
+    NEGATIVE_STD,
+    half_widths,
+    motors,
+)
 from gtau.estimation.effects.effect import Levels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
-from gtau.model.base_parameters import regrouped
-from gtau.robots.geometry import identical_legs
-from gtau.robots.parameter import Parameter, gain_unit, parameter_of, torque_unit
-from gtau.robots.robot import GROUND, PLAIN_FRICTION, Robot
+from gtau.findings import Finding, Grade
+from gtau.findings.words import write_limits
+from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
+from gtau.robots.robot import GROUND, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
@@ -38,11 +43,10 @@ GAINS_APART = 15.0  # gain of a joint over the next smaller one, turning joints 
 FILE_FACTOR = 2.0  # rms of the identified first moments over that of the robot's file, or the inverse
 FILE_ALIKE = 1.5  # factor of a moment over that of all, or the inverse, within which it has that factor
 FILE_SHARE = 2 / 3  # share of the moments within FILE_ALIKE, from which a factor is one of all
+LIGHTEST = 0.03  # kg/m, of an arm whose largest first moment is that of a rod as long as its reach, and at most
+HEAVIEST = 2000.0
 OTHER_UNIT = 10.0  # factor from which a unit is wrong
 EFFORT_FACTOR = 2.0  # rms torque over the joint's limit of effort
-LEG_PROBABILITY = 0.001  # probability that legs which are alike differ by as much
-LEG_DIFFERENCE = 20.0  # difference of a parameter between like legs, per cent
-LEG_DIFFERENCE_STD = 5.0  # difference of a parameter between like legs, standard deviations
 LARGEST_CURRENT = 100.0  # rms current of a joint, A, from which it is rather in mA
 SMALLEST_CURRENT = 0.02  # largest rms current of all joints, A, below which a current stated in mA is rather in A
 LARGEST_VOLTAGE = 1500.0  # rms speed of a joint times its gain, V: what its motor induces, from which a unit is wrong
@@ -51,6 +55,9 @@ PAYLOAD_DENSITY = 100.0  # mass of a payload over the cube of the arm's reach, k
 CURRENTS_APART = 30.0  # rms current of a joint over the next smaller one, from which units may differ between joints
 BEYOND_GEARS = 1000.0  # largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes
 
+PRIOR_GAIN, HEAVY_PAYLOAD, SMALL_CURRENT = "prior gain", "payload too heavy", "current too small"
+UNLIKE_FILE = "inertias out of scale"
+CURRENTS_FAR_APART, EFFORT, DOUBTFUL_LIMIT = "currents far apart", "effort limit", "doubtful effort limit"
 PLACES = (9.80, 1.62)  # m/s2, on earth and on the moon
 
 
@@ -61,27 +68,31 @@ def units_and_signs(
 
     Prior gains (N m/A or N per A, by joint) settle the size of a gain that is estimated.
     """
-    dataset, apart = fit.dataset, []
+    dataset = fit.dataset
     settled = set(prior_gains) if fit.free_gains else set()
+
+    def doubted(findings: Iterable[Finding]) -> Iterator[Finding]:
+        """Doubt the gains that no prior settles, all of them where a finding is on no joint."""
+        for finding in findings:
+            if joints := tuple(joint for joint in finding.joints or motors(fit) if joint not in settled):
+                yield replace(finding, joints=joints)
+
+    known = dict[str, float]()
     if fit.free_gains:
         # signed, of joints whose interval excludes zero
         of_joints = zip(fit.system.problem.joints, fit.gains, half_widths(fit, estimates), strict=True)
         base = dataset.robot.base
         known = {joint: float(gain) for joint, gain, half in of_joints if half < 1 and joint not in base}
         yield from _unlike_priors(fit, known, prior_gains)
-        apart = [*_gains_apart(fit, known), *_voltages(fit, known)]
-    of_sizes = (
-        *apart,
-        *doubtful_gravity(dataset.robot),
-        *doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)),
-        *doubtful_currents(dataset.runs, dataset.robot.base),
-        *(unlike_file(audit) if audit else ()),
-    )
-    for finding in of_sizes:
-        joints = finding.joints or motors(fit)
-        if doubted := tuple(joint for joint in joints if joint not in settled):
-            yield replace(finding, joints=doubted)
+        yield from doubted(_gains_apart(fit, known))
+    currents = list(doubtful_currents(dataset.runs, dataset.robot.base))
+    small = [finding for finding in currents if finding.kind == SMALL_CURRENT]
+    yield from doubted(doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)))
+    yield from doubted(finding for finding in currents if finding.kind != SMALL_CURRENT)
+    yield from doubted(doubtful_gravity(dataset.robot))
+    yield from doubted((list(unlike_file(audit)) if audit else []) or unlike_arms(fit, estimates))
     yield from _efforts_exceeded(fit, settled)
+    yield from doubted([*(_voltages(fit, known) if known else ()), *small])
 
 
 def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, float]) -> Iterator[Finding]:
@@ -95,13 +106,31 @@ def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, fl
         prior = priors.get(joint)
         ratio = abs(gain / prior) if prior else 1.0
         if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
-            values = {"ratio": ratio, "prior": prior, "unit": gain_unit(robot, joint, kind)}
-            yield Finding(F.PRIOR_GAIN, (joint,), values=values)
+            text = f"the gain is {ratio:.4g} times its prior of {prior:.4g} {gain_unit(robot, joint, kind)}"
+            check = "the payload's mass (kg), the unit of the currents, and 'prior_gains'"
+            if 1 / PRIOR_FACTOR < ratio / 1000 < PRIOR_FACTOR:
+                check = "the payload's mass (g entered as kg?) and the unit of the currents (A declared as mA?)"
+            elif 1 / PRIOR_FACTOR < 1000 * ratio < PRIOR_FACTOR:
+                check = "the unit of the currents (mA declared as A?) and the payload's mass in kg"
+            yield _wrong(PRIOR_GAIN, (joint,), text, f"check {check}")
         elif joint in known and prior is None and not least <= abs(gain) <= most:
-            yield Finding(F.PRIOR_GAIN, (joint,), values={"ratio": abs(gain)})
+            text = f"the true torque is {abs(gain):.4g} times the logged one"
+            advice = "check the unit of the torques (N m, N mm?) and the payload's mass (kg), or state 'prior_gains'"
+            yield _wrong(PRIOR_GAIN, (joint,), text, advice)
         if joint in known and gain * (prior or 1.0) < 0:
-            values = {"kind": kind, "negative": gain < 0, "prior": prior is not None}
-            yield Finding(F.NEGATIVE_GAIN, (joint,), values=values)
+            sign, driven = ("negative", "backwards") if gain < 0 else ("positive", "forwards")
+            meant = "the drive does turn against its joint, state a negative prior gain"
+            if prior is not None:
+                meant = "that is intended, reverse the prior gain"
+            text = f"{sign} gain: positive {kind} drives the joint {driven}"
+            advice = f"reverse the sign of its {kind} or position column; or if {meant}"
+            yield _wrong(NEGATIVE_GAIN, (joint,), text, advice)
+
+
+def _wrong(kind: str, joints: tuple[str, ...], text: str, advice: str, subject: str = "") -> Finding:
+    """Find, against the gains of some joints, all where there are none, what a wrong unit or sign explains."""
+    shown_as = "unit" if kind in (LARGE_CURRENT, SMALL_CURRENT, HEAVY_PAYLOAD) else "model"
+    return Finding(kind, joints, subject, text=text, advice=advice, grade=Grade.CONTRADICTORY, shown_as=shown_as)
 
 
 def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
@@ -120,8 +149,15 @@ def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
             for gain, joint in few:
                 peer, of_peer = (above, larger) if gain <= smaller else (below, smaller)
                 ratio = max(gain / of_peer, of_peer / gain)
-                values = {"ratio": ratio, "gain": gain, "unit": unit, "kind": kind, "of_peer": of_peer}
-                yield Finding(F.GAINS_APART, (joint,), peer, values)
+                text = (
+                    f"the gains of '{joint}', {gain:.3g} {unit}, and '{peer}', {of_peer:.3g} {unit}, differ by a "
+                    f"factor of {ratio:.2g}, which is implausible for motors and gears of one robot"
+                )
+                advice = (
+                    f"check that the {kind} columns of these joints are in the same unit, and convert those that are "
+                    "not; if the motors do differ, state 'prior_gains'"
+                )
+                yield _wrong(FAR_APART, (joint,), text, advice, peer)
 
 
 def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
@@ -131,15 +167,32 @@ def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
     volts = {joint: abs(gain) * speeds[joint] for joint, gain in known.items()}
     worst = max(volts, key=lambda joint: volts[joint], default="")
     if kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:
-        values = {"gain": abs(known[worst]), "unit": gain_unit(fit.dataset.robot, worst, kind), "volts": volts[worst]}
-        yield Finding(F.SMALL_CURRENT, (), worst, values)
+        gain = f"{abs(known[worst]):.4g} {gain_unit(fit.dataset.robot, worst, kind)}"
+        text = (
+            f"the gain of '{worst}', {gain}, would induce {volts[worst]:.3g} V in its motor at the logged speed (rms), "
+            "more than drives of robots supply"
+        )
+        yield _wrong(SMALL_CURRENT, (), text, _milliamperes(fit.dataset.runs), worst)
+
+
+def _milliamperes(runs: Sequence[Run]) -> str:
+    mass = " and the payload's mass (kg)" if any(run.payload for run in runs) else ""
+    return f"check the unit of the currents (A stated as mA?){mass}; if both are right, state 'prior_gains'"
 
 
 def doubtful_gravity(robot: Robot) -> Iterator[Finding]:
     """Find a strength of gravity that is of no place where robots are; without gravity there is nothing to doubt."""
     strength = float(np.linalg.norm(robot.gravity))
     if strength and min(abs(strength - place) for place in PLACES) > GRAVITY_RANGE:
-        yield Finding(F.STRENGTH, values={"strength": strength})
+        text = (
+            f"gravity is {strength:.4g} m/s2 in the robot's description, and 9.76 to 9.84 on earth; gains and "
+            "parameters that rest on weights have its error"
+        )
+        advice = (
+            "write 'gravity: [0, 0, -9.81]' in the robot file (in base axes; 'moon' and 'none' are words), or state "
+            "'prior_gains' if it is right"
+        )
+        yield _wrong("strength of gravity", (), text, advice)
 
 
 def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterator[Finding]:
@@ -156,12 +209,25 @@ def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterat
     # joints at rest may have no current
     driven = sorted((rms, joint) for joint, rms in zip(joints, sizes, strict=True) if joint not in base and rms > 0)
     if large := tuple(joint for rms, joint in driven if rms > LARGEST_CURRENT):
-        yield Finding(F.LARGE_CURRENT, large, large[-1], {"rms": driven[-1][0]})
+        text = f"the current of joint '{large[-1]}' is {driven[-1][0]:.4g} A rms, more than drives of robots take"
+        advice = "if it is in mA, write units: {current: mA}; otherwise state 'prior_gains'"
+        yield _wrong(LARGE_CURRENT, large, text, advice, large[-1])
     if driven and driven[-1][0] < SMALLEST_CURRENT:
-        yield Finding(F.SMALL_CURRENT, tuple(joint for _, joint in driven), driven[-1][1], {"rms": driven[-1][0]})
+        rms, largest = driven[-1]
+        text = f"no current is larger than that of joint '{largest}', {rms:.2g} A rms, less than drives of robots take"
+        yield _wrong(SMALL_CURRENT, tuple(joint for _, joint in driven), text, _milliamperes(runs), largest)
     for (small, below), (larger, above) in pairwise(driven):
         if larger > CURRENTS_APART * small:
-            yield Finding(F.CURRENTS_APART, (above,), below, {"larger": larger, "smaller": small})
+            yield Finding(
+                CURRENTS_FAR_APART,
+                (above,),
+                below,
+                text=f"the current of joint '{above}' is {larger / small:.3g} times that of '{below}' ({larger:.3g} "
+                f"and {small:.3g} A rms)",
+                advice="check that the columns are in the same unit (A, mA, % or counts), and convert those that are "
+                "not",
+                shown_as="unit",
+            )
 
 
 def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Iterator[Finding]:
@@ -172,7 +238,12 @@ def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Itera
     most = PAYLOAD_DENSITY * reach**3
     for name, mass in dict.fromkeys((payload.name, payload.mass) for payload in payloads if payload and payload.mass):
         if mass is not None and mass > most:
-            yield Finding(F.HEAVY_PAYLOAD, (), name, {"mass": mass, "reach": reach, "most": most})
+            text = (
+                f"payload '{name}' weighs {mass:.4g} kg, more than arms that reach {reach:.2g} m carry (about "
+                f"{most:.3g} kg at most); all drive gains are proportional to it"
+            )
+            advice = f"if it is in g, write 'mass: {0.001 * mass:.4g}' (kg); otherwise state 'prior_gains'"
+            yield _wrong(HEAVY_PAYLOAD, (), text, advice, name)
 
 
 def _reach(robot: Robot) -> float | None:
@@ -203,7 +274,38 @@ def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
         apart, own = max(factor, 1 / factor), np.log(identified / stated / factor)
         common = np.mean(np.abs(own) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
         if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
-            yield Finding(F.UNLIKE_FILE, values={"factor": factor, "count": len(moments)})
+            text = (
+                f"the first moments of the links are {factor:.3g} times those of the robot's file (rms of "
+                f"{len(moments)})"
+            )
+            advice = (
+                "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is "
+                "wrong, state 'prior_gains'"
+            )
+            yield _wrong(UNLIKE_FILE, (), text, advice)
+
+
+def unlike_arms(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find logged torques by which an arm of this reach would be far lighter or heavier than arms are."""
+    robot, theta = fit.dataset.robot, fit.solution.theta
+    reach = None if robot.closures or robot.floating else _reach(robot)
+    if not reach or fit.free_gains or fit.dataset.runs[0].kind != "torque":
+        return
+    std = np.sqrt(np.diag(estimates.covariance))
+    moments = [
+        (abs(float(theta[place])), name)
+        for name, place in estimates.unknowns.places.items()
+        if parameter_of(name).kind in FIRST_MOMENTS and abs(theta[place]) > NEGATIVE_STD * std[place]
+    ]
+    moment, name = max(moments, default=(0.0, ""))
+    if moments and not LIGHTEST <= (weight := 2 * moment / reach**2) <= HEAVIEST:
+        yield Finding(
+            UNLIKE_FILE,
+            text=f"the largest first moment, {name} of {moment:.2g} kg m, is that of an arm of {weight:.2g} kg "
+            f"per metre of its reach of {reach:.2g} m, and arms have 0.3 to 300 kg",
+            advice="check the unit of the torques and the lengths in the robot file",
+            grade=Grade.CONTRADICTORY,
+        )
 
 
 def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
@@ -218,81 +320,25 @@ def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
     levels = np.abs(fit.solution.gains) * problem.signal
     torques = dict(zip(problem.joints, levels.tolist(), strict=False))
     ratios = {joint: torques[joint] / limit for joint, limit in limits.items() if limit}
-    context = {"given": not fit.free_gains, "kind": fit.dataset.runs[0].kind}
-    over = sorted((joint for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR), key=lambda name: ratios[name])
+    kind, given = fit.dataset.runs[0].kind, not fit.free_gains
+    over = sorted((joint for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR), key=lambda name: -ratios[name])
     doubtful = tuple(joint for joint in over if joint in settled)
     exceeded = tuple(joint for joint in over if joint not in settled)
-    for kind, joints in ((F.DOUBTFUL_LIMIT, doubtful), (F.EFFORT, exceeded)):
-        for worst in joints[-1:]:
-            values = {"torque": torques[worst], "limit": limits[worst], "ratio": ratios[worst]}
-            values |= {"all": len(joints) == len(ratios), "unit": torque_unit(robot, worst)}
-            yield Finding(kind, joints, worst, values | context)
-
-
-def unlike_legs(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
-    """Find the leg that differs most from those of the same geometry (the paper's check after section 3.1).
-
-    Their frictions always differ, and the table shows them.
-    """
-    dataset, unknowns = fit.dataset, estimates.unknowns
-    listed = regrouped(dataset.base, dataset.model.parameter_names)
-    terms = {name: regrouping for name, regrouping in listed.items() if name in unknowns.places}
-    index = unknowns.at(terms)
-    covariance = estimates.covariance[np.ix_(index, index)]
-    if not np.diag(covariance).all():
-        return
-    unlike = [
-        finding
-        for finding in leg_differences(dataset.robot, terms, fit.solution.theta[index], covariance)
-        if finding.values["probability"] < LEG_PROBABILITY
-        and finding.values["parameter"].kind not in PLAIN_FRICTION
-        and 100 * finding.values["share"] > LEG_DIFFERENCE
-        and abs(finding.values["t"]) > LEG_DIFFERENCE_STD
-    ]
-    if unlike:
-        yield max(unlike, key=lambda finding: finding.values["share"])
-
-
-def leg_differences(
-    robot: Robot, terms: Mapping[Parameter, Mapping[Parameter, float]], parameters: np.ndarray, covariance: np.ndarray
-) -> Iterator[Finding]:
-    """Compare every leg's identified parameters with the mean of those of the legs of the same geometry.
-
-    ``terms`` are base parameters (k,) that were identified, with what each regroups: only those that regroup the same
-    standard ones, leg by leg, are compared. ``parameters`` (k,) are their values, with ``covariance`` (k, k). Yields by
-    leg that has like ones (of two like legs only the first) and parameter: the difference as ``share`` of the mean of
-    the others and in standard deviations, ``t``; and the ``probability`` that legs which are alike differ by as much or
-    more in all parameters together (Mahalanobis).
-    """
-    from scipy.stats import chi2
-
-    names = list(terms)
-    for group in identical_legs(robot):
-        tables = [{_in_leg(terms[name], leg): k for k, name in enumerate(names) if name.body in leg} for leg in group]
-        shared = set.intersection(*map(set, tables))
-        # (legs, parameters), in the order of the first leg
-        places = np.array([[table[meaning] for meaning in tables[0] if meaning in shared] for table in tables])
-        if len(group) < 2 or not shared:
-            continue
-        for k in range(len(group) if len(group) > 2 else 1):
-            contrast = np.zeros((len(shared), len(names)))
-            contrast[range(len(shared)), places] = -1.0 / (len(group) - 1)
-            contrast[range(len(shared)), places[k]] = 1.0
-            difference, scatter = contrast @ parameters, contrast @ covariance @ contrast.T
-            others, std = np.minimum(contrast, 0.0) @ parameters, np.sqrt(np.diag(scatter))
-            correlation, t = scatter / np.outer(std, std), difference / std
-            square = float(t @ np.linalg.pinv(correlation, rcond=1e-10, hermitian=True) @ t)
-            rank = int(np.linalg.matrix_rank(correlation, tol=1e-10, hermitian=True))
-            shares = np.abs(np.divide(difference, others, out=np.full(len(shared), np.inf), where=others != 0))
-            probability = float(chi2.sf(square, rank))
-            for place, share, by in zip(places[k], shares.tolist(), t.tolist(), strict=True):
-                values = {"parameter": names[place], "share": share, "t": by, "probability": probability}
-                yield Finding(F.UNLIKE_LEGS, (), group[k][0], values)
-
-
-def _in_leg(terms: Mapping[Parameter, float], leg: Sequence[str]) -> frozenset[tuple[str, int | str, float]]:
-    """Describe what a parameter regroups, joints counted from the first of its leg, factors to three decimals."""
-    return frozenset(
-        (name.kind, leg.index(name.body) if name.body in leg else name.body, round(factor, 3))
-        for name, factor in terms.items()
-    )
+    for joints, limit_doubted in ((doubtful, True), (exceeded, False)):
+        for worst in joints[:1]:
+            unit = torque_unit(robot, worst)
+            text = (
+                f"the torque of '{worst}' is {torques[worst]:.3g} {unit} (rms), {ratios[worst]:.3g} times its limit of "
+                f"{limits[worst]:.4g} {unit}"
+            )
+            if len(joints) == len(ratios):
+                of_all = f"the unit of the {kind}s" if given else "the payload's mass, which sets the scale,"
+                text += f", so {of_all} may be wrong"
+            advice = (
+                f"check the payload's mass (kg) and the unit of the {kind}s; if the limit is a placeholder, "
+                f"{write_limits(worst)}"
+            )
+            if limit_doubted:
+                yield Finding(DOUBTFUL_LIMIT, joints, worst, text=text, advice=advice, shown_as="joint limits")
+            else:
+                yield _wrong(EFFORT, joints, text, advice, worst)

@@ -1,18 +1,15 @@
-"""Verdicts: the credibility of an estimate, and the finding that decides it; of gains that which counts most."""
+"""Verdicts: the credibility of an estimate is the finding that counts most against it, or that there is none."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
-from gtau.findings import Outcome as Outcome  # which verdicts have
+from gtau.findings import Finding, Grade
+from gtau.findings.words import percent
 from gtau.robots.parameter import Parameter
 
 WEAK_PARAMETER = 0.2  # relative standard deviation of a parameter
@@ -20,86 +17,97 @@ NEGATIVE_STD = 4.0  # standard deviations below zero of a parameter that cannot 
 DELAY_STD = 0.25  # relative standard deviation of a delay longer than a sample that is believed
 APART = 3.5  # standard deviations between a declared value of a payload and what all else gives
 
+WIDTH = 1.96  # standard deviations in half a 95 % interval
 
-@dataclass(frozen=True)
-class Verdict:
-    """An outcome, and the finding behind it."""
-
-    outcome: Outcome
-    finding: Finding | None = None
-
-    @property
-    def why(self) -> str:
-        """The reason, empty without a finding."""
-        return "" if self.finding is None else self.finding.what
-
-    @property
-    def advice(self) -> str:
-        """Advice of the deciding finding."""
-        return "" if self.finding is None else self.finding.action
-
-    @property
-    def sentence(self) -> str:
-        """The verdict as one sentence, without its subject."""
-        return self.outcome.value + (f": {self.why}; {self.advice}" if self.finding else "")
-
-
-GIVEN, GOOD = Verdict(Outcome.GIVEN), Verdict(Outcome.GOOD)
+GIVEN, GOOD = (Finding(grade.value, grade=grade) for grade in (Grade.GIVEN, Grade.GOOD))
 NONNEGATIVE = {"m", "xx", "yy", "zz", "ia", "fv", "fs"}
-OUTCOMES: Mapping[str, Outcome] = {kind: kind.outcome for kind in F if kind.outcome}
-"""Kinds with an outcome, in the order in which they count where several are on one estimate."""
-ALONE = frozenset({F.NEGATIVE_GAIN, F.GAINS_APART, F.LARGE_CURRENT})
-"""Factors of one joint's channel, which its gain takes up whole: those of the other joints stay as they are."""
+NEGATIVE_GAIN, FAR_APART, LARGE_CURRENT = "negative gain", "gains far apart", "current too large"
+WIDE_SCALE = "uncertain scale"
+ALONE = frozenset({NEGATIVE_GAIN, FAR_APART, LARGE_CURRENT})
+"""Factors of one joint's channel, which its gain takes up whole: the gains of the other joints stay as they are."""
+IMPOSSIBLE = "check the signs of positions and currents, the sampling rate, the units and 'preparation'"
+LONGER = "; also use longer runs"
+WRENCHES = (
+    "check the signs, axes, point ('at') and body of each wrench, that no wrench is missing, and that all use the "
+    "clock of the positions"
+)
 
 
-def verdict_of(finding: Finding) -> Verdict:
-    """Judge an estimate by one finding."""
-    return Verdict(OUTCOMES[finding.kind] if finding.grade is None else Outcome(finding.grade), finding)
+def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Finding = GOOD) -> dict[str, Finding]:
+    """Judge the gain of each joint by the first finding on it that lowers a verdict, or as ``otherwise``.
 
-
-def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Verdict = GOOD) -> dict[str, Verdict]:
-    """Judge the gain of each joint by the highest-ranked finding on it, in whatever order the checks found them.
-
-    Of findings of one kind that of the largest size counts. No gain is good beside a contradictory one, since all
-    joints share the parameters of one model, but for what concerns the channel of one joint alone. A gain without a
-    finding is judged as ``otherwise``.
+    No gain is good beside a contradictory one, since all joints share the parameters of one model, but for what
+    concerns the channel of one joint alone.
     """
-    verdicts, rank = dict.fromkeys(joints, otherwise), list(OUTCOMES).index
-    against = [finding for finding in findings if finding.kind in OUTCOMES]
-    against.sort(key=lambda finding: (rank(finding.kind), -finding.size, repr(finding)))
-    for finding in reversed(against):  # the one that counts most comes last
-        verdicts |= dict.fromkeys(verdicts.keys() & finding.joints, verdict_of(finding))
+    first: dict[str, Finding] = {}
+    for finding in findings:
+        for joint in finding.joints if finding.decisive else ():
+            first.setdefault(joint, finding)
+    verdicts = {joint: first.get(joint, otherwise) for joint in joints}
     for joint, verdict in verdicts.items():
-        if verdict.finding and verdict.outcome == Outcome.CONTRADICTORY and verdict.finding.kind not in ALONE:
-            good = [name for name in joints if verdicts[name].outcome == Outcome.GOOD]
-            return verdicts | {name: verdict_of(Finding(F.COUPLED, (name,), joint)) for name in good}
+        if verdict.outcome == Grade.CONTRADICTORY and verdict.kind not in ALONE:
+            good = [name for name in joints if verdicts[name].outcome == Grade.GOOD]
+            return verdicts | {name: coupled(name, joint) for name in good}
     return verdicts
 
 
-def worst(verdicts: Iterable[Verdict]) -> Outcome:
+def coupled(joint: str, other: str) -> Finding:
+    """Doubt a gain beside a joint that contradicts the model."""
+    return Finding(
+        "coupled joint",
+        (joint,),
+        other,
+        text=f"joint '{other}' contradicts the model, whose parameters all joints share",
+        advice="resolve that joint first",
+        grade=Grade.WEAK,
+    )
+
+
+def worst(verdicts: Iterable[Finding]) -> Grade:
     """Return the worst outcome of several."""
-    return max((verdict.outcome for verdict in verdicts), key=list(Outcome).index, default=Outcome.GOOD)
+    return max((verdict.outcome for verdict in verdicts), key=lambda grade: grade.rank, default=Grade.GOOD)
 
 
-def parameter_verdict(value: float | None, std: float | None) -> Verdict:
+def parameter_verdict(value: float | None, std: float | None) -> Finding:
     """Judge a parameter by its value and standard deviation."""
     if value is None:
-        return verdict_of(Finding(F.INSEPARABLE))
+        return Finding(
+            "not separable",
+            text="these motions cannot separate it from the parameters listed before it",
+            advice="add runs with different motions of the joints",
+            grade=Grade.NOT_IDENTIFIABLE,
+        )
     if std is None:
         return GOOD
     if abs(value) < 2 * std:
-        return verdict_of(Finding(F.NEAR_ZERO))
+        return Finding(
+            "near zero",
+            text="it is within two standard deviations of zero",
+            advice="treat it as small, or move its joint faster and further",
+            grade=Grade.NOT_IDENTIFIABLE,
+        )
     if std > WEAK_PARAMETER * abs(value):
-        return verdict_of(Finding(F.UNCERTAIN, values={"std": std / abs(value)}))
+        return Finding(
+            "uncertain parameter",
+            text=f"its standard deviation is {percent(std / abs(value), '.0f')}",
+            advice="add longer runs",
+            grade=Grade.WEAK,
+        )
     return GOOD
 
 
-def judge_parameter(value: float | None, std: float | None, terms: Mapping[Parameter, float]) -> Verdict:
+def judge_parameter(value: float | None, std: float | None, terms: Mapping[Parameter, float]) -> Finding:
     """Judge a base parameter from its value, standard deviation, and the ``terms`` that it regroups."""
     if value is None or not std or value >= -NEGATIVE_STD * std or not cannot_be_negative(terms):
         return parameter_verdict(value, std)
     friction = next(iter(terms)).kind in ("fv", "fs")
-    return verdict_of(Finding(F.IMPOSSIBLE, values={"t": -value / std, "friction": friction}))
+    return Finding(
+        "physically impossible",
+        text=f"it is negative by {-value / std:.0f} standard deviations: "
+        + ("friction that drives the joint" if friction else "a negative inertia"),
+        advice=IMPOSSIBLE,
+        grade=Grade.CONTRADICTORY,
+    )
 
 
 def cannot_be_negative(terms: Mapping[Parameter, float]) -> bool:
@@ -107,22 +115,7 @@ def cannot_be_negative(terms: Mapping[Parameter, float]) -> bool:
     return all(factor > 0 and name.kind in NONNEGATIVE for name, factor in terms.items())
 
 
-def known_verdict(values: Mapping[str, Any], explained: tuple[str, ...] = ()) -> Verdict:
-    """Judge a known value of a payload by its estimate from the other known constants and the data.
-
-    ``values`` are the ``parameter``, its ``declared`` value and the one ``found``, with its ``std`` and ``unit``, the
-    kind of the commands where gains are ``given``, and what the value that is found ``remains`` of the residual
-    variance, the geometric mean of all channels; ``explained`` the joints whose torque only the declared value leaves
-    unexplained.
-    """
-    size = abs(values["found"] - values["declared"]) / values["std"]
-    if size <= APART:
-        return GOOD
-    kind = F.PAYLOAD_MASS if values["parameter"] == "m" else F.PAYLOAD_PARAMETER
-    return verdict_of(Finding(kind, explained, values=values, size=size))
-
-
-def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> list[Verdict]:
+def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period: float) -> list[Finding]:
     """Judge the delay of every channel, of the joints' currents and of torque sensors, by its ``std`` (c,), s.
 
     A delay lost in noise was not estimated. One within the ``period`` of the samples, s, is believed whatever its
@@ -130,14 +123,23 @@ def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period
     """
     size = np.abs(solution.delays)
     uncertain = (size > period) & (std > DELAY_STD * size)
-    return [
-        verdict_of(Finding(F.DELAY_NOISE))
-        if not longest
-        else verdict_of(Finding(F.DELAY_UNCERTAIN, values={"std": float(std[k])}))
-        if uncertain[k]
-        else GOOD
-        for k, longest in enumerate(problem.longest_delays)
-    ]
+    verdicts = [GOOD] * len(size)
+    for k, longest in enumerate(problem.longest_delays):
+        if not longest:
+            verdicts[k] = Finding(
+                "delay lost in noise",
+                text="the current's rate of change may be nothing but noise",
+                advice="treat it as unknown, or move this joint faster; the drive gain does not depend on it",
+                grade=Grade.NOT_IDENTIFIABLE,
+            )
+        elif uncertain[k]:
+            verdicts[k] = Finding(
+                "uncertain delay",
+                text=f"its standard deviation is {1000 * std[k]:.2g} ms",
+                advice="treat it as a nuisance parameter, or move this joint faster",
+                grade=Grade.WEAK,
+            )
+    return verdicts
 
 
 def unexplained_shares(problem: Problem, solution: Solution) -> np.ndarray:
@@ -157,3 +159,18 @@ def half_widths(fit: Fit, estimates: Estimates) -> np.ndarray:
 def motors(fit: Fit) -> tuple[str, ...]:
     """List the joints whose gains are judged: all but those of a floating base."""
     return tuple(channel.joint for channel in fit.system.problem.channels if channel.kind.unknown_gain)
+
+
+def has_wrenches(fit: Fit) -> bool:
+    """Decide whether wrenches on bodies or on a floating base are measured."""
+    return bool(fit.system.problem.wrenches or fit.system.problem.base)
+
+
+def wrenches_first(fit: Fit, advice: str) -> str:
+    """Advise to check measured wrenches before all else: a wrong one has the effects of other faults."""
+    return f"{WRENCHES}; otherwise {advice}" if has_wrenches(fit) else advice
+
+
+def which_payload(fit: Fit) -> str:
+    """Continue an advice with what to check of payloads, where there are any."""
+    return ", which runs carry the payload, and on which body" if fit.system.payloads else ""

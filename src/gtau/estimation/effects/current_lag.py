@@ -5,10 +5,9 @@ It is that of the model's torque: the measured current's is correlated with the 
 
 from __future__ import annotations
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1e-4  # s2: a filter of 14 ms (experience)
@@ -19,10 +18,9 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return at.decimated(change.T[None])
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"a low-pass filter of the current of '{column.joint}'"
-    values = {"what": what, "action": "log the current before any filter, and move more slowly"}
-    return Finding(CURRENT_LAG.name, (column.joint,), values=values)
+    return what, "log the current before any filter, and move more slowly"
 
 
 CURRENT_LAG = Effect("current lag", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "s2")], _say)

@@ -48,8 +48,8 @@ def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
             if effect.function:
                 size, std = torque, torque * std / abs(size)
             against = effect.description or abs(size) - 2 * std > effect.harmless
-            yield EstimatedEffect(effect.name, effect.say(result.rows.fit, column, size), size, std, column.unit, lost,
-                                  share, moves, against, abs(size) > column.largest)  # fmt: skip
+            cause, beyond = effect.cause(result.rows.fit, column, size), abs(size) > column.largest
+            yield EstimatedEffect(effect.name, cause, size, std, column.unit, lost, share, moves, against, beyond)
 
 
 def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
@@ -91,16 +91,15 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
         size = float(left[best] / curvature[best])
         share, moves, _ = explained(size * (common != 0), [size * (part != 0) for part in parts])
         size, std = size * column.plausible, float(column.plausible / np.sqrt(curvature[best]))
-        cause = effect.say(result.rows.fit, column, size)
+        cause = effect.cause(result.rows.fit, column, size)
         alike = [
             k for k in np.argsort(-gains) if k != best and gains[k] > gains[best] - CLOSE and np.isfinite(curvature[k])
         ]
         if alike:
             other, of_other = listed[alike[0]][:2]
-            also = other.say(
-                result.rows.fit, of_other, float(left[alike[0]] / curvature[alike[0]] * of_other.plausible)
-            )
-            cause = replace(cause, values={**cause.values, "what": f"{cause.what}, or as likely {also.what}"})
+            size_of_other = float(left[alike[0]] / curvature[alike[0]] * of_other.plausible)
+            also, _ = other.say(result.rows.fit, of_other, size_of_other)
+            cause = replace(cause, text=f"{cause.text}, or as likely {also}")
         found.append(EstimatedEffect(effect.name, cause, size, std, column.unit, float(gains[best]), share, moves, True,
                                      abs(size) > column.largest))  # fmt: skip
     return tuple(found)

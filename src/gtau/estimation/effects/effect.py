@@ -13,6 +13,8 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.findings import Finding
 
 RELATIVE = "of itself"  # unit of a size that is a share of what it changes
+Words = tuple[str, str]
+"""The cause in words, and what to do about it."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Effect:
     columns : callable
         From a fit to its columns; none where the effect does not apply to the robot.
     say : callable
-        From a fit, a column with its joint, and its size to the cause as a finding: what it is, and what to do.
+        From a fit, a column with its joint, and its size to the cause in words, and what to do about it.
     shared : bool
         Whether a column acts on all joints with one size, as those of the links do, and reaches torque sensors too;
         otherwise it is of a drive, with a size for each joint.
@@ -69,12 +71,17 @@ class Effect:
     name: str
     torques: Offer
     columns: Callable[[Fit], Iterable[EffectColumn]]
-    say: Callable[[Fit, EffectColumn, float], Finding]
+    say: Callable[[Fit, EffectColumn, float], Words]
     shared: bool = False
     description: bool = False
     function: bool = False
     in_runs: bool = False
     harmless: float = np.inf
+
+    def cause(self, fit: Fit, column: EffectColumn, size: float) -> Finding:
+        """Return what a column of some size is, and what to do about it, as a finding."""
+        text, advice = self.say(fit, column, size)
+        return Finding(self.name, (column.joint,) if column.joint else (), column.subject, text=text, advice=advice)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

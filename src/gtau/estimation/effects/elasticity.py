@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.effects.positions import STEP, with_positions
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.column_blocks import is_transmitted
-from gtau.findings import Finding
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1.0  # mrad, or mm, at the rms torque: 50 N m on a strain-wave gear of 2e4 N m/rad are 2.5 mrad
@@ -37,10 +36,8 @@ def _columns(fit: Fit) -> list[EffectColumn]:
     return [EffectColumn(PLAUSIBLE, "mrad or mm at its rms torque", joint) for joint in motors]
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
-    what = f"an elastic joint '{column.joint}'"
-    values = {"what": what, "action": "move more slowly, or log the position behind the gear"}
-    return Finding(ELASTICITY.name, (column.joint,), values=values)
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
+    return f"an elastic joint '{column.joint}'", "move more slowly, or log the position behind the gear"
 
 
 ELASTICITY = Effect("elasticity", _torques, _columns, _say, shared=True)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.effects.positions import STEP, position_units, with_positions
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 
 PLAUSIBLE = 0.5  # degrees or mm: experience; xMate7 Pro: joint 2 +1.05 +- 0.15 deg against its file
 LARGEST = {"deg": 12.0, "mm": 100.0}  # a Sawyer's zero off by 5.73 degrees is found as 5.44 +- 0.27
@@ -25,10 +24,9 @@ def _columns(fit: Fit) -> list[EffectColumn]:
     return [EffectColumn(PLAUSIBLE, unit, joint, largest=LARGEST[unit]) for joint, unit in joints]
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"an error in the zero of encoder '{column.joint}'"
-    action = "compare the encoder zeros with the robot's zero position"
-    return Finding(ENCODER_ZEROS.name, (column.joint,), values={"what": what, "action": action})
+    return what, "compare the encoder zeros with the robot's zero position"
 
 
 ENCODER_ZEROS = Effect("encoder zeros", _torques, _columns, _say, shared=True, description=True)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 from gtau.robots.parameter import Parameter
 
 PLAUSIBLE = 0.1  # relative change along a run: experience
@@ -22,10 +21,9 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return at.decimated(friction * at.along_run(samples.time))
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"{column.about} friction of '{column.joint}' changing along the runs"
-    action = "let the robot warm up before the runs, or split long runs"
-    return Finding(FRICTION_DRIFT.name, (column.joint,), values={"what": what, "action": action})
+    return what, "let the robot warm up before the runs, or split long runs"
 
 
 FRICTION_DRIFT = Effect(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 
 PLAUSIBLE = 0.005  # relative change along a run: 0.001 a kelvin of the magnets (data sheets of servo motors)
 LARGEST = 0.04  # as of a run
@@ -15,10 +14,9 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return lambda rows: (at.torques(rows) * at.along_run(rows.time))[:, :, None]
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"the torque constant of '{column.joint}' {'falling' if size > 0 else 'rising'} along the runs"
-    values = {"what": what, "action": "let the robot warm up before the runs"}
-    return Finding(GAIN_DRIFT.name, (column.joint,), values=values)
+    return what, "let the robot warm up before the runs"
 
 
 GAIN_DRIFT = Effect("gain drift", _torques, lambda fit: [EffectColumn(PLAUSIBLE)], _say, harmless=LARGEST)

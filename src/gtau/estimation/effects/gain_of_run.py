@@ -6,11 +6,10 @@ constant, can move the gain by 5. All that the payload does not add to is the sa
 
 from __future__ import annotations
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.effects.run_drift import runs_of
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 
 PLAUSIBLE = 0.01  # relative change between runs: 0.001 a kelvin of the magnets (data sheets of servo motors)
 LARGEST = 0.04  # beyond it no magnet is that warm: neodymium loses 0.1 % a kelvin, and motors warm up by 40 K
@@ -24,14 +23,13 @@ def _columns(fit: Fit) -> list[EffectColumn]:
     return [EffectColumn(PLAUSIBLE)] if fit.free_gains and runs_of(fit) > 1 else []
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"a current of '{column.joint}' that is {'larger' if size > 0 else 'smaller'} in run '{column.about}'"
     loads = "check which runs carry the payload, its mass and the clock; otherwise " if fit.system.payloads else ""
-    action = (
+    return what, (
         f"{loads}let the robot warm up, and alternate loaded and unloaded runs: a motor's torque constant falls as it "
         "warms up"
     )
-    return Finding(GAIN_OF_RUN.name, (column.joint,), values={"what": what, "action": action})
 
 
 GAIN_OF_RUN = Effect("gain of a run", _torques, _columns, _say, in_runs=True, harmless=LARGEST)

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.findings import Finding
 from gtau.findings.words import clock_advice
 
 TILT, STRENGTH = 1.0, 0.2  # degrees (experience); per cent: local gravity differs by 0.26 % from the standard at most
@@ -47,7 +46,7 @@ def _columns(fit: Fit) -> list[EffectColumn]:
     ]
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"gravity tilted towards ({column.about})"
     loads = ", which runs carry the payload, and on which body" if fit.system.payloads else ""
     action = f"check the direction of gravity, that the base is level, the sampling rate{loads}"
@@ -57,7 +56,7 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
             fast = "high, as accelerations are too large" if size > 0 else "low, as accelerations are too small"
             what = f"a sampling rate that is too {fast} against gravity (or wrong lengths throughout the robot)"
             action = f"{clock_advice(stated_rate(fit.dataset.runs[0]))}; then check the robot's lengths"
-    return Finding(GRAVITY.name, (), values={"what": what, "action": action})
+    return what, action
 
 
 GRAVITY = Effect("gravity", _torques, _columns, _say, shared=True, description=True)

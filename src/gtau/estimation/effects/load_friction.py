@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.column_blocks import is_transmitted
-from gtau.findings import Finding
 from gtau.robots.parameter import Parameter
 
 PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave gears (UR10e pairs)
@@ -25,10 +24,9 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return at.decimated((np.abs(load) * np.sign(qd) * missing).T[None])
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"load-dependent friction of '{column.joint}'"
-    action = "add runs at other speeds, or with other loads, to separate it from other effects"
-    return Finding(LOAD_FRICTION.name, (column.joint,), values={"what": what, "action": action})
+    return what, "add runs at other speeds, or with other loads, to separate it from other effects"
 
 
 LOAD_FRICTION = Effect("load-dependent friction", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "of its load")], _say)

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.knots import hats
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 
 PLAUSIBLE = 0.01  # of the rms torque: ripple of 0.5 to 2 % (data sheets of servo motors), cables of a dVRK 5 %
 KNOTS = 24
@@ -24,13 +23,12 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return at.decimated(columns * Levels(at.fit).torques[:, None])
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"a torque of '{column.joint}' that repeats at the same positions (motor ripple, cables or a spring)"
-    action = (
+    return what, (
         "use other paths in the loaded and unloaded runs; describe a spring or balancer in the robot file "
         "('stiffness: true' of the joint, or a spring between two points)"
     )
-    return Finding(POSITION.name, (column.joint,), values={"what": what, "action": action})
 
 
 POSITION = Effect(

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.effects.positions import STEP, with_positions
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 
 PLAUSIBLE = 1.0  # per cent: 5 widened the intervals of an AIRBOT Play, whose positions are noisy, by 60 %
 LARGEST = 15.0  # per cent: positions of a Sawyer's joint 10 % large are found as 8.8 +- 0.44
@@ -25,10 +24,9 @@ def _columns(fit: Fit) -> list[EffectColumn]:
     return [EffectColumn(PLAUSIBLE, "%", joint, largest=LARGEST) for joint in fit.dataset.model.actuated]
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"another scale of the positions of '{column.joint}'"
-    action = "check the gear ratio, encoder resolution and unit of its positions"
-    return Finding(POSITION_SCALES.name, (column.joint,), values={"what": what, "action": action})
+    return what, "check the gear ratio, encoder resolution and unit of its positions"
 
 
 POSITION_SCALES = Effect("position scales", _torques, _columns, _say, shared=True, description=True)

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import Rows
-from gtau.findings import Finding
 
 PLAUSIBLE = 0.03  # relative fall up to twice the rms current: 0 to 0.05 (data sheets of servo motors)
 LARGE = 2.0  # rms currents: where the fall is stated
@@ -29,13 +28,12 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return columns
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"the torque constant of '{column.joint}' {'falling' if size > 0 else 'rising'} with its current"
-    action = (
+    return what, (
         "check that the log holds the actual current, and add runs with another payload or slower motions; friction "
         "that grows with the load has the same effect"
     )
-    return Finding(SATURATION.name, (column.joint,), values={"what": what, "action": action})
 
 
 UNIT = f"of itself up to {LARGE:g} times the rms current"

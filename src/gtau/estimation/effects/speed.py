@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.knots import hats
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 
 PLAUSIBLE = 0.1  # of the friction at the rms speed: experience
 KNOTS = 20
@@ -24,10 +23,9 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return at.decimated(columns * levels.friction_torques[:, None])
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"friction of '{column.joint}' that is not viscous and Coulomb friction alone"
-    action = "add runs at other speeds to separate it from other effects"
-    return Finding(SPEED.name, (column.joint,), values={"what": what, "action": action})
+    return what, "add runs at other speeds to separate it from other effects"
 
 
 SPEED = Effect(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
-from gtau.findings import Finding
 
 PLAUSIBLE = 0.1  # relative error of one joint's torques, or of its given gain: experience
 
@@ -14,10 +13,9 @@ def _torques(at: FitWindow) -> CandidateColumns:
     return lambda rows: at.torques(rows)[:, :, None]
 
 
-def _say(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"torques of '{column.joint}' in another scale than those of the other joints"
-    action = "check the gear ratio, the torque constant and the unit of its torques"
-    return Finding(TORQUE_SCALE.name, (column.joint,), values={"what": what, "action": action})
+    return what, "check the gear ratio, the torque constant and the unit of its torques"
 
 
 TORQUE_SCALE = Effect(

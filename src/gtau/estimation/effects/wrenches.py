@@ -10,11 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn
+from gtau.estimation.effects.effect import Effect, EffectColumn, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
-from gtau.findings import Finding
 from gtau.robots.placement import WRENCH
 
 OFFSET = 0.01  # of the rms force or moment: 0.1 to 1 % of the range of a tared six-axis sensor; 17 % not tared
@@ -43,10 +42,9 @@ def _offset_columns(fit: Fit) -> Iterator[EffectColumn]:
             )
 
 
-def _say_offset(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say_offset(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"an offset in the {column.about} of the wrench on '{column.subject}'"
-    action = "tare the unloaded force sensor before each run, or subtract its unloaded reading"
-    return Finding(WRENCH_OFFSETS.name, (), column.subject, {"what": what, "action": action})
+    return what, "tare the unloaded force sensor before each run, or subtract its unloaded reading"
 
 
 def _points(at: FitWindow) -> CandidateColumns:
@@ -62,10 +60,9 @@ def _point_columns(fit: Fit) -> list[EffectColumn]:
     return [EffectColumn(POINT, "mm", subject=body, about=axis) for body in _bodies(fit) for axis in "xyz"]
 
 
-def _say_point(fit: Fit, column: EffectColumn, size: float) -> Finding:
+def _say_point(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"the reference point of the moment on '{column.subject}', off in {column.about}"
-    action = "measure the position of the sensor, and correct 'at' of that wrench"
-    return Finding(WRENCH_POINTS.name, (), column.subject, {"what": what, "action": action})
+    return what, "measure the position of the sensor, and correct 'at' of that wrench"
 
 
 def _felt(at: FitWindow, errors: np.ndarray) -> CandidateColumns:

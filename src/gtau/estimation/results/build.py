@@ -9,15 +9,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_scales, sensor_verdict
-from gtau.estimation.diagnostics.verdict import (
-    GOOD,
-    OUTCOMES,
-    Outcome,
-    Verdict,
-    judge_parameter,
-    parameter_verdict,
-    verdict_of,
-)
+from gtau.estimation.diagnostics.verdict import GOOD, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
 from gtau.estimation.friction.law import SHAPES
@@ -38,8 +30,7 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
 from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate, Weighed
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import longest_placement
 from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
@@ -54,8 +45,8 @@ def model_estimates(
     fit: Fit,
     equations: Estimates,
     predicting: Estimates,
-    verdicts: Mapping[Parameter, Verdict],
-    payloads: Mapping[str, Verdict],
+    verdicts: Mapping[Parameter, Finding],
+    payloads: Mapping[str, Finding],
     essential: Problem,
 ) -> ModelEstimates:
     """Collect the estimates with which the model predicts.
@@ -144,7 +135,7 @@ def evidence(
         if factors.distances is not None
     ]
     return Evidence(
-        notes=(*dataset.notes, *(finding for finding in findings if finding.kind not in OUTCOMES)),
+        notes=(*dataset.notes, *(finding for finding in findings if not finding.decisive)),
         effects=(*examined.refits, *examined.effects),
         curves=curves,
         equation_friction=Named(
@@ -158,7 +149,7 @@ def evidence(
 
 
 def _estimate(
-    vector: Estimates, name: Parameter, unit: str, called: str = "", verdict: Verdict | None = None
+    vector: Estimates, name: Parameter, unit: str, called: str = "", verdict: Finding | None = None
 ) -> Estimate:
     """Make the estimate of an unknown, by default under its own name and judged by its standard deviation.
 
@@ -168,13 +159,13 @@ def _estimate(
     value, std = float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])) or None
     freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
     judged = verdict or parameter_verdict(value, std)
-    if name.kind == "delay" and judged.outcome == Outcome.NOT_IDENTIFIABLE:
+    if name.kind == "delay" and judged.outcome == Grade.NOT_IDENTIFIABLE:
         std = None
     model_std = None if std is None else min(float(np.sqrt(max(vector.model[k, k], 0.0))), std)  # but for rounding
     return Estimate(called or name, value, std, unit, verdict=judged, freedom=freedom, model_std=model_std)
 
 
-def _gains(fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Verdict]) -> dict[str, Estimate]:
+def _gains(fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Finding]) -> dict[str, Estimate]:
     """Collect the drive gains of the motors."""
     robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
     return {
@@ -184,7 +175,7 @@ def _gains(fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Verdict]) -
     }
 
 
-def _delay(vector: Estimates, channel: str, joint: str, verdicts: Mapping[Parameter, Verdict]) -> Estimate:
+def _delay(vector: Estimates, channel: str, joint: str, verdicts: Mapping[Parameter, Finding]) -> Estimate:
     delay = Parameter("delay", channel)
     return _estimate(vector, delay, "s", joint, verdicts[delay])
 
@@ -237,7 +228,7 @@ def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
 
 
 def sensor_estimates(
-    fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Verdict], accuracy: float
+    fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Finding], accuracy: float
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
@@ -269,7 +260,7 @@ def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
     return {name: float(np.std([*values, -sum(values)], ddof=1)) for name, values in differences.items()}
 
 
-def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Verdict]) -> tuple[PayloadEstimate, ...]:
+def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Finding]) -> tuple[PayloadEstimate, ...]:
     """Collect the payload of every loaded run, known and unknown parameters together.
 
     ``vector`` are the estimates by the equations, ``masses`` verdicts on known payloads, by name.
@@ -315,12 +306,19 @@ def _estimated(vector: Estimates, name: Parameter) -> tuple[float | None, float 
     return float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])), freedom
 
 
-def _possible(mass: Estimate | None) -> Verdict:
+def _possible(mass: Estimate | None) -> Finding:
     """Judge a mass that was estimated: contradictory where its 95 % interval lies below zero."""
     ends = None if mass is None else mass.interval()
     if mass is None or mass.value is None or ends is None or ends[1] >= 0:
         return GOOD
-    return verdict_of(Finding(F.NEGATIVE_PAYLOAD, values={"mass": mass.value, "std": mass.std}))
+    return Finding(
+        "payload of negative mass",
+        text=f"its mass of {mass.value:.4g} kg (standard deviation {mass.std:.2g}) is negative, which no body has",
+        advice="check which runs carry it, as the others may be the loaded ones, the signs of the commands, and "
+        "gravity",
+        grade=Grade.CONTRADICTORY,
+        shown_as="model",
+    )
 
 
 def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighed:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
+from gtau.estimation.diagnostics.log_checks import SMOOTHED
+from gtau.estimation.diagnostics.verdict import LONGER
 from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.findings import Finding, Grade
-from gtau.findings import FindingKind as F
-from gtau.findings.finding import named_causes
 from gtau.findings.words import moment, percent_text
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.notes import reading
@@ -23,20 +22,8 @@ INFLATED = 1.8  # ratio of jackknife to white-noise standard errors, from which 
 NEAR_SINGULAR = 0.05  # distance to a singularity of type 2, below which errors of the model are magnified
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-NUMBERED = {F.REFUTED, F.WIDE_SCALE, F.WIDE_CAUSE, F.WIDE_RANDOM}
-"""Kinds whose sentence takes the number of ``each`` joint."""
 NAMED = 2  # groups of contradictory joints whose reason the headline gives
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
-
-
-@dataclass(frozen=True)
-class Reason:
-    """Reason why gains are not good, or a remark on good ones, and advice: the same for all ``joints``."""
-
-    outcome: Outcome
-    joints: tuple[str, ...]
-    why: str
-    action: str
 
 
 def headline(result: Result) -> str:
@@ -46,7 +33,7 @@ def headline(result: Result) -> str:
 
 def _against(result: Result) -> Iterator[str]:
     """Say what contradicts the result, and which requirements it misses; empty where it is accepted."""
-    groups = [reason for reason in reasons(result) if reason.outcome == Outcome.CONTRADICTORY]
+    groups = [reason for reason in reasons(result) if reason.outcome == Grade.CONTRADICTORY]
     for reason in groups[:NAMED]:
         all_joints = 1 < len(reason.joints) == len(result.drive_gains)
         contradict = "All joints contradict" if all_joints else _subject(reason.joints, "contradicts", "contradict")
@@ -54,14 +41,14 @@ def _against(result: Result) -> Iterator[str]:
     if others := [joint for reason in groups[NAMED:] for joint in reason.joints]:
         yield f"{_subject(others, 'contradicts', 'contradict')} it too."
     for name, verdict in _stated(result):
-        if verdict.outcome == Outcome.CONTRADICTORY:
+        if verdict.outcome == Grade.CONTRADICTORY:
             yield f"{name[0].upper()}{name[1:]} contradicts the data: {verdict.why}."
-    yield from (f"{note.what[0].upper()}{note.what[1:]}." for note in result.notes if note.kind == F.SMOOTHED)
+    yield from (f"{note.what[0].upper()}{note.what[1:]}." for note in result.notes if note.kind == SMOOTHED)
     if failed := missed(result):
         yield f"Requirement missed: {'; '.join(failed)}."
 
 
-def _stated(result: Result) -> Iterator[tuple[str, Verdict]]:
+def _stated(result: Result) -> Iterator[tuple[str, Finding]]:
     """Name payloads and sensors, with their verdicts."""
     payloads = {payload.name: payload.verdict for payload in result.payloads}
     yield from ((f"payload '{name}'", verdict) for name, verdict in payloads.items())
@@ -95,9 +82,9 @@ def _known(result: Result) -> str:
         return "The drive gains were given, not identified."
     accuracy = 100 * result.statistics.get("accuracy", 0.0)
     sentences = [_good(gains, accuracy)]
-    if lost := [gain.name for gain in gains if gain.verdict.outcome == Outcome.NOT_IDENTIFIABLE]:
+    if lost := [gain.name for gain in gains if gain.verdict.outcome == Grade.NOT_IDENTIFIABLE]:
         sentences.append(f"{_subject(lost, 'has no identifiable gain', 'have no identifiable gains')}.")
-    weak = {gain.name: gain.half_width or 0.0 for gain in gains if gain.verdict.outcome == Outcome.WEAK}
+    weak = {gain.name: gain.half_width or 0.0 for gain in gains if gain.verdict.outcome == Grade.WEAK}
     wide = [f"'{name}'{{}} to +-{percent_text(width, accuracy)} %" for name, width in weak.items() if width > accuracy]
     if wide:
         sentences.append(listed([text.format("" if k else " is known") for k, text in enumerate(wide)]) + ".")
@@ -107,40 +94,43 @@ def _known(result: Result) -> str:
     return " ".join(sentences)
 
 
-def reasons(result: Result) -> tuple[Reason, ...]:
-    """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a row.
+def reasons(result: Result) -> tuple[Finding, ...]:
+    """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a finding.
 
     What differs between them, a number or the cause, is given of each.
     """
-    groups: dict[tuple[Outcome, str, str], dict[str, list[Estimate]]] = {}
+    groups: dict[tuple[Grade, str, str], list[tuple[str, Finding]]] = {}
     for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
-        if (finding := gain.verdict.finding) is not None:
-            remedy = finding.causes[0].action if finding.causes else finding.action
-            key = gain.verdict.outcome, finding.kind, remedy
-            alike = named_causes(finding.causes) if finding.kind in NUMBERED else finding.what
-            groups.setdefault(key, {}).setdefault(alike, []).append(gain)
+        if finding := gain.verdict.finding:
+            key = finding.grade, finding.kind, finding.advice.removesuffix(LONGER)
+            groups.setdefault(key, []).append((gain.name, finding))
     merged = []
-    for (outcome, *_), parts in groups.items():
-        members = [gain for gains in parts.values() for gain in gains]
-        why = "; ".join(_why(gains, len(parts) > 1) for gains in parts.values())
-        merged.append(Reason(outcome, tuple(gain.name for gain in members), why, members[0].verdict.advice))
-    return tuple(sorted(merged, key=lambda reason: -list(Outcome).index(reason.outcome)))
+    for members in groups.values():
+        joints, ((_, first), *_) = tuple(joint for joint, _ in members), members
+        merged.append(replace(first, joints=joints, text=_common_text(members), own=""))
+    return tuple(sorted(merged, key=lambda finding: -finding.grade.rank))
 
 
-def _why(gains: Sequence[Estimate], named: bool) -> str:
-    """Give the reason of gains that differ in a number at most; ``named`` where there are others beside it."""
-    findings = {gain.name: gain.verdict.finding for gain in gains if gain.verdict.finding is not None}
-    first = next(iter(findings.values()))
-    if len(gains) > 1 and first.kind in NUMBERED:
-        of_each = [(name, finding.values) for name, finding in findings.items()]
-        return replace(first, values={**first.values, "each": of_each}).what
-    said = all(repr(name) in first.what for name in findings)
-    return f"{first.what} ({', '.join(map(repr, findings))})" if named and not said else first.what
+def _common_text(members: Sequence[tuple[str, Finding]]) -> str:
+    """Say what holds of several joints, with what differs between them."""
+    alike: dict[str, dict[str, Finding]] = {}
+    for joint, finding in members:
+        alike.setdefault(finding.text, {})[joint] = finding
+    parts = []
+    for text, findings in alike.items():
+        owns = {joint: finding.own for joint, finding in findings.items()}
+        if "{own}" in text and len(owns) > 1:
+            parts.append(text.replace("{own}", ", ".join(f"{own} ('{joint}')" for joint, own in owns.items())))
+            continue
+        said = next(iter(findings.values())).what
+        named = len(alike) == 1 or all(repr(joint) in said for joint in owns)
+        parts.append(said if named else f"{said} ({', '.join(map(repr, owns))})")
+    return "; ".join(parts)
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:
     """Count the gains that are known to the ``accuracy``, per cent."""
-    good = [gain for gain in gains if gain.verdict.outcome == Outcome.GOOD]
+    good = [gain for gain in gains if gain.verdict.outcome == Grade.GOOD]
     total = _number(len(gains))
     if len(good) == len(gains):
         widest = max(gain.half_width or 0.0 for gain in good)
@@ -172,15 +162,33 @@ def remarks(result: Result) -> list[Finding]:
     """Note faults of the fit beside the gains, with advice."""
     notes = []
     for name, verdict in _stated(result):
-        if verdict.outcome != Outcome.GOOD:
-            said = {"what": f"{name} {verdict.outcome.value}: {verdict.why}", "action": verdict.advice}
-            notes.append(Finding(F.MODEL if verdict.finding is None else verdict.finding.kind, values=said))
+        if verdict.outcome != Grade.GOOD:
+            notes.append(replace(verdict, text=f"{name} {verdict.outcome.value}: {verdict.why}", own=""))
     for name, payload in {payload.name: payload for payload in result.payloads}.items():
         if "m" not in payload.parameters:
-            notes.append(Finding(F.MASS_UNSEEN, (), name, {"sums": sums_with_mass(payload)}))
+            sums = sums_with_mass(payload)
+            seen = "it affects no joint torque: the body that carries it turns about a fixed point"
+            if sums:
+                seen = f"only sums with its other parameters affect the joint torques: {', '.join(sums)}"
+            notes.append(
+                Finding(
+                    "payload mass not identifiable",
+                    subject=name,
+                    text=f"the mass of payload '{name}' is not identifiable, because {seen}",
+                    advice="if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m",
+                    shown_as="model",
+                )
+            )
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(error.relative > VISIBLE for error in result.residuals):
-        notes.append(Finding(F.AUTOCORRELATED, values={"factor": lack}))
+        notes.append(
+            Finding(
+                "autocorrelated residuals",
+                text=f"residuals are autocorrelated: standard errors are {lack:.1f} times those of white noise, so the "
+                "model lacks an effect, such as another kind of friction, motor ripple, cables or elasticity",
+                shown_as="model",
+            )
+        )
     return notes + not_separated([name for name, estimate in result.parameters.items() if estimate.value is None])
 
 
@@ -204,7 +212,11 @@ def without_temperature(result: Result, signals: Signals) -> list[Finding]:
 
 def not_separated(names: Sequence[str]) -> list[Finding]:
     """Note base parameters that the motions cannot separate from others, if there are any."""
-    return [Finding(F.NOT_SEPARATED, values={"parameters": list(names)})] if names else []
+    if not names:
+        return []
+    text = f"these motions cannot separate {', '.join(names)} from the other base parameters: no value is given"
+    advice = "add runs with different motions of all joints"
+    return [Finding("parameters not separated", text=text, advice=advice, shown_as="separable parameters")]
 
 
 def near_singularities(nearest: Iterable[NearestPose]) -> list[Finding]:

@@ -13,7 +13,8 @@ from pydantic import NonNegativeFloat
 
 from gtau.documents.files import write_table
 from gtau.errors import GtauError, UnknownName
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.estimation.diagnostics.verdict import GOOD
+from gtau.findings import Finding
 from gtau.findings.words import to_width
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
@@ -40,7 +41,7 @@ class Estimate:
     unit: str
     regrouping: str = ""
     between_run_std: float | None = None
-    verdict: Verdict = GOOD
+    verdict: Finding = GOOD
     freedom: float | None = None
     model_std: float | None = None
     essential: bool | None = None
@@ -156,7 +157,7 @@ class SensorEstimate:
         return f"{self.kind.name} of '{self.joint}'"
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> Finding:
         """Verdict on its agreement with the other stated constants."""
         return GOOD if self.ratio is None else self.ratio.verdict
 

@@ -6,6 +6,7 @@ reads them again; what follows from other values is written beside them, and not
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -29,7 +30,6 @@ from gtau.documents.validation import Positive, unknown
 from gtau.estimation.diagnostics.geometry import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.diagnostics.verdict import Outcome, Verdict
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.physical_consistency import Consistency, Move
 from gtau.estimation.estimators.registry import GROUP, NAMES
@@ -46,7 +46,7 @@ from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
-from gtau.findings import Finding
+from gtau.findings import Finding, Grade
 from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
@@ -68,7 +68,12 @@ def _gathered(entry: Any) -> Any:
     for key in ("value", "std", "freedom", "model_std", "outcome", "finding"):
         if key not in entry:
             raise ValueError(f"the key '{key}' is missing; add it")
-    return {"name": entry.get("joint"), **entry, "between_run_std": entry.get("spread"), "verdict": entry}
+    return {"name": entry.get("joint"), **entry, "between_run_std": entry.get("spread"), "verdict": _judged(entry)}
+
+
+def _judged(entry: Mapping[str, Any]) -> Any:
+    """Return the finding that is the verdict of an entry, in which a good estimate has none."""
+    return entry["finding"] or {"kind": entry["outcome"], "grade": entry["outcome"]}
 
 
 def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, Any]:
@@ -87,7 +92,7 @@ def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, An
     }
 
 
-def _verdict(verdict: Verdict) -> dict[str, Any]:
+def _verdict(verdict: Finding) -> dict[str, Any]:
     finding = verdict.finding and finding_document(verdict.finding)
     return {"outcome": verdict.outcome.value, "finding": finding, "why": verdict.why, "advice": verdict.advice}
 
@@ -155,14 +160,15 @@ class _Known(_Group):
 class _Payload(_Group):
     name: str
     run: str
-    outcome: Outcome
+    outcome: Grade
     finding: Finding | None
     parameters: dict[str, _Estimate]
     known: dict[str, _Known] = Field(validation_alias="parameters")
 
     def made(self) -> PayloadEstimate:
         known = frozenset(kind for kind, entry in self.known.items() if entry.known)
-        return PayloadEstimate(self.name, self.run, self.parameters, known, Verdict(self.outcome, self.finding))
+        verdict = self.finding or Finding(self.outcome.value, grade=self.outcome)
+        return PayloadEstimate(self.name, self.run, self.parameters, known, verdict)
 
 
 def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:

@@ -77,7 +77,6 @@ def _finite(text: str) -> float:
 
 
 def _problems(result: Result) -> Iterator[str]:
-    from jinja2 import TemplateError
 
     robot = result.robot
     for what, estimates, joints in (
@@ -104,14 +103,6 @@ def _problems(result: Result) -> Iterator[str]:
         yield "a drive gain is zero"
     if not {Parameter("gain", joint) for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
-    verdicts = [estimate.verdict for estimate in _estimates(result)]
-    verdicts += [payload.verdict for payload in result.payloads]
-    causes = (effect.cause for effect in result.effects)
-    for finding in (*(verdict.finding for verdict in verdicts if verdict.finding), *causes):
-        try:
-            finding.sentence  # noqa: B018
-        except (ArithmeticError, AttributeError, LookupError, TemplateError, TypeError, ValueError):
-            yield f"the values of the finding '{finding.kind}' are not those of its sentence"
 
 
 def _estimates(result: Result) -> Iterator[Estimate]:

@@ -17,9 +17,10 @@ import numpy as np
 
 from gtau.documents.validation import PATH, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import GOOD, Verdict
+from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
 from gtau.estimation.results.estimate import Estimate
+from gtau.findings import Finding
 from gtau.robots.parameter import RigidBody, inertial_parameters
 from gtau.robots.readers.links import frame_on
 from gtau.robots.robot import INERTIAL, Pose
@@ -95,7 +96,7 @@ class PayloadEstimate:
     run: str
     parameters: Mapping[str, Estimate]
     known: frozenset[str]
-    verdict: Verdict = GOOD
+    verdict: Finding = GOOD
     weighed: Weighed | None = field(default=None, compare=False)
 
     def __repr__(self) -> str:

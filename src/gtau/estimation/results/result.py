@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import Outcome
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.friction.law import SHAPES, FrictionLaw
 from gtau.estimation.regression.dataset import base_of, model_of
@@ -25,8 +24,7 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.findings import Finding
-from gtau.findings import FindingKind as F
+from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
@@ -39,6 +37,7 @@ if TYPE_CHECKING:
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
     from gtau.estimation.estimators.physical_consistency import Consistency
 
+NO_BODIES = "no physically consistent parameters"
 GROUPS: Mapping[str, str] = {
     field.name: group
     for group, kind in (("estimates", ModelEstimates), ("fit", FitRecord), ("evidence", Evidence))
@@ -282,10 +281,10 @@ class Result:
         verdicts = [judged.verdict for group in groups for judged in group]
         gains = {gain.verdict.outcome for gain in self.drive_gains.values()}
         outcomes = gains | {verdict.outcome for verdict in verdicts}
-        return Outcome.CONTRADICTORY not in outcomes and gains != {Outcome.NOT_IDENTIFIABLE}
+        return Grade.CONTRADICTORY not in outcomes and gains != {Grade.NOT_IDENTIFIABLE}
 
     @property
     def accepted(self) -> bool:
         """Whether the result is :attr:`believable`, has all that was asked for, and meets all requirements."""
-        lacking = any(note.kind == F.NO_BODIES for note in self.notes)
+        lacking = any(note.kind == NO_BODIES for note in self.notes)
         return self.believable and not lacking and all(requirement.met for requirement in self.requirements)

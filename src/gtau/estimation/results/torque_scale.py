@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import yaml
 
-from gtau.estimation.diagnostics.verdict import APART, Outcome
+from gtau.estimation.diagnostics.verdict import APART
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.findings import FindingKind as F
+from gtau.findings import Grade
 from gtau.findings.words import percent_text
 
-KNOWN = (Outcome.GOOD, Outcome.WEAK)
+KNOWN = (Grade.GOOD, Grade.WEAK)
+SCALE_UNTESTED = "torque scale not tested"
 HEAD = """\
 # Torque scale of '{robot}', identified by gtau from {runs}.
 # true torque = factor x reported torque; a command for a wanted torque is the torque divided by the factor.
@@ -82,7 +83,7 @@ def torque_headline(result: Result) -> str:
     if not (scales := torque_scales(result)):
         if any(gain.value != 1 for gain in result.drive_gains.values()):
             return "The torque scales were given, not identified."
-        if why := next((note.what for note in result.notes if note.kind == F.SCALE_UNTESTED), ""):
+        if why := next((note.what for note in result.notes if note.kind == SCALE_UNTESTED), ""):
             return f"{why[0].upper()}{why[1:]}."
         return (
             "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a "
@@ -103,7 +104,7 @@ def torque_headline(result: Result) -> str:
         one = len(undecided) == 1
         outside = f"1 is outside {'its 95 % interval' if one else 'their 95 % intervals'}, but by too little to correct"
         sentences.append(_scales_are(undecided, f"undecided: {outside} {'it' if one else 'them'}"))
-    for state in ("in doubt", Outcome.NOT_IDENTIFIABLE.value):
+    for state in ("in doubt", Grade.NOT_IDENTIFIABLE.value):
         if members := of_state.get(state):
             sentences.append(_scales_are(members, state))
     return " ".join(sentences)

@@ -57,8 +57,8 @@ def written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:
                     closures += _joined(joint, sides, what)
                     x, y, z = parent.placement.position
                     notes.append(
-                        f"{what} joins '{child.body}' to the point {x:g} {y:g} {z:g} m of '{parent.body}', where it is "
-                        "while all joints are at zero, as in Gazebo"
+                        f"{what} joins '{child.body}' to the point {x:zg} {y:zg} {z:zg} m of '{parent.body}', where it "
+                        "is while all joints are at zero, as in Gazebo"
                     )
             case "mujoco" if element.find("equality") is not None:
                 raise GtauError(f"{what}: its <equality> {BY_HAND}.")

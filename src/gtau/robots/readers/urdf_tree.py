@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -107,6 +107,8 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         joints, frames = _moving(ordered, types)
         couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
         moving = {joint.name for joint in joints}
+        in_gazebo = _mimics_of_gazebo(root, moving - {coupling.joint for coupling in couplings})
+        couplings += in_gazebo
         for coupling in couplings:
             if (master := coupling.ratios[0][0]) not in moving:
                 raise GtauError(
@@ -121,6 +123,9 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
             *_transmission_notes(root, (joint.name for joint in joints if joint.actuated)),
             *short_angles_note({edge.name: edge.short for edge in ordered}),
         )
+        if in_gazebo:
+            names = some_of([f"'{coupling.joint}' to '{coupling.ratios[0][0]}'" for coupling in in_gazebo], 4)
+            notes += (f"joints coupled as a plugin of <gazebo> moves them, without <mimic>: {names}",)
         file = RobotFile(path.name, notes, inertias=urdf_inertias(root, frames), rounding=_rounding(root))
         return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, file)
     except GtauError as error:
@@ -252,6 +257,22 @@ def _mimic(edge: _Edge) -> Coupling | None:
         for key, default in (("multiplier", "1"), ("offset", "0"))
     )
     return Coupling(edge.name, ((master, ratio),), offset)
+
+
+def _mimics_of_gazebo(root: Element, free: Collection[str]) -> tuple[Coupling, ...]:
+    """Read the couplings of ``free`` joints that plugins of Gazebo make: ``mimicJoint`` follows ``joint``."""
+    couplings = {}
+    for plugin in root.iterfind("gazebo/plugin"):
+        follower = (plugin.findtext("mimicJoint") or "").strip()
+        leader = (plugin.findtext("joint") or plugin.findtext("jointName") or "").strip()
+        if leader and follower in free:
+            what = f"<plugin> of mimicJoint '{follower}' (line {line_of(plugin)})"
+            ratio, offset = (
+                numbers(plugin.findtext(key) or default, 1, f"{key} of {what}")[0]
+                for key, default in (("multiplier", "1"), ("offset", "0"))
+            )
+            couplings[follower] = Coupling(follower, ((leader, ratio),), offset)
+    return tuple(couplings.values())
 
 
 def _check_circles(couplings: Sequence[Coupling]) -> None:

@@ -27,7 +27,7 @@ PROMINENCE = 4.0
 # Polling jitter, beats and resonances make humps above the motion's valley. On a da Vinci arm polled at 200 Hz one
 # above 40 Hz holds 0.3 % of the speed's power; the weakest harmonic of the exciting motions in the shared logs, 4 %.
 HUMP = 0.02
-TOP = 0.45  # of the sampling rate: highest frequency evaluated
+TOP = 0.45  # of the rate at which signals change: highest frequency evaluated
 NOISE = 0.25  # of the sampling rate: the noise of a position is measured above
 # Least range of a motion in standard deviations of the position's noise. In the shared logs joints at rest, shaken by
 # others, have 3 to 90, moving joints 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
@@ -68,8 +68,8 @@ class JointSpectrum:
 
 def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     """Estimate spectra, end of the signal and bandwidth of every joint; a long run is read in segments."""
-    frequency, density, gain = _accelerations(run.position, run.rate)
-    high = frequency > NOISE * run.rate
+    frequency, density, gain = _accelerations(run.position, run)
+    high = frequency > NOISE * run.updates
     # The mean of an exponential distribution is its median over ln 2; the median ignores single lines.
     noise = np.sqrt(np.median(density[high] / gain[high, None] ** 2, axis=0) / np.log(2) * run.rate / 2)
     low, most = extremes(run.position)
@@ -83,10 +83,10 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
 
 def end_of_commands(run: Run) -> float | None:
     """Find the frequency (Hz) above which no command holds anything, not even noise; None where one does."""
-    frequency, density, gain = _accelerations(run.command, run.rate)
+    frequency, density, gain = _accelerations(run.command, run)
     density = density[:, density.any(axis=0)] / gain[:, None] ** 2
     above = np.sqrt(np.cumsum(density[::-1], axis=0)[::-1] / np.maximum(density.sum(axis=0), 1e-300))
-    if not above.size or above[np.searchsorted(frequency, NOISE * run.rate)].max() > SMOOTH:
+    if not above.size or above[np.searchsorted(frequency, NOISE * run.updates)].max() > SMOOTH:
         return None
     for column in density.T:
         _, bands = _in_bands(frequency, column)
@@ -120,7 +120,7 @@ def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -
         above = centre > cutoff
         frequency, white = centre[above], (level * gain**2)[above]
         motion = np.maximum(density[above] - white, 0.0)
-        tried = cutoff * 2 ** (np.arange(int(4 * np.log2(HIGHEST_CUTOFF * run.rate / cutoff)) + 1) / 4)
+        tried = cutoff * 2 ** (np.arange(max(int(4 * np.log2(HIGHEST_CUTOFF * run.updates / cutoff)), 0) + 1) / 4)
         passed = 1 / (1 + (frequency / tried[:, None]) ** 8)  # of filters.low_pass
         error = ((1 - passed) ** 2 * motion + passed**2 * white) @ frequency
         cutoffs_of_joints.append(float(tried[np.argmin(error)]))
@@ -129,15 +129,16 @@ def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -
 
 def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """For each joint, list frequencies, density of the accelerations and gain of two differences, in bands."""
-    frequency, density, gain = _accelerations(run.position, run.rate)
+    frequency, density, gain = _accelerations(run.position, run)
     bands = [_in_bands(frequency, column) for column in density.T]
     return [(centre, means, np.interp(centre, frequency, gain)) for centre, means in bands]
 
 
-def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _accelerations(position: np.ndarray, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute frequencies (K,) up to ``TOP``, densities of second differences (K, n), and the gains of a difference."""
     from scipy.signal.windows import tukey
 
+    rate = run.rate
     count = len(position) - 2
     segments = min(-(-count // SEGMENT), SEGMENTS)
     length = min(count, SEGMENT)
@@ -148,7 +149,7 @@ def _accelerations(position: np.ndarray, rate: float) -> tuple[np.ndarray, np.nd
         part = block(position, start, start + length + 2)
         power += np.abs(np.fft.rfft((part[2:] - 2 * part[1:-1] + part[:-2]) * (rate**2 * window), axis=0)) ** 2
     frequency = np.fft.rfftfreq(length, 1 / rate)
-    used = slice(1, int(np.searchsorted(frequency, TOP * rate, side="right")))
+    used = slice(1, int(np.searchsorted(frequency, TOP * run.updates, side="right")))
     gain = (2 * rate * np.sin(np.pi * frequency[used] / rate)) ** 2
     return frequency[used], power[used] * (2 / (segments * rate * (window**2).sum())), gain
 

@@ -51,7 +51,7 @@ def choose_preparation(
     joint moves in a run, or the logs cannot hold motion of a given frequency.
     """
     settings = runs[0].log.settings
-    slowest = min(run.rate for run in runs)
+    slowest, updates = min(run.rate for run in runs), min(run.updates for run in runs)
     run_spectra = [moving_spectra(run) for run in runs]
     moving = [spectrum for joints in run_spectra for spectrum in joints if spectrum.moves]
     longest = max(len(run.time) / run.rate for run in runs)
@@ -67,7 +67,7 @@ def choose_preparation(
     if settings.position_filter is None:
         end = max(spectrum.end for spectrum in moving) if settings.bandwidth is None else np.inf
         seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
-        cutoff = cutoff_frequency(bandwidth, end, slowest, seconds)
+        cutoff = cutoff_frequency(bandwidth, end, slowest, seconds, updates)
     fraction = SPEED_FRACTION if settings.least_speed is None else settings.least_speed
     chosen = Preparation(bandwidth, cutoff, Decimator(1, decimator), fraction, slowest, settings.given)
     chosen = _decimated(runs, run_spectra, chosen)
@@ -91,7 +91,7 @@ def _decimated(
     decimator = Decimator(factor, kind)
     cutoff = preparation.cutoff
     if cutoff is not None and "position_filter" not in preparation.given and factor > 1:
-        cutoff = below_nyquist(max(cutoff, ABOVE_ROWS * decimator.cutoff(rate)), rate)
+        cutoff = below_nyquist(max(cutoff, ABOVE_ROWS * decimator.cutoff(rate)), rate, min(run.updates for run in runs))
     return replace(preparation, decimator=decimator, cutoff=cutoff)
 
 

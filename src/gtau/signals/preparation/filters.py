@@ -32,7 +32,9 @@ Cutoff = float | tuple[float | None, ...] | None
 """Cut-off of a low-pass, Hz: of all columns, or of each; None for no filter."""
 
 
-def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float = np.inf) -> float | None:
+def cutoff_frequency(
+    bandwidth: float, end: float, rate: float, seconds: float = np.inf, updates: float = np.inf
+) -> float | None:
     """Choose the cut-off of the position filter, Hz; None for no filter.
 
     Ten times the bandwidth, and at least 5 Hz, keeps the motion to 1e-8. If the signal ends below that, the cut-off is
@@ -48,7 +50,7 @@ def cutoff_frequency(bandwidth: float, end: float, rate: float, seconds: float =
     cutoff = max(10 * bandwidth, 5.0, ends)
     narrow = max(min(cutoff, end), 2.5 * bandwidth, ends)
     cutoff = narrow if narrow < 0.25 * rate else cutoff
-    return below_nyquist(cutoff, rate)
+    return below_nyquist(cutoff, rate, updates)
 
 
 def cutoff_at_ends(seconds: float) -> float:
@@ -56,9 +58,13 @@ def cutoff_at_ends(seconds: float) -> float:
     return 2 * EDGE / (LARGEST_ENDS * seconds)
 
 
-def below_nyquist(cutoff: float, rate: float) -> float | None:
-    """Return the cut-off (Hz), or None where it is too near the Nyquist frequency for a filter to help."""
-    return cutoff if cutoff < HIGHEST_CUTOFF * rate else None
+def below_nyquist(cutoff: float, rate: float, updates: float = np.inf) -> float | None:
+    """Return the cut-off (Hz), or None where it is too near the Nyquist frequency for a filter to help.
+
+    Signals that are held, and change at the rate of ``updates`` (Hz), have images above, which are always filtered.
+    """
+    highest = HIGHEST_CUTOFF * min(rate, updates)
+    return cutoff if cutoff < highest else highest if updates < HIGHEST_CUTOFF * rate else None
 
 
 def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:

@@ -310,11 +310,11 @@ def _notes(
             grade=Grade.WARNING,
             shown_as="position noise",
         )
-    if (bandwidth := preparation.bandwidth) > CLOSE_TO_NYQUIST * run.rate:
+    if (bandwidth := preparation.bandwidth) > CLOSE_TO_NYQUIST * run.updates:
         yield Finding(
             "sampling rate",
             text=f"the bandwidth of the motion, {bandwidth:.3g} Hz, is close to the Nyquist frequency, "
-            f"{run.rate / 2:.4g} Hz: speeds and accelerations are inaccurate",
+            f"{run.updates / 2:.4g} Hz: speeds and accelerations are inaccurate",
             advice=f"log at {10 * bandwidth:.0f} Hz or more, or move more slowly",
             grade=Grade.WARNING,
         )

@@ -12,6 +12,7 @@ UNITS: dict[tuple[str, ...], float] = {
     ("oz",): 0.45359237 / 16,
 }
 MASS = re.compile(
+    r"(?:(?<![\d.,])(?P<plus>\d+(?:[.,]\d+)?) ?\+ ?)?"
     r"(?:(?<!\d)(?P<times>\d+) ?[x*×] ?)?(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)"
     r"(?P<power>e[+-]?\d)?[-_ ]?"
     r"(?P<unit>kg(?![fm]|cm)|kilos?(?![a-z])|kilogram|(?:g|gr|gms?|grams?|grammes?|gramm)(?![a-z])|lbs?(?![a-z])|pounds?"
@@ -31,8 +32,8 @@ def masses_in_name(name: str) -> tuple[float, ...]:
     """Read the mass, kg, from the name of a file: no reading, one, or several from which the user must choose.
 
     ``1,5kg``, ``1p5kg`` and ``1500g`` have one; ``loaded_1_5kg`` may be 1.5 kg or log 1 with 5 kg, ``1kg5`` 1.5 kg or
-    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg. A mass that is too small or too large may mean no
-    payload (0), as may ``no_5kg``.
+    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg, ``0.7+0.5kg`` both or the last. A mass that is too small or too
+    large may mean no payload (0), as may ``no_5kg``.
     """
     name = FRACTION.sub(_decimal, DATE.sub(" ", name))
     matches = list(MASS.finditer(name))
@@ -73,4 +74,6 @@ def _readings(match: re.Match[str]) -> list[float]:
         numbers.append(float(match["power"].lstrip("eE+-")))  # log 1e with as much
     if match["times"]:
         numbers += [int(match["times"]) * number for number in numbers]
+    if match["plus"]:
+        numbers.insert(0, float(match["plus"].replace(",", ".")) + numbers[0])
     return [round(number * factor, 6) for number in numbers]

@@ -66,7 +66,7 @@ class Payload(Keys):
         if twice := [kind for kind in FIRST_MOMENTS if kind in self.parameters]:
             raise ValueError(f"'center' and '{twice[0]}' of the parameters state the same; remove one of them")
         if self.mass is not None:
-            moments = ", ".join(f"{k}: {self.mass * c:.6g}" for k, c in zip(FIRST_MOMENTS, self.center, strict=True))
+            moments = ", ".join(f"{k}: {self.mass * c:z.6g}" for k, c in zip(FIRST_MOMENTS, self.center, strict=True))
             raise ValueError(f"'center' is for an unknown mass; for a known one write 'parameters: {{{moments}}}'")
         return self
 

@@ -16,9 +16,9 @@ SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
     "ns: ns nsec nsecs nanoseconds; min: min minutes",
     # in German, Grad is no gon
     "position": "rad: rad rads radian radians radiant; mrad: mrad; deg: deg degs degree degrees ° grad grado gradi; "
-    "mdeg: mdeg millideg; arcmin: arcmin; arcsec: arcsec; m: m meter meters metre metres; mm: mm millimeter; "
-    "cm: cm; um: um micron microns; inch: inch inches; turn: turn turns rev revs revolution revolutions rot rotation "
-    "rotations umdr umdrehungen tours",
+    "mdeg: mdeg millideg; arcmin: arcmin; arcsec: arcsec; gon: gon gons; m: m meter meters metre metres; "
+    "mm: mm millimeter; cm: cm; um: um micron microns; inch: inch inches; turn: turn turns rev revs revolution "
+    "revolutions rot rotation rotations umdr umdrehungen tours",
     "current": "A: a amp amps ampere amperes arms aeff apk; mA: ma mamp mamps milliamp milliamps marms",
     "torque": "N m: nm newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; kN m: knm; "
     "kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs "
@@ -48,6 +48,10 @@ WORD = re.compile(
     rf"(?:(?<![A-Za-z])|(?-i:(?<=[a-z])(?=[A-Z])))({WORDS}|%|‰)(?:[_ ]?(?:/|per)?[_ ]?(s|sec|min)(\^?2)?)?(?![A-Za-z])",
     re.IGNORECASE,
 )
+
+
+# As physicists label axes, q/deg and i/mA: the last of two parts, and no single letter, which may be a joint
+QUOTIENT = re.compile(r"[^/]+?\s*/\s*([^/\W\d_]{2,}|[°%‰])")
 
 
 class WrittenUnit(NamedTuple):
@@ -80,11 +84,13 @@ def read_unit(text: str) -> WrittenUnit | None:
 
 
 def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
-    """Split a column's name into the rest and its unit, in brackets or else a word."""
+    """Split a column's name into the rest and its unit, in brackets, after a stroke, or else a word."""
     for match in reversed(list(re.finditer(r"([\[(])([^\[\]()]*)[\])]", name))):
         remark = match[1] == "(" and re.fullmatch(r"\s*[a-z]\s*", match[2])  # measured, set, actual
         if not remark and (unit := read_unit(match[2])):
-            return name[: match.start()].rstrip() + name[match.end() :], unit
+            return name[: match.start()].rstrip(" /") + name[match.end() :], unit
+    if (quotient := QUOTIENT.fullmatch(name)) and (unit := read_unit(quotient[1])):
+        return name[: quotient.start(1)].rstrip("/ "), unit
     if word := next(reversed(list(WORD.finditer(name))), None):
         unit = read_unit(word[1].replace("_", ""))
         if word[2]:

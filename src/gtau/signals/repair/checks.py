@@ -42,13 +42,14 @@ class Checked(NamedTuple):
     """Checked samples on a uniform grid; ``valid`` (N, c) is False where a command was interpolated or clipped.
 
     Of the joints' commands as logged ``whole_share`` are whole numbers; a moving average over ``window`` (s) had
-    smoothed them.
+    smoothed them. The slowest held signal changes at the rate of ``updates`` (Hz).
     """
 
     samples: Samples
     valid: np.ndarray
     whole_share: float
     window: float | None
+    updates: float
 
 
 def check(samples: Samples, notes: list[Finding], given: Given = None) -> Checked:
@@ -85,7 +86,9 @@ def check(samples: Samples, notes: list[Finding], given: Given = None) -> Checke
     clips = clipped(samples, ends, holds, notes)
     whole_share = whole_numbers(samples.command, len(samples.joints))  # resampled ones are between
     window = window_of_commands(samples.command, clock.rate)
-    return Checked(*uniform(samples, clock, instants, holds, clips, notes, given is not None), whole_share, window)
+    updates = clock.rate / max(held.period for held in holds.values())
+    samples, valid = uniform(samples, clock, instants, holds, clips, notes, given is not None)
+    return Checked(samples, valid, whole_share, window, updates)
 
 
 def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
