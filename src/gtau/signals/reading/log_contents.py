@@ -76,10 +76,10 @@ class LogContents:
         groups = grouped(names)
         is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not _kind_of(path)
         if table.numbered or is_matrix:  # one array whose name says nothing of its columns
-            values, first = _values(path, table.columns, table), table.columns[0]
-            time = (first,) if _grows(values[first]) and np.ptp(values[first]) else ()
-            groups, velocity = unnamed_groups(table, values, time, len(joints))
-            return cls(table, values, time, groups, velocity=velocity)
+            values, first = _values(path, table.columns, table), table.columns[:1]
+            time = first if _grows(values[first[0]]) and np.ptp(values[first[0]]) else ()
+            unnamed, velocity = unnamed_groups(table, values, time, len(joints))
+            return cls(table, values, time, unnamed, velocity=velocity)
         topics, elsewhere = _topics(table), list[str]()
         if len(topics) > 1:
             suitable = (_topic(group.first, topics) for group in groups if group.kind in kinds)
