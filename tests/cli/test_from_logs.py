@@ -18,6 +18,7 @@ from gtau.demo.tutorial import write_tutorial
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.signals.channel import SENSOR
 from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.logs import is_log_folder
@@ -225,7 +226,7 @@ def test_stamps_of_receipt_are_taken_where_there_are_no_others(tmp_path: Path, m
         tmp_path / "bag", ("elbow", "shoulder"), *(each[:400] for each in motion["empty"]), urdf=URDF, stamped=False
     )
     draft = draft_logs([log])
-    assert draft.signals.time == (f"{TOPIC}/received",)
+    assert draft.signals.time_columns == (f"{TOPIC}/received",)
     said = [note.what for note in guesses(draft, Path("e.yaml"))]
     assert f"time is {TOPIC}/received, the receipt stamps" in said
 
@@ -236,7 +237,7 @@ def test_topics_at_rates_of_their_own(tmp_path: Path, motion: Any) -> None:
         tmp_path / "bag", ("elbow", "shoulder"), *(each[:600] for each in motion["empty"]), urdf=URDF, apart=True
     )
     draft = draft_logs([log])
-    assert (draft.signals.time, draft.signals.command_time) == (
+    assert (draft.signals.time_columns, draft.signals.command_time_columns) == (
         (f"{TOPIC}/header/stamp",),
         ("/motor_currents/received",),
     )
@@ -318,7 +319,7 @@ def test_a_data_set_names_its_joints_and_rate(tmp_path: Path, motion: Any) -> No
     assert is_log_folder(tmp_path)
     pl.read_parquet(log).drop("timestamp").write_parquet(log)
     timeless = draft_logs([log], str(tmp_path / "arm.urdf"))
-    assert (timeless.signals.time, timeless.signals.rate) == ((), 200.0)
+    assert (timeless.signals.time_columns, timeless.signals.rate) == ((), 200.0)
     assert timeless.reasons.time == "no time column; 200 Hz by the description of the data set (meta/info.json)"
     assert "rate" not in timeless.open
     mixed = {"names": [f"{joint}.{kind}" for joint in ("elbow", "shoulder") for kind in ("pos", "torque")]}
@@ -349,17 +350,17 @@ def test_torques_beside_currents_are_sensors_unless_computed_from_them(tmp_path:
         np.savetxt(tmp_path / f"{name}.csv", log, delimiter=",", header=head, comments="")
         drafts.append(with_sensors(draft_logs([tmp_path / f"{name}.csv"], str(tmp_path / "arm.urdf"))))
     sensed, computed = drafts
-    assert sensed.signals.joint_torque == {"shoulder": "torque_shoulder", "elbow": "torque_elbow"}
+    assert sensed.signals.sensors(SENSOR) == {"shoulder": "torque_shoulder", "elbow": "torque_elbow"}
     said = [note.what for note in guesses(sensed, Path("e.yaml"))]
     assert (
         "torque_shoulder, torque_elbow are assumed to be torque sensors behind the gears, which set the scale" in said
     )
-    assert not computed.signals.joint_torque
+    assert not computed.signals.sensors(SENSOR)
     assert computed.unused.torques.keys() == {"shoulder", "elbow"}
     (said,) = [note.what for note in guesses(computed, Path("e.yaml")) if note.what.startswith("torque_")]
     assert said.endswith("are not used: they are a straight line of the currents, from which they may be computed")
     weighed = draft_logs([tmp_path / "sensed.csv"], str(tmp_path / "arm.urdf"), masses={"sensed": 0.8})
-    assert not with_sensors(weighed).signals.joint_torque
+    assert not with_sensors(weighed).signals.sensors(SENSOR)
 
 
 def test_goals_alone_are_no_torques(tmp_path: Path, motion: Any) -> None:

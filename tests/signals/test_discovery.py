@@ -20,7 +20,6 @@ from gtau.robots.robot import Joint, Limits, Mdh, Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading import logs
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
-from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.draft import Draft
 from gtau.signals.reading.drafting import draft_text, guesses
@@ -107,7 +106,7 @@ def test_an_ambiguous_name_is_settled_by_the_derivative(tmp_path: Path) -> None:
 
 def test_a_log_without_header(tmp_path: Path) -> None:
     (draft,) = [discover([_bare(tmp_path / "a.csv", TIME, Q, QD, V)])]
-    assert draft.signals.time == ("1",)
+    assert draft.signals.time_columns == ("1",)
     assert draft.signals.position == {"j1": "2", "j2": "3"}
     assert draft.signals.command == {"j1": "6", "j2": "7"}
     with pytest.raises(GtauError, match="has no header, and among its 3 columns no positions are recognised"):
@@ -133,17 +132,16 @@ def test_a_row_back_in_time_leaves_the_time_column(tmp_path: Path) -> None:
     draft = discover(
         [save(tmp_path / "a.csv", "t,q1,q2,dq1,dq2,tau1,tau2", TIME[order], Q[order], QD[order], V[order])]
     )
-    assert draft.signals.time == ("t",)
+    assert draft.signals.time_columns == ("t",)
     assert "velocities" not in draft.open
 
 
 def test_the_rate_of_a_log_without_time_is_that_of_its_velocities(tmp_path: Path) -> None:
     with_velocity = discover([save(tmp_path / "a.csv", "q1,q2,dq1,dq2,tau1,tau2", Q, QD, V)])
-    assert (with_velocity.signals.time, with_velocity.signals.rate) == ((), 250.0)
+    assert (with_velocity.signals.time_columns, with_velocity.signals.rate) == ((), 250.0)
     assert tuple(with_velocity.open) == ("robot", "velocities")
     assert "time: {rate: 250}  # CHECK: no time column; dq1" in draft_text(with_velocity, tmp_path)
     without = discover([save(tmp_path / "b.csv", "q1,q2,tau1,tau2", Q, V)])
-    assert without.signals.rate is None
     assert "rate" in without.open
 
 
@@ -321,7 +319,7 @@ SHARED = {
 def test_logs_of_several_makers(shared: Path, name: str) -> None:
     time, positions, kind, commands = SHARED[name]
     draft = discover([shared / name])
-    assert (draft.signals.time[0] if draft.signals.time else draft.signals.rate) == time
+    assert (draft.signals.time_columns[0] if draft.signals.time_columns else draft.signals.rate) == time
     assert list(draft.signals.position.values())[: len(positions)] == positions
     assert (draft.signals.kind, list(draft.signals.command.values())[: len(commands)]) == (kind, commands)
 
@@ -349,8 +347,8 @@ def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
             bag.write(currents, stamp + 10**6, store.serialize_cdr(kinds[array](layout, v.copy()), array))
     robot = load_robot("five-bar")
     draft = discover([tmp_path / "bag"], robot, "five-bar")
-    assert draft.signals.time == ("/arm/joint_states/header/stamp",)
-    assert draft.signals.command_time == ("/arm/motor_currents/received",)
+    assert draft.signals.time_columns == ("/arm/joint_states/header/stamp",)
+    assert draft.signals.command_time_columns == ("/arm/motor_currents/received",)
     assert draft.signals.kind == "current"
     (tmp_path / "e.yaml").write_text(draft_text(draft, tmp_path))
     experiment = read_experiment(tmp_path / "e.yaml")
@@ -382,7 +380,7 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     log = save(tmp_path / "log.csv", header, TIME, Q, V, 3 * V + 0.1)
     draft = discover([log])
     columns = {"j1": f"{name}1", "j2": f"{name}2"}
-    torques = draft.signals.joint_torque, draft.unused.torques
+    torques = draft.signals.sensors(SENSOR), draft.unused.torques
     assert torques == ((columns, {}) if "sensor" in name else ({}, columns))
     text = draft_text(draft, tmp_path)
     (line,) = [each for each in text.splitlines() if "joint_torque:" in each]
@@ -410,7 +408,7 @@ def test_what_is_no_torque_sensor(tmp_path: Path) -> None:
     assert (target.unused.torques, target.unused.others) == ({}, ("target_moment_1 ... target_moment_2",))
     stuck = np.column_stack([np.zeros(len(TIME)), 3 * V[:, 1]])
     draft = discover([save(tmp_path / "b.csv", header.format("torque_sensor_"), TIME, Q, V, stuck)])
-    assert draft.signals.joint_torque == {"j2": "torque_sensor_2"}
+    assert draft.signals.sensors(SENSOR) == {"j2": "torque_sensor_2"}
     assert "never change: columns torque_sensor_1." in draft_text(draft, tmp_path)
     assert [note.what for note in guesses(draft, tmp_path)][-1].endswith("are no torque sensors: torque_sensor_1")
     none = discover([save(tmp_path / "c.csv", header.format("tau_"), TIME, Q, V, 0 * V)])
@@ -427,7 +425,11 @@ def test_an_array_without_names(name: str, tmp_path: Path) -> None:
         return tmp_path / name
 
     draft = discover([saved(TIME, Q, QD, V)])
-    assert (draft.signals.time, list(draft.signals.position.values()), list(draft.signals.command.values())) == (
+    assert (
+        draft.signals.time_columns,
+        list(draft.signals.position.values()),
+        list(draft.signals.command.values()),
+    ) == (
         ("X[1]",),
         ["X[2]", "X[3]"],
         ["X[6]", "X[7]"],
@@ -461,7 +463,7 @@ def test_motors_beside_torques_are_the_command(commands: str, others: str, tmp_p
 def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
     header = "controller_time,host_time,position_1,position_2,effort_1,effort_2"
     draft = discover([save(tmp_path / "log.csv", header, TIME, TIME + 5.0, Q, V)])
-    assert (draft.signals.time, draft.signals.kind) == (("controller_time",), "torque")
+    assert (draft.signals.time_columns, draft.signals.kind) == (("controller_time",), "torque")
     assert {"clock", "kind"} < set(draft.open)
     assert "time: controller_time  # CHECK: median step 0.004 s, 250 Hz; host_time grows, too" in draft_text(
         draft, tmp_path
@@ -480,7 +482,7 @@ def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
 def test_names_in_other_languages(header: str, tmp_path: Path) -> None:
     names = header.split(",")
     draft = discover([save(tmp_path / "log.csv", header, TIME, Q, QD, V)])
-    assert (draft.signals.time, draft.signals.kind, tuple(draft.open)) == ((names[0],), "current", ("robot",))
+    assert (draft.signals.time_columns, draft.signals.kind, tuple(draft.open)) == ((names[0],), "current", ("robot",))
     assert draft.unused.side == {}
     assert [*draft.signals.position.values(), *draft.signals.command.values()] == [*names[1:3], *names[5:]]
 
@@ -643,7 +645,7 @@ def test_wrapped_positions_without_header_are_recognised_by_continuity(turn: flo
     assert draft.signals.position == {"j1": "2", "j2": "3"}
     assert list(draft.signals.command.values()) == ["6", "7"]
     unit = {"position": "deg"} if turn == 360 else {}
-    runs = read_parts([log], Signals(**draft.signals.entries()), None, Units(**unit), lambda done: None, CHOSEN, WHOLE)
+    runs = read_parts([log], draft.signals, None, Units(**unit), lambda done: None, CHOSEN, WHOLE)
     assert len(runs) == 2
     for run in runs:
         assert "unwrapped angle" in {note.kind for note in run.notes}

@@ -110,7 +110,7 @@ def init(
         return
     signals = draft.signals
     columns = {"position": dict(signals.position), signals.kind: dict(signals.command), "units": dict(draft.units)}
-    clock = list(signals.time) or {"rate": signals.rate}
+    clock = list(signals.time_columns) or {"rate": None if "rate" in draft.open else signals.rate}
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
 
@@ -142,7 +142,8 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
     from gtau.signals.reading.draft import listed_units
 
     signals, unused, why = draft.signals, draft.unused, draft.reasons.time
-    clock = " and ".join(signals.time) or f"no column, {f'{signals.rate:g} Hz' if signals.rate else 'rate unknown'}"
+    rate = "rate unknown" if "rate" in draft.open else f"{signals.rate or 0:g} Hz"
+    clock = " and ".join(signals.time_columns) or f"no column, {rate}"
     rows = {
         "time": clock + (f" ({why})" if why else ""),
         "position": ", ".join(f"{joint}: {column}" for joint, column in signals.position.items()),

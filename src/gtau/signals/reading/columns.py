@@ -158,6 +158,11 @@ class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
         """Columns of the currents or torques by joint."""
         return self.current or self.torque or self.motor_torque or {}
 
+    @property
+    def rate(self) -> float | None:
+        """Sampling rate of a log without time column, Hz."""
+        return self.time.rate if isinstance(self.time, SampleRate) else None
+
     def sensors(self, kind: ChannelKind) -> dict[str, str]:
         """Return the columns of a kind of sensor on the link side by joint, in the order of the joints."""
         columns = getattr(self, kind.calibration) or {}

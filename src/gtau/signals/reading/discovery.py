@@ -9,11 +9,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gtau.documents.validation import read_group
 from gtau.errors import GtauError, short
 from gtau.robots.robot import Robot
-from gtau.signals.channel import SIDE_SIGNALS
+from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading.column_names import POSE, Group, base_like, has_word, wrench_like
-from gtau.signals.reading.draft import QUESTIONS, Draft, DraftedSignals, Reasons, Unused, listed, listed_units
+from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.draft import QUESTIONS, Draft, Reasons, Unused, listed, listed_units
 from gtau.signals.reading.joint_columns import matched, renamed_labels
 from gtau.signals.reading.log_contents import COMMANDS, LogContents
 from gtau.signals.reading.masses import masses_in_name
@@ -25,6 +27,7 @@ LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are ta
 # no arm turns by more than two turns either way (deg) or faster than this (rad/s), as motors before their gears do.
 TURNS = 20.0
 MOST_DEGREES, FASTEST = 720.0, 30.0
+UNKNOWN_RATE = 1000.0  # Hz, to be corrected
 ALIKE = 0.1  # by which the derivative of positions may differ from the velocities, or from them in another unit
 # Rest of torques beside a straight line of the currents, over their standard deviation, median of the joints; below,
 # they are computed from these. Torque sensors of a Rokae: 0.50 (0.40 to 0.80). Currents of a UR10e and that Rokae,
@@ -45,7 +48,8 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     clock, why_time, open_ = _clock(log, command_log, positions)
     kind, open_of_command = _kind(commands, command_log, currents)
     sensors, still = _sensors(command_log, "sensor", labels)
-    signals = DraftedSignals(kind, columns, currents, sensors, *clock)
+    entries = {"time": clock, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {})
+    signals = read_group(Signals, "signals", entries)
     used = {*positions.columns.values(), *commands.columns.values()}
     unused = _unused(log, command_log, signals, labels, used, moving_base=base is None)
     unused = replace(unused, still=(*still, *unused.still), moving=unused.moving if robot else ())
@@ -142,17 +146,15 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
     return positions, commands
 
 
-def _clock(
-    log: LogContents, command_log: LogContents, positions: Group
-) -> tuple[tuple[tuple[str, ...], tuple[str, ...], float | None], str, dict[str, str]]:
-    """Find the time columns of positions, of commands with time stamps of their own, or the rate; why; open points."""
+def _clock(log: LogContents, command_log: LogContents, positions: Group) -> tuple[Any, str, dict[str, str]]:
+    """Find the entry ``time`` of the signals, the reason, and points to confirm."""
     if not log.time:
         if log.rate:
             how = f"no time column; {log.rate:g} Hz by the description of the data set (meta/info.json)"
-            return ((), (), log.rate), how, {}
+            return {"rate": log.rate}, how, {}
         rate, how = log.rate_from_velocities(positions)
         points = {"velocities": f"the sampling rate is assumed to be {rate:g} Hz"} if rate else {"rate": ""}
-        return ((), (), rate), how, points
+        return {"rate": rate or UNKNOWN_RATE}, how, points
     reason, open_ = log.time_unit()[1], dict[str, str]()
     apart = command_log.table.path == log.table.path or command_log.rows != log.rows
     stamps = command_log.time if command_log is not log and apart else ()
@@ -163,7 +165,8 @@ def _clock(
     if clocks := log.other_clocks():
         reason += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
         open_["clock"] = f"time is {' and '.join(log.time)}, but other columns increase too"
-    return (log.time, stamps, None), reason, open_
+    time, command_time = (names[0] if len(names) == 1 else list(names) for names in (log.time, stamps))
+    return {"position": time, "command": command_time} if stamps else time, reason, open_
 
 
 def _kind(
@@ -191,7 +194,7 @@ def _kind(
 def _unused(
     log: LogContents,
     command_log: LogContents,
-    signals: DraftedSignals,
+    signals: Signals,
     labels: Mapping[str, str],
     used: set[str],
     moving_base: bool,
@@ -201,7 +204,7 @@ def _unused(
     unused = [name for name in columns if name not in used]
     motion, wrenches = base_like(unused) if moving_base else (), wrench_like(unused)
     torques, still = dict[str, str](), list[str]()
-    if not signals.joint_torque and signals.kind == "current":
+    if not signals.sensors(SENSOR) and signals.kind == "current":
         torques, still = _sensors(command_log, "torque", labels)
     if torques and (group := command_log.group("torque")):
         used = used | set(group.columns.values())

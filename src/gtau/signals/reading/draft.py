@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from gtau.errors import short
+from gtau.signals.reading.columns import Signals
 
 QUESTIONS = {
     "masses": "write the payload masses ('or' in the file) that file names give in several ways: they set the scale of "
@@ -39,33 +40,6 @@ QUESTIONS = {
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """Questions about the open points of a draft, in the order in which they are asked."""
-
-
-@dataclass(frozen=True)
-class DraftedSignals:
-    """Columns of a draft: by joint, of the time of the positions, and of commands with time stamps of their own.
-
-    The ``rate`` (Hz) is given for a log without time column, None where it is unknown.
-    """
-
-    kind: Literal["current", "torque"]
-    position: Mapping[str, str]
-    command: Mapping[str, str]
-    joint_torque: Mapping[str, str]
-    time: tuple[str, ...]
-    command_time: tuple[str, ...] = ()
-    rate: float | None = None
-
-    def entries(self) -> dict[str, Any]:
-        """Return the entries under ``signals`` of an experiment file."""
-        time, command_time = (names[0] if len(names) == 1 else list(names) for names in (self.time, self.command_time))
-        clock = {"position": time, "command": command_time} if self.command_time else time
-        sensors = {"joint_torque": self.joint_torque} if self.joint_torque else {}
-        return {
-            "time": clock if self.time else {"rate": self.rate},
-            "position": self.position,
-            self.kind: self.command,
-        } | sensors
 
 
 @dataclass(frozen=True)
@@ -109,7 +83,7 @@ class Draft:
     """
 
     logs: tuple[tuple[Path, ...], ...]
-    signals: DraftedSignals
+    signals: Signals
     units: Mapping[str, Any]
     robot: Mapping[str, Any]
     payloads: Mapping[Path, tuple[float, ...]]

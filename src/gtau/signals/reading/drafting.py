@@ -18,8 +18,8 @@ from gtau.findings import Finding, Grade
 from gtau.findings.words import counted
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
-from gtau.signals.channel import SIDE_SIGNALS
-from gtau.signals.reading.columns import PRESETS
+from gtau.signals.channel import SENSOR, SIDE_SIGNALS
+from gtau.signals.reading.columns import PRESETS, SampleRate
 from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.draft import QUESTIONS, Draft, listed
 from gtau.signals.reading.formats.rosbag import robot_description
@@ -65,7 +65,8 @@ def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
     """Return the draft with commands of known kind."""
     old = draft.signals.kind
     units = {key: unit for key, unit in draft.units.items() if key != old or key == kind}
-    return replace(_settled(draft, "kind", "motor"), signals=replace(draft.signals, kind=kind), units=units)
+    signals = draft.signals.model_copy(update={old: None} | {kind: draft.signals.command})
+    return replace(_settled(draft, "kind", "motor"), signals=signals, units=units)
 
 
 def _settled(draft: Draft, *keys: str) -> Draft:
@@ -74,7 +75,7 @@ def _settled(draft: Draft, *keys: str) -> Draft:
 
 def with_rate(draft: Draft, rate: float) -> Draft:
     """Return the draft with a sampling rate, Hz."""
-    return replace(_settled(draft, "rate"), signals=replace(draft.signals, rate=rate))
+    return replace(_settled(draft, "rate"), signals=draft.signals.model_copy(update={"time": SampleRate(rate=rate)}))
 
 
 def with_sensors(draft: Draft) -> Draft:
@@ -86,7 +87,7 @@ def with_sensors(draft: Draft) -> Draft:
     points = {**draft.open} | {"sensors": assumed}
     return replace(
         draft,
-        signals=replace(draft.signals, joint_torque=torques),
+        signals=draft.signals.model_copy(update={"joint_torque": torques}),
         unused=replace(draft.unused, torques={}),
         open={key: points[key] for key in QUESTIONS if key in points and key != "torques"},
     )
@@ -210,7 +211,7 @@ def draft_text(draft: Draft, folder: Path) -> str:
         for episode in find_columns(run[0]).episodes or (None,):
             numbered = [] if episode is None else [f"    episode: {episode}"]
             lines += [f"  - log: {log}", *numbered, *_payload(draft, run[0])]
-    if draft.signals.kind == "current" and not draft.payloads and not draft.signals.joint_torque:
+    if draft.signals.kind == "current" and not draft.payloads and not draft.signals.sensors(SENSOR):
         lines += [
             "# Drive gains need the mass (kg) of the payload of at least one run, and a run with a different payload "
             "or none:",
@@ -236,13 +237,14 @@ def _signals(draft: Draft) -> Iterator[str]:
     """Write the columns used."""
     signals, why = draft.signals, draft.reasons
     doubtful = not {"clock", "received", "velocities"}.isdisjoint(draft.open)
-    time = _flow(signals.entries()["time"]) if signals.time else f"{{rate: {signals.rate or 1000:g}}}"
-    yield _line(f"  time: {time}", _question(draft, "rate") or CHECK * doubtful + why.time)
+    time = signals.model_dump(mode="json")["time"]
+    written = _flow(time) if signals.rate is None else f"{{rate: {signals.rate:g}}}"
+    yield _line(f"  time: {written}", _question(draft, "rate") or CHECK * doubtful + why.time)
     yield from _by_joint("position", signals.position, CHECK * ("joints" in draft.open) + why.position)
     yield from _by_joint(signals.kind, signals.command, _question(draft, "kind", "motor", "reference", "gravity"))
-    if signals.joint_torque:
+    if sensors := signals.sensors(SENSOR):
         doubt = _question(draft, "sensors") or "torque sensors behind the gears (by name)"
-        yield from _by_joint("joint_torque", signals.joint_torque, doubt)
+        yield from _by_joint("joint_torque", sensors, doubt)
 
 
 def _unused(draft: Draft) -> Iterator[str]:
@@ -305,8 +307,8 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         notes.append((f"joints missing from the log are held at home; {', '.join(moving)} move", ""))
     if unused.still:
         notes.append((f"columns that never change are no torque sensors: {listed(unused.still)}", ""))
-    if signals.time and signals.time[0].endswith("/header/stamp"):
-        notes.append((f"time is {signals.time[0]}, measurement stamps, not receipt stamps", ""))
+    if (time := signals.time_columns[:1]) and time[0].endswith("/header/stamp"):
+        notes.append((f"time is {time[0]}, measurement stamps, not receipt stamps", ""))
     return tuple(
         Finding(DRAFT, text=text, advice=advice, grade=Grade.INFORMATION, source=str(file)) for text, advice in notes
     )

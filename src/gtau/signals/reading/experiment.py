@@ -16,7 +16,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
-from gtau.signals.reading.columns import SampleRate, Signals
+from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.logged_run import Folders, LoggedRun, file_or_name
 from gtau.signals.reading.statements import (
     CHOSEN,
@@ -79,7 +79,7 @@ class Experiment(Keys):
         other = "torque" if signals.kind == "current" else "current"
         if getattr(units, other) is not None:
             raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
-        if units.time is not None and isinstance(signals.time, SampleRate):
+        if units.time is not None and signals.rate is not None:
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
         for kind in LINK_SIDE:
             if getattr(units, kind.calibration) is not None and not signals.sensors(kind):

@@ -21,7 +21,7 @@ from gtau.extensions import find
 from gtau.findings import Finding
 from gtau.findings.words import moment
 from gtau.signals.reading.body_columns import at_origins
-from gtau.signals.reading.columns import SampleRate, Signals
+from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats import MOST_COLUMNS, LogTable
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
@@ -301,8 +301,8 @@ def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
 
 def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:
     """Compute the times (M,) in s of rows from ``row`` on, from their time columns (M, 0 to 2) or the given rate."""
-    if isinstance(signals.time, SampleRate):
-        return np.arange(row, row + len(stamps)) / signals.time.rate
+    if signals.rate is not None:
+        return np.arange(row, row + len(stamps)) / signals.rate
     return seconds(stamps, scale)
 
 
