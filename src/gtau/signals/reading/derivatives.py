@@ -42,10 +42,10 @@ def continuous(position: np.ndarray) -> np.ndarray:
     return position
 
 
-def correlation(position: np.ndarray, other: np.ndarray, time: np.ndarray | None = None) -> float:
-    """Correlate a column (N,) with the numerical derivative of another; 0 where one of them never changes."""
+def correlation(position: np.ndarray, velocity: np.ndarray, time: np.ndarray | None = None) -> float:
+    """Correlate a column of velocities (N,) with the derivative of positions; 0 where one of them never changes."""
     position = continuous(position)
-    slope, value = (position[2:] - position[:-2]), other[1:-1]
+    slope, value = (position[2:] - position[:-2]), velocity[1:-1]
     if time is not None:
         step = time[2:] - time[:-2]
         slope = np.where(step > 0, slope / np.where(step > 0, step, 1.0), np.nan)

@@ -283,8 +283,8 @@ def _question(draft: Draft, *keys: str) -> str:
 def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     """List the guesses of a draft, each with the entry to change in its ``file``."""
     signals, unused, moving = draft.signals, draft.unused, draft.robot.get("joints", ())
-    other = "torque" if signals.kind == "current" else "current"
-    advice = QUESTIONS | {"kind": f"if they are {other}s, state --kind {other}"}
+    opposite = "torque" if signals.kind == "current" else "current"
+    advice = QUESTIONS | {"kind": f"if they are {opposite}s, state --kind {opposite}"}
     notes = []
     if columns := ", ".join(unused.moving):
         held = f"the log has {', '.join(moving)}, and other joints are held at home, but " * bool(moving)

@@ -76,9 +76,9 @@ class Experiment(Keys):
         signals: Signals | None = info.data.get("signals")
         if signals is None:
             return units
-        other = "torque" if signals.kind == "current" else "current"
-        if getattr(units, other) is not None:
-            raise ValueError(f"a unit of '{other}' is given, but the signals hold '{signals.kind}'; remove it")
+        absent = "torque" if signals.kind == "current" else "current"
+        if getattr(units, absent) is not None:
+            raise ValueError(f"a unit of '{absent}' is given, but the signals hold '{signals.kind}'; remove it")
         if units.time is not None and signals.rate is not None:
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
         for kind in LINK_SIDE:

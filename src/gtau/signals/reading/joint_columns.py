@@ -90,7 +90,7 @@ def _chain(robot: Robot) -> tuple[str, ...]:
     for joint in robot.joints:
         chains[joint.name] = chains.get(joint.antecedent, ()) + (joint.name,) * joint.actuated
     chain = chains.get(robot.tool, ())
-    return chain if sum(len(other) == len(chain) for other in set(chains.values())) == 1 else ()
+    return chain if sum(len(branch) == len(chain) for branch in set(chains.values())) == 1 else ()
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:

@@ -270,10 +270,8 @@ def _kind_of(path: Path) -> str | None:
     return kind if kind in ("position", "current", "torque") else None
 
 
-def _pairs(
-    positions: Group, others: Group, values: Mapping[str, np.ndarray]
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _pairs(positions: Group, group: Group, values: Mapping[str, np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Pair the columns of positions with columns of the same label, where both were read."""
     for label, column in positions.columns.items():
-        if label in others.columns and column in values and others.columns[label] in values:
-            yield values[column], values[others.columns[label]]
+        if label in group.columns and column in values and group.columns[label] in values:
+            yield values[column], values[group.columns[label]]

@@ -48,8 +48,8 @@ def masses_in_name(name: str) -> tuple[float, ...]:
 
 
 def _decimal(match: re.Match[str]) -> str:
-    whole, over, under, sign = match.groups()
-    return f"{int(whole or 0) + (numeric(sign) if sign else int(over) / (int(under) or 1)):.6g}"
+    integer, over, under, sign = match.groups()
+    return f"{int(integer or 0) + (numeric(sign) if sign else int(over) / (int(under) or 1)):.6g}"
 
 
 def _readings(match: re.Match[str]) -> list[float]:
@@ -57,15 +57,15 @@ def _readings(match: re.Match[str]) -> list[float]:
     unit = match["unit"].lower()
     factor = next(size for letters, size in UNITS.items() if unit.startswith(letters))
     *before, last = re.split(r"(\D+)", match["number"])
-    whole, separator = before[-2:] if before else ("", "")
+    integer, separator = before[-2:] if before else ("", "")
     texts = []
-    if whole and (separator in DECIMAL or whole == "0" or whole[0] != "0"):
-        texts.append(f"{whole}.{last}")
-    if len(last) == 3 and factor < 0.01 and whole and whole[0] != "0":
-        texts.append(whole + last)  # thousands of grams
+    if integer and (separator in DECIMAL or integer == "0" or integer[0] != "0"):
+        texts.append(f"{integer}.{last}")
+    if len(last) == 3 and factor < 0.01 and integer and integer[0] != "0":
+        texts.append(integer + last)  # thousands of grams
     if separator not in DECIMAL or len(before) > 2:
         texts.append(last)
-    if match["point"] and not whole:
+    if match["point"] and not integer:
         texts.append(f"0.{last}")
     if match["rest"]:
         texts.insert(0, f"{texts[0].partition('.')[0]}.{match['rest']}")

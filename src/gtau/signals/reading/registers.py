@@ -70,7 +70,7 @@ def with_signs(
             columns = {j: _count(array, j, size) for j, size in columns.items()}
         registers = _registers(array, columns)
         for register in set(registers.values()):
-            names = tuple(samples.joints[j] for j, other in registers.items() if other == register)
+            names = tuple(samples.joints[j] for j, same in registers.items() if same == register)
             half = 2 ** (register.bits - 1)
             meaning = f"{2 * half} is subtracted from {half} and more"
             if register.sign:

@@ -52,13 +52,13 @@ class Payload(Keys):
         return parameters
 
     @model_validator(mode="after")
-    def _of_a_body(self) -> Payload:
+    def _possible(self) -> Payload:
         if problem := no_body(self.parameters, self.mass):
             raise ValueError(f"{problem}, which no body has; correct the parameters (at the frame's origin, SI units)")
         return self
 
     @model_validator(mode="after")
-    def _of_a_known_or_unknown_mass(self) -> Payload:
+    def _mass_or_center(self) -> Payload:
         if self.mass is None and "mass_std" in self.model_fields_set:
             raise ValueError("'mass_std' is given without 'mass'; add the mass or remove it")
         if self.center is None:

@@ -126,21 +126,21 @@ def _judge(
     lowest = np.clip(first - NEIGHBOURS // 2, 0, len(time) - count)
     window = lowest[:, None] + np.arange(count)
     inside = (window >= first[:, None]) & (window < first[:, None] + width)
-    others, judged = window[~inside].reshape(-1, NEIGHBOURS), window[inside].reshape(-1, width)
+    around, judged = window[~inside].reshape(-1, NEIGHBOURS), window[inside].reshape(-1, width)
     centre = time[judged].mean(axis=1, keepdims=True)
-    reach = np.abs(time[others] - centre).max(axis=1, keepdims=True)
+    reach = np.abs(time[around] - centre).max(axis=1, keepdims=True)
 
     def powers(at: np.ndarray) -> np.ndarray:
         return ((time[at] - centre) / reach)[..., None] ** np.arange(4)
 
-    fit = np.linalg.pinv(powers(others))  # (C, 4, NEIGHBOURS)
+    fit = np.linalg.pinv(powers(around))  # (C, 4, NEIGHBOURS)
     weights = powers(judged) @ fit  # (C, width, NEIGHBOURS)
-    around = position[others]
-    values = (weights @ around[..., None])[..., 0]
+    neighbours = position[around]
+    values = (weights @ neighbours[..., None])[..., 0]
     # The smaller of both ends, in the units of the noise of one sample.
     ends = (position[judged] - values)[:, [0, -1]]
     distance = (np.abs(ends) / np.sqrt(1 + (weights[:, [0, -1]] ** 2).sum(axis=2))).min(axis=1)
-    misfit = np.abs(around - (powers(others) @ (fit @ around[..., None]))[..., 0]).max(axis=1)
+    misfit = np.abs(neighbours - (powers(around) @ (fit @ neighbours[..., None]))[..., 0]).max(axis=1)
     clean = position[window]
     clean[inside] = values.ravel()
     moved = np.abs(np.diff(clean, axis=1)).max(axis=1)

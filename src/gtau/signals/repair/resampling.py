@@ -174,10 +174,10 @@ def uniform(
         missing, masked = missing + int(lacking.sum()), masked + int((lacking & hidden).sum())
     if masked > MAX_MISSING * count or missing > MAX_BRIDGED * count:
         what = "by stamps that come in packets, " if clock.packets else ""
-        other = ", or, where no sample is missing, give the rate instead (time: {rate: HZ})" if clock.regular else ""
+        remedy = ", or, where no sample is missing, give the rate instead (time: {rate: HZ})" if clock.regular else ""
         raise GtauError(
             f"{samples.name} lacks {missing} of {count} samples ({what}steps of {shortest * 1e3:.3g} to "
-            f"{longest * 1e3:.3g} ms); record it at a steady rate{other}."
+            f"{longest * 1e3:.3g} ms); record it at a steady rate{remedy}."
         )
     if missing:
         more = f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""

@@ -107,10 +107,10 @@ def readable(path: Path, kind: str) -> Iterator[None]:
 def common_length(path: Path, lengths: Mapping[str, int], more: int = 0) -> int:
     """Count the rows of columns that must have as many, up to some rows ``more``; raises GtauError."""
     if max(lengths.values()) - min(lengths.values()) > more:
-        (one, rows), *others = lengths.items()
-        other = next(name for name, count in others if count != rows)
+        (first, rows), *rest = lengths.items()
+        second = next(name for name, count in rest if count != rows)
         raise GtauError(
-            f"'{one}' has {rows} rows but '{other}' has {lengths[other]}; give columns that were sampled "
+            f"'{first}' has {rows} rows but '{second}' has {lengths[second]}; give columns that were sampled "
             "together, or each topic's own stamps (time: {position: COLUMN, command: COLUMN}).",
             source=path,
         )

@@ -112,10 +112,10 @@ def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
     yield "header/stamp", lambda message: _seconds(message.header.stamp)
     for field in ("position", "velocity", "effort"):
         for k, joint in enumerate(message.name[: len(getattr(message, field))]):
-            yield f"{joint}/{field}", partial(_of_joint, field, joint, k)
+            yield f"{joint}/{field}", partial(_joint_value, field, joint, k)
 
 
-def _of_joint(field: str, joint: str, k: int, message: Any) -> float:
+def _joint_value(field: str, joint: str, k: int, message: Any) -> float:
     names, values = message.name, getattr(message, field)
     if k >= len(names) or names[k] != joint:
         k = names.index(joint) if joint in names else len(values)
@@ -129,7 +129,7 @@ def _numbers(value: Any, name: str) -> Iterator[tuple[str, Getter]]:
         yield name, lambda message: float(getter(message))
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size <= WIDEST:
         for k in range(value.size):
-            yield f"{name}[{k + 1}]", partial(_of_item, getter, k)
+            yield f"{name}[{k + 1}]", partial(_item_value, getter, k)
     elif hasattr(value, "sec") and hasattr(value, "nanosec"):
         yield name, lambda message: _seconds(getter(message))
     elif hasattr(value, "__dataclass_fields__"):
@@ -138,7 +138,7 @@ def _numbers(value: Any, name: str) -> Iterator[tuple[str, Getter]]:
                 yield from _numbers(getattr(value, field), f"{name}/{field}".lstrip("/"))
 
 
-def _of_item(getter: Callable[[Any], Any], k: int, message: Any) -> float:
+def _item_value(getter: Callable[[Any], Any], k: int, message: Any) -> float:
     array = getter(message)
     return float(array[k]) if k < len(array) else np.nan
 
