@@ -84,21 +84,17 @@ class TwoClocks(Keys):
     command: TimeColumns
 
 
-def optional_keys(entries: Mapping[str, Any]) -> type[Keys]:
-    """Make a group with keys of these types, None where left out."""
+def optional_keys(sensor: Any, side: Mapping[str, Any] | None = None) -> type[Keys]:
+    """Make a group with keys for sensors on the link side, of one type, and for side signals; None where left out."""
+    entries = {kind.calibration: sensor for kind in LINK_SIDE} | dict(side or {})
     fields: Any = {key: (entry | None, None) for key, entry in entries.items()}
     return create_model("OptionalKeys", __base__=Keys, **fields)
-
-
-def by_link_side(entry: Any) -> dict[str, Any]:
-    """Return entries of one type for all kinds of sensor on the link side."""
-    return {kind.calibration: entry for kind in LINK_SIDE}
 
 
 Share = Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
 
 
-class Calibration(optional_keys(by_link_side(Share)), Keys):  # type: ignore[misc]
+class Calibration(optional_keys(Share), Keys):  # type: ignore[misc]
     """Relative standard deviations of readings: of each sensor on the link side, and of all wrenches together."""
 
     wrenches: Share | None = None
@@ -111,11 +107,10 @@ EXACT = Calibration()
 OneOrByJoint = Annotated[
     Annotated[str, Tag("text")] | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)
 ]
-SENSORS = by_link_side(dict[str, str])
 SIDE = {signal.key: OneOrByJoint for signal in SIDE_SIGNALS}
 
 
-class Signals(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
+class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of

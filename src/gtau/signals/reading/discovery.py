@@ -19,7 +19,7 @@ from gtau.signals.reading.draft import QUESTIONS, Draft, Reasons, Unused, listed
 from gtau.signals.reading.joint_columns import matched, renamed_labels
 from gtau.signals.reading.log_contents import COMMANDS, LogContents
 from gtau.signals.reading.masses import masses_in_name
-from gtau.signals.reading.units import si_factor
+from gtau.signals.reading.units import is_unit
 from gtau.signals.reading.written_units import SI, read_unit
 
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
@@ -85,7 +85,8 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
     signals, unused, how = draft.signals, draft.unused, draft.reasons.position
     order = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
     columns = ", ".join(f"{joint}: {column}" for joint, column in signals.position.items())
-    units = listed_units(draft.units)
+    by_joint = ((key, unit if isinstance(unit, Mapping) else {"": unit}) for key, unit in draft.units.items())
+    pairs: list[tuple[Any, str]] = [(key, unit) for key, units in by_joint for unit in units.values()]
     computed = ": they are a straight line of the currents, from which they may be computed" * unused.computed
     several = any(len(masses) > 1 for masses in draft.payloads.values())
     points = {
@@ -94,8 +95,8 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
         "robot": ("file" not in draft.robot, ""),
         "unmatched": (unused.moving and "joints" in draft.robot, ""),
         "counts": (
-            any(_unread(key, unit) for key, unit in draft.units.items()),
-            f"the log gives counts, shares or unknown units ({units})",
+            not all(is_unit(unit, "torque" if key == "joint_torque" else key) for key, unit in pairs),
+            f"the log gives counts, shares or unknown units ({listed_units(draft.units)})",
         ),
         "joints": (not by_name, f"columns were assigned to the joints{order}: {columns}"),
         "torques": (unused.torques, f"{listed(unused.torques.values())} are not used{computed}"),
@@ -264,16 +265,6 @@ def _units(log: LogContents, key: str, columns: Mapping[str, str]) -> dict[str, 
     if not units:
         return {}
     return {key: units.pop() if len(units) == 1 and len(written) == len(columns) else written}
-
-
-def _unread(key: Any, units: Any) -> bool:
-    """Decide whether an experiment file refuses one of these units, such as counts."""
-    try:
-        for unit in units.values() if isinstance(units, Mapping) else [units]:
-            si_factor(unit, "torque" if key == "joint_torque" else key)
-    except ValueError:
-        return True
-    return False
 
 
 def _position_unit(

@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
 from gtau.signals.reading.column_names import parse_column_name
-from gtau.signals.reading.columns import PRESETS, Signals, by_link_side, optional_keys
+from gtau.signals.reading.columns import PRESETS, Signals, optional_keys
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.written_units import SI
 
@@ -48,6 +48,14 @@ def si_factor(text: str, kind: Kind) -> float:
     Raises ValueError, whose text gives the remedy, if it is not a unit of that kind.
     """
     return _measured(text, kind)[1]
+
+
+def is_unit(text: str, kind: Kind) -> bool:
+    """Decide whether a text is a unit of a kind, or a quantity in one."""
+    try:
+        return bool(si_factor(text, kind))
+    except ValueError:
+        return False
 
 
 def is_angle(text: str) -> bool:
@@ -150,11 +158,10 @@ def _one_or_by_joint(kind: Kind) -> Any:
     ]
 
 
-SENSORS = by_link_side(_one_or_by_joint("torque"))
 SIDE = {signal.key: Literal[signal.units] for signal in SIDE_SIGNALS}
 
 
-class Units(optional_keys(SENSORS | SIDE), Keys):  # type: ignore[misc]
+class Units(optional_keys(_one_or_by_joint("torque"), SIDE), Keys):  # type: ignore[misc]
     """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
 
     ``joint_torque`` is the unit of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of
