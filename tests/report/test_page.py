@@ -15,10 +15,9 @@ from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
 from gtau.report.motion import paths_chart
 from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
-from gtau.report.render.charts import figure_of, palette
+from gtau.report.render.charts import figure_of, palette, svg_of
 from gtau.report.render.html import arrays_for, frame, html, spec_of
 from gtau.report.render.html import words as in_html
-from gtau.report.render.svg import svg_of
 from gtau.report.render.terminal import plain
 from gtau.report.torques import stretches
 
@@ -194,23 +193,29 @@ def test_words_at_ticks_do_not_touch(low: float, high: float, log: bool) -> None
     axis, ends = Axis("", log), np.array([low, high])
     root = ElementTree.fromstring(svg_of(Panel(axis, axis, (Series("", ends, ends),)), alone=False))
     words = [(word.attrib, word.text or "") for word in root.iter("text")]
-    across = sorted((float(at["x"]), 3.0 * len(text)) for at, text in words if at["text-anchor"] == "middle")
-    up = sorted(float(at["y"]) for at, _ in words if at["text-anchor"] == "end")
+    across = sorted((float(at["x"]), 3.0 * len(text)) for at, text in words if "anchor: middle" in at["style"])
+    up = sorted(float(at["y"]) for at, _ in words if "anchor: end" in at["style"])
     assert min(len(across), len(up)) >= (1 if log and low < 0 else 2)
     assert all(b - a > half + other for (a, half), (b, other) in pairwise(across))
     assert all(b - a > 10 for a, b in pairwise(up))
 
 
-def test_an_svg_draws_a_matrix_spans_and_steps_without_ids() -> None:
+def test_an_svg_draws_a_matrix_spans_and_steps() -> None:
     x, y = Axis("x"), Axis("y")
     spans = Series("", np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.0]), mark="spans")
     steps = Series("", np.arange(4.0), np.ones(3), mark="steps")
     matrix = Panel(x, y, matrix=np.array([[1.0, -0.5], [-0.5, 1.0]]))
-    for panel, colours in ((matrix, "positive negative"), (Panel(x, y, (spans,)), "grid predicted"),
-                           (Panel(x, y, (steps,)), "grid predicted")):  # fmt: skip
-        text = svg_of(panel, alone=True)
-        assert " id=" not in text
-        assert set(colours.split()) < set(re.findall(r"var\(--(.*?)\)", text))
+    for panel, part in ((matrix, "<image"), (Panel(x, y, (spans,)), "var(--predicted)"),
+                        (Panel(x, y, (steps,)), "var(--predicted)")):  # fmt: skip
+        assert part in svg_of(panel, alone=True)
+
+
+def test_drawings_of_a_page_share_no_ids() -> None:
+    x, y = Axis("x"), Axis("y")
+    pair = [svg_of(Panel(x, y, lines_of(np.arange(5.0), count)), alone=True) for count in (1, 2)]
+    first, second = (set(re.findall(r' id="(.*?)"', text)) for text in pair)
+    assert first
+    assert not first & second
 
 
 # Figures

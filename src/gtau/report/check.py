@@ -221,11 +221,13 @@ def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
 
 def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
     """Write a figure of each log's preparation; raises GtauError where one cannot be written."""
-    from gtau.report.render.charts import save
+    from gtau.report.render.charts import figure_of, save_figure
 
     names = unique_names([log.run.name for log in checked.logs])
-    charts = zip(names, map(logs.preparation_chart, checked.logs), strict=True)
-    return [save(chart, folder / f"{name}-preparation.png") for name, chart in charts]
+    written = [folder / f"{name}-preparation.png" for name in names]
+    for path, log in zip(written, checked.logs, strict=True):
+        save_figure(figure_of(logs.preparation_chart(log)), path)
+    return written
 
 
 def unique_names(names: Sequence[str]) -> list[str]:

@@ -301,10 +301,11 @@ def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:
 
 def write_design(outlook: Outlook, folder: Path) -> tuple[Path, ...]:
     """Write the trajectories, ``design.json``, and a figure of each trajectory."""
-    from gtau.report.render.charts import save
+    from gtau.report.render.charts import figure_of, save_figure
 
     written = [*write_trajectories(outlook.design, folder), folder / DESIGN]
     write_atomically(written[-1], json.dumps(design_document(outlook), indent=1, allow_nan=False) + "\n")
     for stem, (title, chart) in zip(file_stems(outlook.task), motion_charts(outlook), strict=True):
-        written.append(save(replace(chart, title=f"{chart.title}: {title}"), folder / f"{stem}.png"))
+        written.append(folder / f"{stem}.png")
+        save_figure(figure_of(replace(chart, title=f"{chart.title}: {title}")), written[-1])
     return tuple(written)

@@ -12,7 +12,6 @@ import numpy as np
 from gtau.model.home import close_home
 from gtau.model.kinematics import Coordinates, poses
 from gtau.report.chart import Shape, Sketch, Word
-from gtau.report.render.charts import figure_of_sketch
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Joint, Robot
 
@@ -37,6 +36,8 @@ FLAT = 0.05  # a robot thinner than this share of its size is looked at from the
 
 def robot_figure(robot: Robot) -> Figure:
     """Draw a robot at home, gravity pointing down the page; see :func:`sketch_of`."""
+    from gtau.report.render.charts import figure_of_sketch
+
     return figure_of_sketch(sketch_of(robot))
 
 

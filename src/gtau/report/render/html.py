@@ -17,7 +17,6 @@ from markupsafe import Markup, escape
 
 from gtau.report.chart import MINUS, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section, Table
-from gtau.report.render.svg import svg_of, svg_of_sketch
 from gtau.robots.robot import Robot
 
 BUCKETS = 2000  # of a run, each drawn by its extremes: more than the pixels of a wide screen
@@ -82,7 +81,7 @@ def _environment() -> Any:
     environment = Environment(
         loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=svg_of, robot=_robot)
+    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=_panel, robot=_robot)
     environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, shown=_shown, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
@@ -108,7 +107,14 @@ def _shown(table: Table) -> list[int]:
     return [k for k in range(len(table.columns)) if not table.listed or any(row[k] for row in table.rows)]
 
 
+def _panel(panel: Panel, alone: bool, title: str) -> str:
+    from gtau.report.render.charts import svg_of  # imports Matplotlib, which pages without charts do not need
+
+    return svg_of(panel, alone, title)
+
+
 def _robot(robot: Robot) -> str:
+    from gtau.report.render.charts import svg_of_sketch
     from gtau.report.robot_figure import sketch_of
 
     return svg_of_sketch(sketch_of(robot), f"robot {robot.name} at home")
