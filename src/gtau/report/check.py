@@ -93,7 +93,7 @@ def check_page(checked: ExperimentCheck) -> Page:
     nearest = [pose for log in checked.logs for pose in log.nearest]
     motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
     prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
-    spectra = logs.spectra_items(checked.logs[0].run, robot, preparation) if preparation and checked.logs else []
+    speeds = logs.speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
     return page(
         f"Logs of {checked.robot.name}",
         _verdict(checked),
@@ -103,7 +103,7 @@ def check_page(checked: ExperimentCheck) -> Page:
         section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
         section("Motion", *motions, id="motion"),
-        section("Preparation", *prepared, *spectra, id="preparation"),
+        section("Preparation", *prepared, speeds, id="preparation"),
     )
 
 

@@ -89,7 +89,7 @@ def gather(
 def predicted(
     result: Result, run: Run, used: bool = False, longest: int | None = LONGEST, progress: Progress = silent
 ) -> RunEvidence:
-    """Predict a run, or its beginning, and look for an undeclared load; raises GtauError if it does not suit the model."""
+    """Predict a run, or its beginning, and look for an undeclared load; raises GtauError if the run does not fit."""
     cut = longest is not None and len(run.time) > longest
     prediction = predict(result, _beginning(run, longest or 0) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)

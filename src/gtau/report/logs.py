@@ -51,10 +51,10 @@ def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) ->
         (Column("repaired, %", Kind.SHARE, 2), lambda run: 1 - valid_share(run)),
         (Column("clock and repairs"), lambda run: "; ".join(map(str, run.notes)) or "uniform clock, no repairs"),
     )
-    return section("Clock and spectra of the logs", listed, *spectra_items(runs[0], robot, preparation), id="logs")
+    return section("Clock and spectra of the logs", listed, speed_chart(runs[0], robot, preparation), id="logs")
 
 
-def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Chart]:
+def speed_chart(run: Run, robot: Robot, preparation: Preparation) -> Chart | None:
     """Draw amplitude spectral densities of the speeds in a run, in a panel per unit."""
     rules = [Rule(x=preparation.bandwidth, label=f"bandwidth {preparation.bandwidth:.3g} Hz")]
     rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
@@ -73,7 +73,7 @@ def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Char
         f"Amplitude spectral densities of {run.name}: speeds, differentiated from the logged positions, in thirds of "
         "an octave. Dashed lines mark the bandwidth of the motion and the cut-off of the position filter."
     )
-    return [Chart(tuple(panels), columns=2, caption=words)] if panels else []
+    return Chart(tuple(panels), columns=2, caption=words) if panels else None
 
 
 def valid_share(run: Run) -> float:
