@@ -88,13 +88,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
         "guards": list(task.guards),
         "tool": {"frame": outlook.robot.tool, "speed": speed, **dict(zip("xyz", places.T.tolist(), strict=True))},
         "priors": [
-            {
-                "name": joint,
-                "value": known.value,
-                "interval": known.interval,
-                "source": known.source,
-                "model": known.model,
-            }
+            {"name": joint, **{key: getattr(known, key) for key in ("value", "interval", "source", "model")}}
             for joint, known in zip(outlook.robot.actuated, task.prior.known, strict=False)
         ],
         "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
@@ -113,12 +107,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
             for usage in outlook.usages
         ],
         "payload_masses": [
-            {
-                "mass": mass,
-                "rel_std": {gain.name: gain.relative for gain in variant.forecast.gains},
-                "rms": variant.rms,
-                "exceeded": variant.exceeded,
-            }
+            {"mass": mass, "rel_std": _shares(variant), "rms": variant.rms, "exceeded": variant.exceeded}
             for mass, variant in zip(outlook.masses, outlook.variants, strict=True)
         ],
         "assumed": list(outlook.assumed.values()),
@@ -135,6 +124,10 @@ def _entry(outlook: Outlook, unknown: Expected, assumed: bool) -> dict[str, Any]
         "unit": outlook.unit(unknown),
         "assumed": assumed,
     }
+
+
+def _shares(outlook: Outlook) -> dict[str, float]:
+    return {gain.name: gain.relative for gain in outlook.forecast.gains}
 
 
 def _finite(value: float) -> float | None:

@@ -64,7 +64,7 @@ def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]
         axis, density_axis = Axis("frequency, Hz"), Axis(f"{unit}/√Hz", log=True)
         panels.append(Panel(axis, density_axis, tuple(lines), "Amplitude spectral density", height=2))
     if lags:
-        title = "Autocorrelation; band: white noise, 95 %"
+        title = "Autocorrelation; band: white noise"
         panels.append(Panel(Axis("lag, s"), Axis("autocorrelation"), tuple(lags), title, band=(-band, band), height=2))
     return tuple(panels)
 

@@ -176,7 +176,7 @@ def _inline(figure: Figure, label: str) -> str:
     text = re.sub(r"(?<=>) | (?=/>)| (?=[ML] )|(?<=[ML]) ", "", text)
     names = list(palette())
     text = re.sub(r"#00fe(\w\w)", lambda code: f"var(--{names[int(code[1], 16)]})", text)
-    prefix = f"s{sha256(text.encode()).hexdigest()[:8]}"  # ids differ from those of other drawings on the page
+    prefix = f"s{sha256(text.encode()).hexdigest()[:8]}"  # no id occurs twice on a page
     text = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}", text)
     width, height = 72 * figure.get_size_inches()
     return f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">{text}'
@@ -263,11 +263,12 @@ def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
     elif series.mark == "line":
         dashes = (0, series.dashes) if series.dashes else "-"
         axes.plot(*series.thinned(), linewidth=series.width, linestyle=dashes, **look)
-    elif series.mark == "points":  # one path of dots: lines without length, with round caps
+    elif series.mark == "points":  # one path of dots: very short lines with round caps
         size, nothing = 2 + series.width, np.full(len(series.x), np.nan)
-        x = np.column_stack([series.x, np.nextafter(series.x, np.inf), nothing]).ravel()
+        shifted = series.x + 1e-6 * (np.ptp(series.x) or np.abs(series.x[0]) or 1.0)
+        x = np.column_stack([series.x, shifted, nothing]).ravel()
         y = np.column_stack([series.y, series.y, nothing]).ravel()
-        axes.plot(x, y, linewidth=size, solid_capstyle="round", color=look["color"])
+        axes.plot(x, y, linewidth=size, solid_capstyle="round", snap=False, color=look["color"])
         axes.plot([], [], "o", markersize=size, markeredgewidth=0.0, **look)  # in the key
         axes.margins(x=0.03)
     else:
