@@ -9,7 +9,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex, to_rgb
 
 from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
@@ -84,7 +85,7 @@ def test_a_cell_is_a_value_that_its_column_writes(column: Column, cell: object, 
 
 
 def test_a_page_holds_only_what_is_there(whole: Page) -> None:
-    assert [each.id for each in whole.sections] == ["verdict", "gains", "charts"]
+    assert [part.id for part in whole.sections] == ["verdict", "gains", "charts"]
 
 
 # Terminal
@@ -165,6 +166,9 @@ def test_html_escapes_everything_and_loads_nothing(whole: Page) -> None:
     assert not re.search(r"(src|href)=\"(?!#|data:)", text)
     assert "default-src &#39;none&#39;" in text
     assert text.count('class="chart"') == 1
+    assert (
+        set(re.findall(r'data-group="(.*?)"', text)) == {"g0"} == set(re.findall(r"group&#34;: &#34;(.*?)&#34;", text))
+    )
     assert '<td class="n" data-value="">\N{EN DASH}</td>' in text
     assert "<details><summary>folded</summary>" in text
     assert html(whole) == text
@@ -183,7 +187,7 @@ def test_an_svg_takes_the_colours_of_the_page_and_keeps_its_words(whole: Page) -
     assert {"--predicted", "--prior", "--soft", "--grid", "--page"} == set(re.findall(r"var\((.*?)\)", text))
     assert not re.search(r"#[0-9a-f]{6}|\d\.\d{3,}|<style|font-family", text)
     root = ElementTree.fromstring(text.replace("xlink:href", "href"))
-    assert {"left", NASTY, "gain, %", "1"} < {each.text for each in root.iter("text")}
+    assert {"left", NASTY, "gain, %", "1"} < {word.text for word in root.iter("text")}
     assert len(text) < 8000
 
 
@@ -236,10 +240,20 @@ def test_a_long_series_is_thinned_to_its_extremes_and_a_path_is_not() -> None:
     series, path = (
         Series("", x, np.where(angle == angle[777], 9.0, np.sin(angle))) for x in (angle, np.cos(angle))
     )  # fmt: skip
-    along, around = figure_of(Chart(tuple(Panel(Axis("x"), Axis("y"), (each,)) for each in (series, path)))).axes
+    along, around = figure_of(Chart(tuple(Panel(Axis("x"), Axis("y"), (line,)) for line in (series, path)))).axes
     assert len(along.get_lines()[0].get_xdata()) <= 1200
     assert max(along.get_lines()[0].get_ydata()) == 9.0
     np.testing.assert_array_equal(around.get_lines()[0].get_xydata(), np.column_stack([path.x, path.y]))
+
+
+def test_dots_show_in_figures_and_on_pages() -> None:
+    k = np.arange(5.0)
+    panel = Panel(Axis("x"), Axis("y"), (Series("", k, k, mark="points", width=3.0),))
+    canvas = FigureCanvasAgg(figure_of(Chart((panel,))))
+    canvas.draw()
+    blue = np.round(255 * np.array(to_rgb(palette()["predicted"])))
+    assert np.sum((np.asarray(canvas.buffer_rgba())[..., :3] == blue).all(axis=2)) > 5 * 20
+    assert svg_of(panel, alone=True).count("h0") == 5
 
 
 def test_a_figure_draws_a_matrix_spans_and_steps() -> None:
