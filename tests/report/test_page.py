@@ -187,6 +187,7 @@ def test_an_svg_takes_the_colours_of_the_page_and_keeps_its_words(whole: Page) -
     assert {"--predicted", "--prior", "--soft", "--grid", "--page"} == set(re.findall(r"var\((.*?)\)", text))
     assert not re.search(r"#[0-9a-f]{6}|\d\.\d{3,}|<style|font-family", text)
     root = ElementTree.fromstring(text.replace("xlink:href", "href"))
+    assert (root.attrib["role"], root.attrib["aria-label"]) == ("img", "gain, %; value, 95 % interval, prior")
     assert {"left", NASTY, "gain, %", "1"} < {word.text for word in root.iter("text")}
     assert len(text) < 8000
 

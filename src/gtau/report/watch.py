@@ -31,7 +31,7 @@ NO_SAFETY_FUNCTION = (
 )
 STATES = ("replace", "check", "baseline", "OK")  # the most urgent first
 DRAWN = 400  # most points in a panel; more are averaged by day
-SPREAD = 1.5  # least height of a panel, in deviations that nine of ten logs stay within
+SPREAD = 1.5  # least height of a panel, as a multiple of the range of nine in ten logs
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
@@ -57,7 +57,7 @@ def status_words(status: Status) -> str:
 
 
 def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> str:
-    """Return the state of a robot in one word; ``complete`` tells whether its baseline is complete."""
+    """Return the state of a robot in one word; ``complete`` if the baseline has enough logs."""
     if alarm is None:
         refused = any(event.kind == "refused" for event in events)
         return "check" if refused else "OK" if complete else "baseline"
