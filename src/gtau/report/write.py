@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import platform
 import shlex
 import sys
@@ -35,6 +36,7 @@ def write_report(
 ) -> Path:
     """Write a page to a folder, with the current command, its ``inputs``, ``settings`` and ``seconds`` taken."""
     command = shlex.join(["gtau", *sys.argv[1:]])
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # services without a home get no warning about its cache
     write_atomically(folder / REPORT, html(stamped(page, settings or {}, command, inputs, seconds)))
     return folder / REPORT
 
