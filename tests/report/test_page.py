@@ -215,6 +215,12 @@ def test_an_svg_draws_a_matrix_spans_and_steps() -> None:
         assert part in svg_of(panel, alone=True)
 
 
+def test_numbers_in_words_keep_their_digits() -> None:
+    words = "bandwidth 2.6345 Hz of M L 1"
+    panel = Panel(Axis(words), Axis("y"), lines_of(np.arange(5.0)), rules=(Rule(x=2.0, label=words),))
+    assert svg_of(panel, alone=True).count(f">{words}<") == 2
+
+
 def test_drawings_of_a_page_share_no_ids() -> None:
     x, y = Axis("x"), Axis("y")
     pair = [svg_of(Panel(x, y, lines_of(np.arange(5.0), count)), alone=True) for count in (1, 2)]

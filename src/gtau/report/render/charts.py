@@ -169,22 +169,22 @@ def _inline(figure: Figure, label: str) -> str:
         patch.set_visible(False)
     figure.savefig(content, format="svg", metadata={"Date": None})
     text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", content.getvalue(), flags=re.DOTALL)
-    text = re.sub(r"\s+", " ", text[text.index(">", text.index("<svg")) + 1 :])
-    text = re.sub(r'<g id="[^"]*"/>|<defs> </defs>|(?<=<g) id="[^"]*"| font-family: [^;"]*;', "", text)
-    text = re.sub(r'(?<=[ "(])-?\d+\.\d{2,}(?=[ ")])', lambda digits: f"{float(digits[0]):.1f}", text)
-    text = re.sub(r"(M [\d.-]+ [\d.-]+) L ([\d.-]+ [\d.-]+)(?= [M\"])", _dot, text)
-    text = re.sub(r"(?<=>) | (?=/>)| (?=[ML] )|(?<=[ML]) ", "", text)
-    names = list(palette())
-    text = re.sub(r"#00fe(\w\w)", lambda code: f"var(--{names[int(code[1], 16)]})", text)
+    text = re.sub(r"<[^>]+>", _compact, text[text.index(">", text.index("<svg")) + 1 :])
+    text = re.sub(r"<g/>|<defs></defs>", "", re.sub(r">\s+<", "><", text.strip()))
     prefix = f"s{sha256(text.encode()).hexdigest()[:8]}"  # no id occurs twice on a page
     text = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}", text)
     width, height = 72 * figure.get_size_inches()
     return f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">{text}'
 
 
-def _dot(line: re.Match[str]) -> str:
-    """Shorten a line without length, which a round cap shows as a dot."""
-    return f"{line[1]}h0" if line[1] == f"M {line[2]}" else line[0]
+def _compact(tag: re.Match[str]) -> str:
+    """Shorten a tag: one decimal is enough, groups need no ids, and the page gives fonts and colours."""
+    names = list(palette())
+    text = re.sub(r'(?<=<g) id="[^"]*"| font-family: [^;"]*;', "", re.sub(r"\s+", " ", tag[0]))
+    text = re.sub(r'(?<=[ "(])-?\d+\.\d{2,}(?=[ ")])', lambda digits: f"{float(digits[0]):.1f}", text)
+    text = re.sub(r"M ([\d.-]+ [\d.-]+) L \1(?= [M\"])", r"M \1h0", text)  # a dot by the round cap
+    text = re.sub(r" ?([ML]) ", r"\1", text)
+    return re.sub(r"#00fe(\w\w)", lambda code: f"var(--{names[int(code[1], 16)]})", text)
 
 
 # Panels and sketches on axes
