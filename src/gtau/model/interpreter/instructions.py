@@ -9,10 +9,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-TERMS, PRODUCTS = 2, 3  # at most in a sum: LLVM compares at most eight operands with the result before it vectorises
+SUMS = ((1, 0), (2, 0), (0, 1), (1, 1), (0, 2), (1, 2), (0, 3), (1, 3))
+"""Sums by their numbers of terms and of products; the index in this tuple is the operation code.
 
-SUMS = tuple((terms, products) for products in range(PRODUCTS + 1) for terms in range(TERMS + 1) if terms + products)
-"""Sums by their numbers of terms and of products; the index in this tuple is the operation code."""
+They have at most eight operands: LLVM compares no more of them with the result before it computes in vectors.
+"""
 
 OTHERS = ("DIV", "SQRT", "SIGN", "FABS", "FMAX", "SINE_COSINE")
 """Other operations; their codes follow the codes of sums."""
@@ -87,8 +88,7 @@ def instructions(function: ca.Function, parameters: int) -> Code:
     row = {value: value for value in range(inputs)} | {value: inputs + k for k, value in enumerate(used)}
     row |= {inputs + k: inputs + len(used) + k for k in range(parameters)}
     row |= {value: inputs + len(used) + parameters + register for value, register in stands.items()}
-    code = np.zeros((len(listing), 3 + TERMS + 2 * PRODUCTS), dtype=np.uint32)
-    signs = np.ones((len(listing), TERMS + PRODUCTS))
+    code, signs = np.zeros((len(listing), 10), dtype=np.uint32), np.ones((len(listing), 4))
     for line, sign, instruction in zip(code, signs, listing, strict=True):
         result, *second = instruction.results  # the cosine takes the place of a second operand
         rows = [row[value] for value in (*instruction.operands, *second)]
@@ -194,7 +194,7 @@ def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]
                 continue
             added = [(sign * s, operand) for s, operand in part.terms]
             products = instruction.products + [(sign * s, *pair) for s, *pair in part.products]
-            if len(instruction.terms) - 1 + len(added) <= TERMS and len(products) <= PRODUCTS:
+            if (len(instruction.terms) - 1 + len(added), len(products)) in SUMS:
                 instruction.terms.remove(term)
                 instruction.terms += added
                 instruction.products = products

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numba import njit, types
 
-TILE = 8  # samples that are put into a table together: a cache line of each row
 SOURCES = 4  # arrays that inputs come from
 ITERATIONS = 8
 
@@ -35,15 +34,10 @@ def _compiled(*signature: Any) -> Any:
 
 _inlined: Any = njit(inline="always")
 _NUMBERS = types.float64[:, ::1]
-_CODE = types.uint32[:, ::1]
-_SOURCES = types.UniTuple(types.Array(types.float64, 2, "A", readonly=True), SOURCES)
-_PROGRAMS = types.UniTuple(types.Tuple((_CODE, _NUMBERS, _NUMBERS)), 3)
-_INDICES = types.int64[::1]
-_RUN = types.FunctionType(types.void(_CODE, _NUMBERS, _NUMBERS, _NUMBERS, types.int64, types.int64))
-_FOLLOWED = (_RUN, _PROGRAMS, types.float64[::1], _INDICES, types.UniTuple(types.float64, 4), _NUMBERS, _NUMBERS)
+_SOURCES = types.UniTuple(types.Array(types.float64, 2, "C", readonly=True), SOURCES)
 
 
-@_compiled()
+@_inlined
 def _sine_cosine(rows, sine, cosine, angle, count):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Compute sines and cosines to about a unit in the last place: the library's are not vectorised, and take longer.
 
@@ -74,125 +68,91 @@ def _sine_cosine(rows, sine, cosine, angle, count):  # type: ignore[no-untyped-d
                 rows[sine, n], rows[cosine, n] = np.sin(rows[angle, n]), np.cos(rows[angle, n])
 
 
-@_compiled(types.void(_CODE, _NUMBERS, _NUMBERS, _NUMBERS, types.int64, types.int64))
-def run(code, signs, rows, outputs, start, count):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Carry out the instructions on ``count`` samples of ``rows``; outputs go into the columns from ``start`` on.
+@_compiled(types.void(types.uint32[:, ::1], _NUMBERS, _NUMBERS, _SOURCES, _NUMBERS, *[types.int64] * 3))
+def evaluate(code, signs, rows, sources, outputs, start, stop, column):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Compute ``outputs``, from a ``column`` on, of the samples ``start`` to ``stop`` of ``sources``, stacked (inputs, N).
 
-    See :class:`gtau.model.interpreter.program.Program` for ``code`` and ``signs``.
+    See :class:`gtau.model.interpreter.program.Program` for ``code``, ``signs`` and ``rows``.
     """
-    for k in range(len(code)):
-        op, to, out, a, b, c = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4], code[k, 5]
-        d, e, f, g, h = code[k, 6], code[k, 7], code[k, 8], code[k, 9], code[k, 10]
-        s, t, u, v, w = signs[k, 0], signs[k, 1], signs[k, 2], signs[k, 3], signs[k, 4]
-        if op == 0:
-            for n in range(count):
-                rows[to, n] = s * rows[a, n]
-        elif op == 1:
-            for n in range(count):
-                rows[to, n] = s * rows[a, n] + t * rows[b, n]
-        elif op == 2:
-            for n in range(count):
-                rows[to, n] = s * rows[a, n] * rows[b, n]
-        elif op == 3:
-            for n in range(count):
-                rows[to, n] = s * rows[a, n] + t * rows[b, n] * rows[c, n]
-        elif op == 4:
-            for n in range(count):
-                rows[to, n] = s * rows[a, n] + t * rows[b, n] + u * rows[c, n] * rows[d, n]
-        elif op == 5:
-            for n in range(count):
-                rows[to, n] = s * rows[a, n] * rows[b, n] + t * rows[c, n] * rows[d, n]
-        elif op == 6:
-            for n in range(count):
-                rows[to, n] = s * rows[a, n] + t * rows[b, n] * rows[c, n] + u * rows[d, n] * rows[e, n]
-        elif op == 7:
-            for n in range(count):
-                products = u * rows[c, n] * rows[d, n] + v * rows[e, n] * rows[f, n]
-                rows[to, n] = s * rows[a, n] + t * rows[b, n] + products
-        elif op == 8:
-            for n in range(count):
-                first = s * rows[a, n] * rows[b, n]
-                rows[to, n] = first + t * rows[c, n] * rows[d, n] + u * rows[e, n] * rows[f, n]
-        elif op == 9:
-            for n in range(count):
-                first = s * rows[a, n] + t * rows[b, n] * rows[c, n]
-                rows[to, n] = first + u * rows[d, n] * rows[e, n] + v * rows[f, n] * rows[g, n]
-        elif op == 10:
-            for n in range(count):
-                first = s * rows[a, n] + t * rows[b, n] + u * rows[c, n] * rows[d, n]
-                rows[to, n] = first + v * rows[e, n] * rows[f, n] + w * rows[g, n] * rows[h, n]
-        elif op == 11:
-            for n in range(count):
-                rows[to, n] = rows[a, n] / rows[b, n]
-        elif op == 12:
-            for n in range(count):
-                rows[to, n] = np.sqrt(rows[a, n])
-        elif op == 13:
-            for n in range(count):
-                x = rows[a, n]
-                rows[to, n] = 1.0 if x > 0.0 else (-1.0 if x < 0.0 else x)  # zero and nan stay what they are
-        elif op == 14:
-            for n in range(count):
-                rows[to, n] = abs(rows[a, n])
-        elif op == 15:
-            for n in range(count):
-                x, y = rows[a, n], rows[b, n]
-                rows[to, n] = x if x > y or x != x else y  # nan if either is, so that a test on it fails
-        else:
-            _sine_cosine(rows, to, b, a, count)
-        if out < len(outputs):
-            for n in range(count):
-                outputs[out, start + n] = rows[to, n]
+    lanes = rows.shape[1]
+    for first in range(start, stop, lanes):
+        count, row = min(lanes, stop - first), 0
+        for source in sources:
+            for i in range(len(source)):
+                for n in range(count):
+                    rows[row + i, n] = source[i, first + n]
+            row += len(source)
+        for k in range(len(code)):
+            op, to, out, a, b, c = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4], code[k, 5]
+            d, e, f, g = code[k, 6], code[k, 7], code[k, 8], code[k, 9]
+            s, t, u, v = signs[k, 0], signs[k, 1], signs[k, 2], signs[k, 3]
+            if op == 0:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n]
+            elif op == 1:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] + t * rows[b, n]
+            elif op == 2:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] * rows[b, n]
+            elif op == 3:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] + t * rows[b, n] * rows[c, n]
+            elif op == 4:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] * rows[b, n] + t * rows[c, n] * rows[d, n]
+            elif op == 5:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] + t * rows[b, n] * rows[c, n] + u * rows[d, n] * rows[e, n]
+            elif op == 6:
+                for n in range(count):
+                    part = s * rows[a, n] * rows[b, n]
+                    rows[to, n] = part + t * rows[c, n] * rows[d, n] + u * rows[e, n] * rows[f, n]
+            elif op == 7:
+                for n in range(count):
+                    part = s * rows[a, n] + t * rows[b, n] * rows[c, n]
+                    rows[to, n] = part + u * rows[d, n] * rows[e, n] + v * rows[f, n] * rows[g, n]
+            elif op == 8:
+                for n in range(count):
+                    rows[to, n] = rows[a, n] / rows[b, n]
+            elif op == 9:
+                for n in range(count):
+                    rows[to, n] = np.sqrt(rows[a, n])
+            elif op == 10:
+                for n in range(count):
+                    x = rows[a, n]
+                    rows[to, n] = 1.0 if x > 0.0 else (-1.0 if x < 0.0 else x)  # zero and nan stay what they are
+            elif op == 11:
+                for n in range(count):
+                    rows[to, n] = abs(rows[a, n])
+            elif op == 12:
+                for n in range(count):
+                    x, y = rows[a, n], rows[b, n]
+                    rows[to, n] = x if x > y or x != x else y  # nan if either is, so that a test on it fails
+            else:
+                _sine_cosine(rows, to, b, a, count)
+            if out < len(outputs):
+                for n in range(count):
+                    outputs[out, column + first - start + n] = rows[to, n]
 
 
 @_compiled()
-def _load(rows, sources, start, count):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Put samples of the inputs into the first rows."""
-    first = 0
-    for source in sources:
-        for i in range(source.shape[0]):
-            for n in range(count):
-                rows[first + i, n] = source[i, start + n]
-        first += source.shape[0]
-
-
-@_compiled(types.void(_RUN, _CODE, _NUMBERS, _NUMBERS, _SOURCES, _NUMBERS, types.int64, types.int64))
-def evaluate(run, code, signs, rows, sources, outputs, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Compute ``outputs`` (outputs, N) of the samples ``start`` to ``stop``, whose inputs are in ``sources``."""
-    lanes = rows.shape[1]
-    for first in range(start, stop, lanes):
-        count = min(lanes, stop - first)
-        _load(rows, sources, first, count)
-        run(code, signs, rows, outputs, first, count)
-
-
-@_compiled(
-    types.void(_RUN, _CODE, _NUMBERS, _NUMBERS, _SOURCES, _NUMBERS, _INDICES, _INDICES, _NUMBERS, types.int64, types.int64)
-)
-def fill(run, code, signs, rows, sources, made, order, places, table, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Put the outputs in ``order`` at ``places`` of the rows ``start`` to ``stop`` of ``table`` (N, columns).
-
-    ``made`` (outputs, LANES) is memory to work with, which stays in the cache.
-    """
-    lanes = rows.shape[1]
-    for first in range(start, stop, lanes):
-        count = min(lanes, stop - first)
-        _load(rows, sources, first, count)
-        run(code, signs, rows, made, 0, count)
-        for tile in range(0, count, TILE):
-            for k in range(len(order)):
-                for n in range(tile, min(tile + TILE, count)):
-                    table[first + n, places[k]] = made[order[k], n]
+def scatter(made, order, places, table, start, count):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Put ``count`` columns of ``made``, in ``order``, at ``places`` of the rows of ``table`` from ``start`` on."""
+    for n in range(count):
+        for k in range(len(order)):
+            table[start + n, places[k]] = made[order[k], n]
 
 
 @_inlined
-def _newton(run, programs, scale, limits, trial, now, going, good, share, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _newton(programs, scale, limits, trial, now, going, good, share, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Close the loops from the initial guess ``trial`` on the paths ``going``; ``good`` becomes where that succeeded.
 
     ``now`` is the previous closed configuration, ``share`` becomes the share of the way to a singular pose.
     """
     _, residual, contraction, reach = limits
     n_c, paths = trial.shape
+    nothing = np.empty((0, paths))
     made = np.empty((n_c + 2, paths))  # the configuration after a step, its size, and the condition number or the gap
     size, other = made[n_c], made[n_c + 1]
     last, done, stepped = np.empty(paths), np.empty(paths, np.bool_), np.empty(paths, np.bool_)
@@ -201,8 +161,13 @@ def _newton(run, programs, scale, limits, trial, now, going, good, share, used):
     for i in range(n_c):
         for n in range(used):
             share[n] = max(share[n], scale[i] * abs(trial[i, n] - now[i, n]))
-    for iteration in range(ITERATIONS):
-        _interpret(run, programs[min(iteration, 1)], trial, made, used)
+    iteration, busy = 0, True
+    while True:
+        last_of_all = not busy or iteration == ITERATIONS
+        code, signs, rows = programs[2 if last_of_all else min(iteration, 1)]
+        evaluate(code, signs, rows, (trial, nothing, nothing, nothing), made, 0, used, 0)
+        if last_of_all:
+            break
         busy = False
         for n in range(used):
             stepped[n] = False
@@ -219,25 +184,13 @@ def _newton(run, programs, scale, limits, trial, now, going, good, share, used):
         for i in range(n_c):
             for n in range(used):
                 trial[i, n] = made[i, n] if stepped[n] else trial[i, n]
-        if not busy:
-            break
-    _interpret(run, programs[2], trial, made, used)
+        iteration += 1
     for n in range(used):
         good[n] = good[n] and done[n] and made[0, n] < residual
 
 
 @_inlined
-def _interpret(run, program, trial, made, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run a program on ``trial``; its outputs are ``made``."""
-    code, signs, rows = program
-    for i in range(len(trial)):
-        for n in range(used):
-            rows[i, n] = trial[i, n]
-    run(code, signs, rows, made, 0, used)
-
-
-@_inlined
-def _go(run, programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _go(programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Move ``now`` (n_c, paths) straight to ``target`` (n, paths) on paths ``going``; ``arrived`` becomes which do.
 
     On the paths ``guessed`` the configuration there is tried to be ``guess``; where that was in one step,
@@ -264,7 +217,7 @@ def _go(run, programs, scale, actuated, limits, now, guess, guessed, target, goi
             for n in range(used):
                 if moving[n]:  # exact at the ends
                     trial[actuated[j], n] = (1.0 - there[n]) * begin[j, n] + there[n] * target[j, n]
-        _newton(run, programs, scale, limits, trial, now, moving, closed, share, used)
+        _newton(programs, scale, limits, trial, now, moving, closed, share, used)
         for i in range(n_c):
             for n in range(used):
                 now[i, n] = trial[i, n] if closed[n] else now[i, n]
@@ -284,8 +237,8 @@ def _go(run, programs, scale, actuated, limits, now, guess, guessed, target, goi
         arrived[n] = travelled[n] >= 1.0
 
 
-@_compiled(types.void(*_FOLLOWED, _INDICES, _INDICES, types.int64))
-def follow(run, programs, scale, actuated, limits, c, q, starts, filled, length):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+@_compiled()
+def follow(programs, scale, actuated, limits, c, q, starts, filled, length):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Fill ``c`` (n_c, N) along ``q`` (n, N) from each of ``starts``: ``length`` samples, or as many as can be reached.
 
     ``filled`` becomes how many were; the sample after them is where the loops closed last. ``programs``, with rows to
@@ -318,7 +271,7 @@ def follow(run, programs, scale, actuated, limits, c, q, starts, filled, length)
                     guess[i, n] = 3.0 * (now[i, n] - past[0, i, n]) + past[1, i, n]
                     past[1, i, n] = past[0, i, n]
                     past[0, i, n] = now[i, n]
-            _go(run, programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used)
+            _go(programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used)
             busy = False
             for n in range(used):
                 known[n] = known[n] + 1.0 if guessed[n] else 0.0

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from gtau.model.interpreter.instructions import instructions
 
-LANES = 136  # samples: fewer cost overhead, more do not fit the cache, and rows of a power of two thrash it
+LANES = 200  # samples: fewer cost overhead, more do not fit the cache, and rows of a power of two thrash it
 SHARE = 1024  # samples a thread at least
 NONE = np.zeros(0)
 
@@ -30,8 +30,8 @@ NONE = np.zeros(0)
 class Program:
     """Instructions of a function from a vector to a vector.
 
-    ``code`` is (instructions, 11): operation, row of the result, output that the result is, or NOWHERE, and rows of up
-    to eight operands; ``signs`` (instructions, 5) are the signs of a sum's terms and products. The rows are first the
+    ``code`` is (instructions, 10): operation, row of the result, output that the result is, or NOWHERE, and rows of up
+    to seven operands; ``signs`` (instructions, 4) are the signs of a sum's terms and products. The rows are first the
     inputs, then the ``constants``, the ``parameters`` and the registers. ``fixed`` are the outputs that are constants,
     and their values: no instruction writes them.
     """
@@ -50,11 +50,11 @@ class Program:
 
         ``parameters`` (parameters,) are common to all samples.
         """
-        from gtau.model.interpreter.kernel import evaluate, run
+        from gtau.model.interpreter.kernel import evaluate
 
         sources, samples = self._sources(inputs)
         result = self._results(samples)
-        share(lambda start, stop: evaluate(run, *self.bound(parameters), sources, result, start, stop), samples)
+        share(lambda start, stop: evaluate(*self.bound(parameters), sources, result, start, stop, start), samples)
         return result
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
@@ -62,12 +62,16 @@ class Program:
 
         ``table`` is (N, columns), in C order, and the places rise.
         """
-        from gtau.model.interpreter.kernel import fill, run
+        from gtau.model.interpreter.kernel import evaluate, scatter
 
         sources, samples = self._sources(inputs)
 
         def work(start: int, stop: int) -> None:
-            fill(run, *self.bound(), sources, self._results(LANES), order, places, table, start, stop)
+            bound, made = self.bound(), self._results(LANES)  # which stay in the cache
+            for first in range(start, stop, LANES):
+                last = min(first + LANES, stop)
+                evaluate(*bound, sources, made, first, last, 0)
+                scatter(made, order, places, table, first, last - first)
 
         share(work, samples)
 
@@ -91,7 +95,7 @@ class Program:
         """Return the inputs as arrays, as many as the compiled loops take, and the number of samples."""
         from gtau.model.interpreter.kernel import SOURCES
 
-        sources = [np.asarray(array, dtype=float) for array in inputs]
+        sources = [np.asarray(array, dtype=float, order="C") for array in inputs]
         samples = sources[0].shape[-1] if sources[0].ndim else 0
         if any(source.shape[1:] != (samples,) for source in sources) or sum(map(len, sources)) != self.inputs:
             shapes = ", ".join(str(source.shape) for source in sources)
