@@ -21,7 +21,8 @@ _ROUND = 6755399441055744.0  # 1.5 * 2^52: what is added to it is rounded to an 
 
 def _compiled(*signature: Any) -> Any:
     """Compile a function now, or with its callers where no types are given, and cache the code where that can be."""
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}  # a * b + c: one rounding
+    contract = {"contract"}  # a product and a sum are rounded once; what is not a number stays so
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": contract}
 
     def decorate(function: Any) -> Any:
         try:
@@ -70,9 +71,10 @@ def _sine_cosine(rows, sine, cosine, angle, count):  # type: ignore[no-untyped-d
 
 @_compiled(types.void(types.uint32[:, ::1], _NUMBERS, _NUMBERS, _SOURCES, _NUMBERS, *[types.int64] * 3))
 def evaluate(code, signs, rows, sources, outputs, start, stop, column):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Compute ``outputs``, from a ``column`` on, of the samples ``start`` to ``stop`` of ``sources``, stacked (inputs, N).
+    """Compute ``outputs``, from a ``column`` on, of the samples ``start`` to ``stop`` of ``sources``.
 
-    See :class:`gtau.model.interpreter.program.Program` for ``code``, ``signs`` and ``rows``.
+    The sources, one above the other, are the inputs (inputs, N). For ``code``, ``signs`` and ``rows`` see
+    :class:`gtau.model.interpreter.program.Program`.
     """
     lanes = rows.shape[1]
     for first in range(start, stop, lanes):
