@@ -27,7 +27,7 @@ _SIGNS = {ca.OP_ASSIGN: (1.0,), ca.OP_NEG: (-1.0,), ca.OP_ADD: (1.0, 1.0), ca.OP
 
 
 class Code(NamedTuple):
-    """A function as instructions: see :class:`gtau.model.interpreter.program.Program`."""
+    """Instructions of a function; the fields are those of :class:`gtau.model.interpreter.program.Program`."""
 
     code: np.ndarray
     signs: np.ndarray
@@ -193,7 +193,7 @@ def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]
             if part is None or uses[value] > 1:
                 continue
             added = [(sign * s, operand) for s, operand in part.terms]
-            products = instruction.products + [(sign * s, *pair) for s, *pair in part.products]
+            products = instruction.products + [(sign * s, a, b) for s, a, b in part.products]
             if (len(instruction.terms) - 1 + len(added), len(products)) in SUMS:
                 instruction.terms.remove(term)
                 instruction.terms += added
