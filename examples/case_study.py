@@ -33,7 +33,7 @@ from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.progress import Progress, silent
 from gtau.report.chart import Chart, intervals
-from gtau.report.gains import NOT_SHOWN
+from gtau.report.gains import LARGEST
 from gtau.report.page import joint_label
 from gtau.report.render.charts import figure_of, save_figure
 from gtau.report.robot_figure import robot_figure
@@ -254,9 +254,9 @@ def _table_3(result: Result) -> list[Sequence[str]]:
         unit = (each or result.parameters[name]).unit
         published = (f"{paper[0]:g}", f"{paper[1]:.2f}") if paper else ("", "")
         sigma = None if each is None else each.rel_std
-        rel = "" if sigma is None else f"{sigma:.2f}" if sigma <= NOT_SHOWN else f"> {NOT_SHOWN:g}"
+        rel = "" if sigma is None else f"{sigma:.2f}" if sigma <= LARGEST else f"> {LARGEST:g}"
         value = "cancelled" if each is None or each.value is None else f"{each.value:.4g}"
-        value = "not identifiable" if (sigma or 0.0) > NOT_SHOWN else value
+        value = "not identifiable" if (sigma or 0.0) > LARGEST else value
         rows.append((label, unit, *published, f"{true[name]:.4g}", value, rel))
     return rows
 

@@ -10,8 +10,7 @@ from robots_for_tests import planar_3rrr
 
 from gtau.model.closures import solve as symbolic_solve
 from gtau.model.dynamics import parameter_names, torques
-from gtau.model.interpreter.instructions import LANES
-from gtau.model.interpreter.program import compile_program
+from gtau.model.interpreter.program import LANES, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates
 

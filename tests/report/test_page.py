@@ -9,16 +9,16 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_hex, to_rgb
 
 from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
 from gtau.report.motion import paths_chart
 from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
-from gtau.report.render.charts import figure_of, palette
+from gtau.report.render.charts import figure_of, palette, svg_of
 from gtau.report.render.html import arrays_for, frame, html, spec_of
 from gtau.report.render.html import words as in_html
-from gtau.report.render.svg import svg_of
 from gtau.report.render.terminal import plain
 from gtau.report.torques import stretches
 
@@ -85,7 +85,7 @@ def test_a_cell_is_a_value_that_its_column_writes(column: Column, cell: object, 
 
 
 def test_a_page_holds_only_what_is_there(whole: Page) -> None:
-    assert [each.id for each in whole.sections] == ["verdict", "gains", "charts"]
+    assert [part.id for part in whole.sections] == ["verdict", "gains", "charts"]
 
 
 # Terminal
@@ -166,6 +166,9 @@ def test_html_escapes_everything_and_loads_nothing(whole: Page) -> None:
     assert not re.search(r"(src|href)=\"(?!#|data:)", text)
     assert "default-src &#39;none&#39;" in text
     assert text.count('class="chart"') == 1
+    assert (
+        set(re.findall(r'data-group="(.*?)"', text)) == {"g0"} == set(re.findall(r"group&#34;: &#34;(.*?)&#34;", text))
+    )
     assert '<td class="n" data-value="">\N{EN DASH}</td>' in text
     assert "<details><summary>folded</summary>" in text
     assert html(whole) == text
@@ -184,7 +187,8 @@ def test_an_svg_takes_the_colours_of_the_page_and_keeps_its_words(whole: Page) -
     assert {"--predicted", "--prior", "--soft", "--grid", "--page"} == set(re.findall(r"var\((.*?)\)", text))
     assert not re.search(r"#[0-9a-f]{6}|\d\.\d{3,}|<style|font-family", text)
     root = ElementTree.fromstring(text.replace("xlink:href", "href"))
-    assert {"left", NASTY, "gain, %", "1"} < {each.text for each in root.iter("text")}
+    assert (root.attrib["role"], root.attrib["aria-label"]) == ("img", "gain, %; value, 95 % interval, prior")
+    assert {"left", NASTY, "gain, %", "1"} < {word.text for word in root.iter("text")}
     assert len(text) < 8000
 
 
@@ -194,23 +198,35 @@ def test_words_at_ticks_do_not_touch(low: float, high: float, log: bool) -> None
     axis, ends = Axis("", log), np.array([low, high])
     root = ElementTree.fromstring(svg_of(Panel(axis, axis, (Series("", ends, ends),)), alone=False))
     words = [(word.attrib, word.text or "") for word in root.iter("text")]
-    across = sorted((float(at["x"]), 3.0 * len(text)) for at, text in words if at["text-anchor"] == "middle")
-    up = sorted(float(at["y"]) for at, _ in words if at["text-anchor"] == "end")
+    across = sorted((float(at["x"]), 3.0 * len(text)) for at, text in words if "anchor: middle" in at["style"])
+    up = sorted(float(at["y"]) for at, _ in words if "anchor: end" in at["style"])
     assert min(len(across), len(up)) >= (1 if log and low < 0 else 2)
     assert all(b - a > half + other for (a, half), (b, other) in pairwise(across))
     assert all(b - a > 10 for a, b in pairwise(up))
 
 
-def test_an_svg_draws_a_matrix_spans_and_steps_without_ids() -> None:
+def test_an_svg_draws_a_matrix_spans_and_steps() -> None:
     x, y = Axis("x"), Axis("y")
     spans = Series("", np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.0]), mark="spans")
     steps = Series("", np.arange(4.0), np.ones(3), mark="steps")
     matrix = Panel(x, y, matrix=np.array([[1.0, -0.5], [-0.5, 1.0]]))
-    for panel, colours in ((matrix, "positive negative"), (Panel(x, y, (spans,)), "grid predicted"),
-                           (Panel(x, y, (steps,)), "grid predicted")):  # fmt: skip
-        text = svg_of(panel, alone=True)
-        assert " id=" not in text
-        assert set(colours.split()) < set(re.findall(r"var\(--(.*?)\)", text))
+    for panel, part in ((matrix, "<image"), (Panel(x, y, (spans,)), "var(--predicted)"),
+                        (Panel(x, y, (steps,)), "var(--predicted)")):  # fmt: skip
+        assert part in svg_of(panel, alone=True)
+
+
+def test_numbers_in_words_keep_their_digits() -> None:
+    words = "bandwidth 2.6345 Hz of M L 1"
+    panel = Panel(Axis(words), Axis("y"), lines_of(np.arange(5.0)), rules=(Rule(x=2.0, label=words),))
+    assert svg_of(panel, alone=True).count(f">{words}<") == 2
+
+
+def test_drawings_of_a_page_share_no_ids() -> None:
+    x, y = Axis("x"), Axis("y")
+    pair = [svg_of(Panel(x, y, lines_of(np.arange(5.0), count)), alone=True) for count in (1, 2)]
+    first, second = (set(re.findall(r' id="(.*?)"', text)) for text in pair)
+    assert first
+    assert not first & second
 
 
 # Figures
@@ -231,10 +247,20 @@ def test_a_long_series_is_thinned_to_its_extremes_and_a_path_is_not() -> None:
     series, path = (
         Series("", x, np.where(angle == angle[777], 9.0, np.sin(angle))) for x in (angle, np.cos(angle))
     )  # fmt: skip
-    along, around = figure_of(Chart(tuple(Panel(Axis("x"), Axis("y"), (each,)) for each in (series, path)))).axes
+    along, around = figure_of(Chart(tuple(Panel(Axis("x"), Axis("y"), (line,)) for line in (series, path)))).axes
     assert len(along.get_lines()[0].get_xdata()) <= 1200
     assert max(along.get_lines()[0].get_ydata()) == 9.0
     np.testing.assert_array_equal(around.get_lines()[0].get_xydata(), np.column_stack([path.x, path.y]))
+
+
+def test_dots_show_in_figures_and_on_pages() -> None:
+    k = np.arange(5.0)
+    panel = Panel(Axis("x"), Axis("y"), (Series("", k, k, mark="points", width=3.0),))
+    canvas = FigureCanvasAgg(figure_of(Chart((panel,))))
+    canvas.draw()
+    blue = np.round(255 * np.array(to_rgb(palette()["predicted"])))
+    assert np.sum((np.asarray(canvas.buffer_rgba())[..., :3] == blue).all(axis=2)) > 5 * 20
+    assert svg_of(panel, alone=True).count("h0") == 5
 
 
 def test_a_figure_draws_a_matrix_spans_and_steps() -> None:

@@ -20,7 +20,6 @@ from gtau.cli.interruption import report as report_interruption
 from gtau.documents.files import hold_folder
 from gtau.errors import GtauError, tidy
 from gtau.estimation.estimators.registry import NAMES
-from gtau.model.interpreter.compiled import is_compiled
 
 if TYPE_CHECKING:
     from gtau.report.page import Page
@@ -31,14 +30,12 @@ _held: list[Callable[[], None]] = []  # what releases the folders that the comma
 METHODS = "|".join(NAMES)
 EVERY = 15.0  # s between lines where stderr is no terminal
 STARTING = "starting"
-COMPILING = "starting; compiling once, about 6 s"  # 5.6 s of one core at 3 GHz, measured without the file that is kept
 
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
     """Show the stages that the yielded function is called with, on stderr."""
-    first = STARTING if is_compiled() else COMPILING
-    with _bar(first) if sys.stderr.isatty() else progress_lines(first, EVERY) as report:
+    with _bar(STARTING) if sys.stderr.isatty() else progress_lines(STARTING, EVERY) as report:
         yield report
 
 

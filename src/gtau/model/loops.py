@@ -2,23 +2,21 @@
 
 Every sample is reached along a path from the home configuration: steps are halved until Newton's
 corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
-followed at once, each in a lane of its own.
+followed at once.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from threading import get_ident
+from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.closures import closed_motion, newton_step
-from gtau.model.interpreter.compiled import loops as compiled
-from gtau.model.interpreter.instructions import FOLLOWER, LANES, TILE
-from gtau.model.interpreter.program import Bound, Program, address, addresses, aligned, compile_program, share
+from gtau.model.interpreter.program import Program, compile_program, share
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import closed_home
 from gtau.robots.robot import Robot
@@ -30,7 +28,7 @@ REACH = 0.5  # or if it leads this share of the way to a singular pose, where as
 SHORTEST = 2.0**-14  # of the way between two samples: if shorter steps are needed, there is no path
 SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samples
 SEGMENT = 16
-
+PATHS = 64  # that a thread follows at least
 
 Labels = Callable[[int], str]
 """Name of each sample in messages."""
@@ -92,6 +90,23 @@ class Loops:
         """Compute the condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
         return self.step(c)[-1]
 
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Factors (n_c,) by which entries of c become rad, or lengths over the robot's; zero for actuated ones."""
+        layout, scale = self.layout, np.full(self.layout.n_c, 1.0 / self.layout.length)
+        scale[np.flatnonzero(layout.angular[: len(layout.robot.joints)])] = 1.0
+        scale[layout.actuated] = 0.0
+        for slots in layout.platforms:
+            if slots.quaternion is not None:
+                scale[slots.quaternion] = 2.0  # of a turn by an angle, at most half of it
+        return scale
+
+    def followed(self, shortest: float) -> tuple[Any, ...]:
+        """Return what the compiled loops follow paths with, in steps of at least the share ``shortest``."""
+        programs = tuple(program.bound() for program in (self.step, self.fast_step, self.gap))
+        actuated = np.array(self.layout.actuated, dtype=np.int64)
+        return programs, self.scale, actuated, (shortest, RESIDUAL, CONTRACTION, REACH)
+
 
 @lru_cache(maxsize=8)
 def close_loops(robot: Robot) -> Loops:
@@ -109,54 +124,14 @@ def close_loops(robot: Robot) -> Loops:
     )
 
 
-@lru_cache(maxsize=16)  # hypotheses evaluate many short paths
-def _follower(loops: Loops, shortest: float, thread: int) -> tuple[np.ndarray, list[object]]:
-    """Make the working memory of the compiled loops, one per thread, and the arrays that it points to."""
-    layout, n_c, n = loops.layout, loops.layout.n_c, len(loops.layout.actuated)
-    trial, made = aligned(n_c), aligned(n_c + 3)  # made: the configuration, then size, condition and gap
-    trial[:], made[:] = 0.0, 0.0
-    at, to = addresses(trial), addresses(made)
-    bound = (
-        Bound(loops.step, at, to[: n_c + 2]),
-        Bound(loops.fast_step, at, to[: n_c + 1]),
-        Bound(loops.gap, at, to[n_c + 2 :]),
-    )
-    programs = [part for program in bound for part in program.run()[1:4]]
-    actuated, scale = np.array(layout.actuated, np.int64), _scale(loops)
-    tables = (np.zeros((rows, LANES)) for rows in (n_c, n_c, 2 * n_c, TILE * n_c, n, n))
-    pointed = [trial, made, scale, actuated, *tables]
-    where = [address(array) for array in pointed]
-    parameters = shortest, RESIDUAL, CONTRACTION, REACH
-    follower = np.array((compiled().machine, *programs, *where[:4], n_c, n, *where[4:], *parameters), dtype=FOLLOWER)
-    return follower, [bound, *pointed]
-
-
-def _scale(loops: Loops) -> np.ndarray:
-    """Return by how much entries (n_c,) of c become rad, or lengths over the robot's; zero for the actuated ones."""
-    layout, scale = loops.layout, np.full(loops.layout.n_c, 1.0 / loops.layout.length)
-    scale[np.flatnonzero(layout.angular[: len(layout.robot.joints)])] = 1.0
-    scale[layout.actuated] = 0.0
-    for slots in layout.platforms:
-        if slots.quaternion is not None:
-            scale[slots.quaternion] = 2.0  # of a turn by an angle, at most half of it
-    return scale
-
-
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
     """Move from closed ``c`` (n_c, N) straight to ``q`` (n, N) as far as the loops close: c, and which arrive (N,).
 
     A step below the share ``shortest`` of the way is not tried.
     """
-    c, q = np.array(c, dtype=float, order="C"), np.ascontiguousarray(q, dtype=float)
-    reached = np.zeros(c.shape[1], dtype=bool)
-
-    def run(start: int, stop: int) -> None:
-        follower, _pointed = _follower(loops, shortest, get_ident())
-        where = address(follower), address(c), address(q), c.shape[1]
-        compiled().advance_to(*where, start, stop, address(reached))
-
-    share(run, c.shape[1], LANES)
-    return c, reached
+    pairs = np.repeat(np.asarray(c, dtype=float), 2, axis=1)
+    filled = _filled(loops, np.repeat(q, 2, axis=1), pairs, np.arange(0, pairs.shape[1], 2), 2, shortest)
+    return np.ascontiguousarray(pairs[:, 1::2]), filled == 2
 
 
 def displaced(loops: Loops, c: np.ndarray, q: np.ndarray, labels: Labels) -> np.ndarray:
@@ -216,18 +191,24 @@ def follow(
     return c
 
 
+def _filled(
+    loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int, shortest: float = SHORTEST
+) -> np.ndarray:
+    """Fill ``c`` from each of ``starts`` for ``length`` samples, or as many as can be reached; return how many were."""
+    from gtau.model.interpreter import kernel
+
+    filled = np.zeros(starts.size, dtype=np.int64)
+
+    def work(first: int, last: int) -> None:
+        kernel.follow(*loops.followed(shortest), c, q, starts[first:last], filled[first:last], length)
+
+    share(work, starts.size, PATHS)
+    return filled
+
+
 def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
     """Fill ``c`` from each of ``starts`` for ``length`` samples; return those that were not reached."""
-    ends = np.minimum(starts + length, q.shape[1])
-    begins, filled = starts.astype(np.int64), np.zeros(starts.size, dtype=np.int64)
-
-    def run(first: int, last: int) -> None:
-        follower, _pointed = _follower(loops, SHORTEST, get_ident())
-        where = address(follower), address(c), address(q), c.shape[1]
-        parts, mine = begins[first:last], filled[first:last]
-        compiled().follow_path(*where, address(parts), parts.size, length, address(mine))
-
-    share(run, starts.size, LANES)
+    ends, filled = np.minimum(starts + length, q.shape[1]), _filled(loops, q, c, starts, length)
     lost: set[int] = set()
     for first_lost, end in zip(starts + filled, ends, strict=True):
         lost |= set(range(first_lost, end))

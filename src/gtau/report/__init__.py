@@ -1,1 +1,1 @@
-"""Pages, figures and the demo."""
+"""Pages and figures of results."""

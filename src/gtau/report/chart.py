@@ -1,4 +1,4 @@
-"""Charts and sketches as data: what is drawn in which colour; :mod:`gtau.report.render` draws them."""
+"""Charts and sketches as data; :mod:`gtau.report.render.charts` and the script of a page draw them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Literal
 import numpy as np
 
 MINUS = "\N{MINUS SIGN}"
-BUCKETS = 600  # of a line, each drawn by its extremes
+BUCKETS = 600  # intervals into which a line is divided; the extremes in each are drawn
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 1.6), (5, 1.4, 1, 1.4), (1, 1.3), (8, 2), (3, 1, 1, 1))
-"""How lines of the colours c0, c1, ... are dashed, in widths of the line, so that they differ in grey too."""
+"""Dashes of lines in the colours c0, c1, ..., in line widths, so that lines differ in grey print too."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis: label with unit, whether logarithmic, its limits where they are fixed, and names at values."""
+    """An axis: label with unit, scale, fixed limits if any, and names to write at values."""
 
     label: str
     log: bool = False
@@ -26,10 +26,10 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A series of a panel: ``x`` and ``y`` (K,), a ``colour`` of the palette, and how it is drawn.
+    """A series of a panel: ``x`` and ``y`` (K,), a ``colour`` of the palette, and the way to draw it.
 
-    ``half`` (K,) are half the widths of intervals of discs and diamonds, along x, or y where ``upright``. Of ``steps``,
-    ``x`` (K + 1,) are edges; of ``spans``, ``x`` (K, 2) are beginnings and ends, and ``y`` (1,) is their height.
+    ``half`` (K,) holds half-widths of intervals around discs and diamonds, along y if ``upright``, else along x. For
+    ``steps``, ``x`` (K + 1,) holds edges; for ``spans``, ``x`` (K, 2) holds starts and ends, and ``y`` (1,) the height.
     """
 
     label: str
@@ -43,11 +43,11 @@ class Series:
 
     @property
     def dashes(self) -> tuple[float, ...]:
-        """Strokes and gaps of a line, in its widths; none of a solid one."""
+        """Lengths of strokes and gaps in line widths; empty for a solid line."""
         return DASHES[int(self.colour[1:]) % len(DASHES)] if self.colour[1:].isdigit() else ()
 
     def thinned(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points (K,) and (K,) of a line, thinned along time or frequency, not along a path."""
+        """Return x and y of a line, thinned along time or frequency; a path in a plane is not thinned."""
         if not np.all(np.diff(self.x) >= 0):
             return self.x, self.y
         x, y = envelope(self.x, self.y[:, None], BUCKETS)
@@ -56,7 +56,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Rule:
-    """A straight line across a panel at one ``x`` or one ``y``, with its label."""
+    """A straight line across a panel at one ``x`` or one ``y``, with a label."""
 
     x: float | None = None
     y: float | None = None
@@ -67,8 +67,8 @@ class Rule:
 class Panel:
     """A pair of axes with series.
 
-    ``shaded`` are beginnings and ends along x that are left out, ``band`` a range of y, ``matrix`` (m, m) values from
-    -1 to 1 in place of series, ``height`` in inches, and ``equal`` whether both axes have the same scale.
+    ``shaded`` holds starts and ends of excluded stretches of x, ``band`` is a range of y, and ``matrix`` (m, m) holds
+    values from -1 to 1, drawn in place of series. ``height`` is in inches; ``equal`` gives both axes the same scale.
     """
 
     x: Axis
@@ -85,9 +85,9 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Panels below or beside each other with one key.
+    """Panels in ``columns`` with one key.
 
-    The panels of a ``live`` chart are time series over one time: a page lets them zoom together.
+    A ``live`` chart holds time series over the same time, which readers of a page can zoom together.
     """
 
     panels: tuple[Panel, ...]
@@ -98,13 +98,13 @@ class Chart:
 
     @property
     def key(self) -> dict[str, Series]:
-        """Series by label, each once; those of a single unnamed one have no key."""
+        """Series by label."""
         return {series.label: series for panel in self.panels for series in panel.series if series.label}
 
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A line through ``points`` (K, 2), or an area where it is ``closed``; colours are names of the palette."""
+    """A line through ``points`` (K, 2), or an area if ``closed``; colours are names of the palette."""
 
     points: np.ndarray
     stroke: str
@@ -116,7 +116,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Word:
-    """Words at a place (2,), which is at their ``side`` and at their middle height."""
+    """Words whose ``side`` is at a ``place`` (2,), vertically centred."""
 
     text: str
     place: np.ndarray
@@ -128,7 +128,7 @@ class Word:
 
 @dataclass(frozen=True, eq=False)
 class Sketch:
-    """What is drawn on a sheet, points, the later above the earlier; ``corner`` is its lower left, y points up."""
+    """Shapes and words on a sheet, in points, drawn in order; ``corner`` is the lower left one, y points up."""
 
     corner: np.ndarray
     size: np.ndarray
@@ -136,7 +136,7 @@ class Sketch:
 
 
 def colour(k: int) -> str:
-    """Choose the colour of the k-th line; a ninth begins again."""
+    """Return the colour of the k-th line; the ninth repeats the first."""
     return f"c{k % 8}"
 
 
@@ -149,31 +149,31 @@ def intervals(
     other: tuple[str, Sequence[float | None]] = ("", ()),
     zero: bool = False,
 ) -> Panel:
-    """Make a panel with a row for each name: a value and half the width of its 95 % interval, None where there is none.
+    """Make a panel with one row per name: a value and the half-width of its 95 % interval, None if unknown.
 
-    ``axis`` is the label of the horizontal axis, with unit; ``inner`` are half the widths of the random parts, and
-    ``other`` what the values are compared with, and its values. Zero is marked where asked for.
+    ``axis`` labels the horizontal axis, ``inner`` holds half-widths of the random parts, and ``other`` a label and
+    values to compare with. ``zero`` marks zero.
     """
     rows = np.arange(len(names), dtype=float)
     columns = [[*column, *[None] * (len(names) - len(column))] for column in (values, halves, inner, other[1])]
     x, half, part, compared = np.array(columns, dtype=float).reshape(4, -1)
-    shown, there = np.isfinite(x), np.isfinite(compared)
-    drawn = (x[shown], rows[shown], "predicted")
-    series = [Series("value, 95 % interval", *drawn, "disc", half=np.nan_to_num(half[shown]))]
+    known, given = np.isfinite(x), np.isfinite(compared)
+    points = (x[known], rows[known], "predicted")
+    series = [Series("value, 95 % interval", *points, "disc", half=np.nan_to_num(half[known]))]
     if np.isfinite(part).any():
-        series.append(Series("random part", *drawn, "thick", half=np.nan_to_num(part[shown])))
-    if there.any():
-        series.append(Series(other[0], compared[there], rows[there], "prior", "diamond", half=np.zeros(there.sum())))
+        series.append(Series("random part", *points, "thick", half=np.nan_to_num(part[known])))
+    if given.any():
+        series.append(Series(other[0], compared[given], rows[given], "prior", "diamond"))
     places = Axis("", limits=(len(names) - 0.4, -0.6), names=dict(zip(rows.tolist(), names, strict=True)))
     rules, height = (Rule(x=0.0),) if zero else (), 0.62 + 0.27 * len(names)
     return Panel(Axis(axis), places, tuple(series), rules=rules, height=height)
 
 
 def envelope(time: np.ndarray, values: np.ndarray, buckets: int) -> tuple[np.ndarray, np.ndarray]:
-    """Thin series (K, m) over ``time`` (K,) to the extremes of each bucket, in the order in which they occur.
+    """Reduce series (K, m) over ``time`` (K,) to the minimum and maximum in each of ``buckets`` intervals, in order.
 
-    Returns two instants a bucket, which all series share, (2 buckets,), and (2 buckets, m); the input itself where it
-    is no longer than that. NaN is left out.
+    Returns two instants per bucket, (2 buckets,), which the series share, and their values (2 buckets, m); a short
+    input is returned unchanged. NaN is skipped.
     """
     samples, m = values.shape
     size = -(-samples // buckets)

@@ -1,4 +1,4 @@
-"""Show the logs of an experiment before an identification, as page, document and files."""
+"""Show the logs of an experiment before an identification, as page, JSON document and files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from gtau.robots.robot import Robot
 
 
 def check_document(checked: ExperimentCheck) -> dict[str, Any]:
-    """Describe the check as a JSON document, SI units."""
+    """Describe the check as a JSON document in SI units."""
     preparation = checked.preparation
     return {
         "robot": checked.robot.name,
@@ -88,12 +88,12 @@ def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
 
 
 def check_page(checked: ExperimentCheck) -> Page:
-    """Show what the logs hold, and whether an identification can use them."""
+    """Show the contents of the logs, and whether an identification can use them."""
     robot, preparation = checked.robot, checked.preparation
     nearest = [pose for log in checked.logs for pose in log.nearest]
     motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
     prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
-    spectra = logs.spectra_items(checked.logs[0].run, robot, preparation) if preparation and checked.logs else []
+    speeds = logs.speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
     return page(
         f"Logs of {checked.robot.name}",
         _verdict(checked),
@@ -103,7 +103,7 @@ def check_page(checked: ExperimentCheck) -> Page:
         section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
         section("Motion", *motions, id="motion"),
-        section("Preparation", *prepared, *spectra, id="preparation"),
+        section("Preparation", *prepared, speeds, id="preparation"),
     )
 
 
@@ -111,13 +111,13 @@ def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
     style = {Grade.ERROR: "bad", Grade.WARNING: "weak", Grade.INFORMATION: "good"}[checked.worst]
     time = sum(logs.seconds(log.run) for log in used)
-    said = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
-    words = Text(expectation(checked.notes), (said,) if used else (), style)  # type: ignore[arg-type]
+    runs = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
+    words = Text(expectation(checked.notes), (runs,) if used else (), style)  # type: ignore[arg-type]
     return section("Verdict", words, id="verdict")
 
 
 def expectation(notes: Sequence[Finding]) -> str:
-    """Say in one sentence what to expect of an identification from these logs."""
+    """State in one sentence whether an identification can use these logs."""
     listed = by_severity(same_in_several(notes))
     weighing = any(note.kind == WEIGHING for note in notes)
     command = "gtau payload" if weighing else "gtau identify"
@@ -161,18 +161,18 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
     columns = (
         Column("joint"),
         Column(positions, Kind.INTERVAL),
-        *_of_unit("speed", speeds, wide=True),
+        *_unit_columns("speed", speeds, wide=True),
         Column("bandwidth, Hz", Kind.NUMBER, 3, missing="at rest"),
-        *_of_unit(kind, commands),
+        *_unit_columns(kind, commands),
         Column("rows used, %", Kind.SHARE, decimals=0),
     )
     rows = [
         (
             joint_label(joint.joint),
             joint.position,
-            *(joint.speed_rms, joint.speed_max, *_several(speeds, k)),
+            *(joint.speed_rms, joint.speed_max, *_unit_cell(speeds, k)),
             joint.bandwidth,
-            *(joint.command_rms, joint.command_max, *_several(commands, k)),
+            *(joint.command_rms, joint.command_max, *_unit_cell(commands, k)),
             joint.usable,
         )
         for k, joint in enumerate(log.joints)
@@ -181,15 +181,15 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
     return section(title, table(columns, rows), _wrenches(log) if log.wrenches else None, folded=False)
 
 
-def _of_unit(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
-    """Make the columns of a quantity, the largest values ``wide``; its unit is in the title where joints share it."""
+def _unit_columns(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
+    """Make the columns of a quantity; the titles hold its unit if the joints share it."""
     unit = f", {units[0]}" if len(set(units)) == 1 else ""
     columns = [Column(f"{what} rms{unit}", Kind.NUMBER, 3), Column(f"max{unit}", Kind.NUMBER, 3, wide=wide)]
     return columns if unit else [*columns, Column("unit")]
 
 
-def _several(units: Sequence[str], k: int) -> tuple[str, ...]:
-    """Return the cell of the unit where joints have different ones."""
+def _unit_cell(units: Sequence[str], k: int) -> tuple[str, ...]:
+    """Return the cell of the unit if the units of the joints differ."""
     return (units[k],) if len(set(units)) > 1 else ()
 
 
@@ -204,7 +204,7 @@ def _wrenches(log: LogCheck) -> Table:
 
 
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:
-    """Draw the motion of the joints in a log, and its distances to singularities of both types."""
+    """Draw the positions of the joints in a log, and the distances to singular poses."""
     start, joints = float(log.run.time[0]), [joint.joint for joint in log.joints]
     panels = joint_panels(robot, joints, log.distances["time"] - start, log.position, "position", 2.1)
     distances = distances_panels([(log.run.name, start, log.distances)])
@@ -212,7 +212,7 @@ def motion_chart(log: LogCheck, robot: Robot) -> Chart:
 
 
 def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
-    """Write the distances of all logs to singularities, ``singularities.parquet``; raises GtauError."""
+    """Write the distances of all logs to singular poses as ``singularities.parquet``; raises GtauError."""
     if not checked.logs:
         return []
     write_distances(((log.run.name, log.distances) for log in checked.logs), folder / "singularities.parquet")
@@ -220,14 +220,16 @@ def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
 
 
 def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
-    """Write a figure of each log's preparation; raises GtauError where one cannot be written."""
-    from gtau.report.render.charts import save
+    """Write a figure of the preparation of each log; raises GtauError if a file cannot be written."""
+    from gtau.report.render.charts import figure_of, save_figure
 
     names = unique_names([log.run.name for log in checked.logs])
-    charts = zip(names, map(logs.preparation_chart, checked.logs), strict=True)
-    return [save(chart, folder / f"{name}-preparation.png") for name, chart in charts]
+    written = [folder / f"{name}-preparation.png" for name in names]
+    for path, log in zip(written, checked.logs, strict=True):
+        save_figure(figure_of(logs.preparation_chart(log)), path)
+    return written
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
-    """Name files, with a number where a name recurs."""
+    """Add a number to repeated names."""
     return [name if names.index(name) == k else f"{name}-{names[: k + 1].count(name)}" for k, name in enumerate(names)]

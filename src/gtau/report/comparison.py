@@ -1,4 +1,4 @@
-"""Show a comparison of estimators on the same logs as a page."""
+"""Show a comparison of estimators on the same logs."""
 
 from __future__ import annotations
 
@@ -11,15 +11,13 @@ from gtau.findings.words import percent_text
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Kind, Page, Table, Text, joint_label, page, section, table
 
-BELIEVED = ("good", "weak")
+TRUSTED = ("good", "weak")
 
 
 def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] | None = None) -> Page:
     """Show the results of each estimator."""
     verdict = Text(headline(comparison), tuple(remarks(comparison)), "neutral")
-    words = (
-        "residual: of the worst joint, in % of its current; time: of the estimation alone; ±: half the 95 % interval"
-    )
+    words = "residual: worst joint, % of its current; time: estimation alone; ±: half the 95 % interval"
     return page(
         f"Estimators on {comparison.robot}",
         section("Verdict", verdict, id="verdict"),
@@ -29,27 +27,27 @@ def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] 
 
 
 def headline(comparison: EstimatorComparison) -> str:
-    """Summarise in one sentence how far the estimators agree."""
+    """Summarise the agreement of the estimators in one sentence."""
     rows = [row for row in comparison.rows if row.gains is not None and row.std is not None]
-    believed = [row for row in rows if row.outcome is not None and row.outcome.value in BELIEVED]
-    if len(believed) < 2:
-        return f"{len(believed) or 'None'} of {len(rows)} estimators that find drive gains give trustworthy ones."
-    gains = np.array([row.gains for row in believed])
+    trusted = [row for row in rows if row.outcome is not None and row.outcome.value in TRUSTED]
+    if len(trusted) < 2:
+        return f"{len(trusted) or 'None'} of {len(rows)} estimators that find drive gains give trustworthy ones."
+    gains = np.array([row.gains for row in trusted])
     spread = 100 * np.ptp(gains, axis=0) / np.abs(np.median(gains, axis=0))
     j = int(np.argmax(spread))
     return (
-        f"{len(believed)} of {len(rows)} estimators find trustworthy gains, which agree to "
+        f"{len(trusted)} of {len(rows)} estimators find trustworthy gains, which agree to "
         f"{percent_text(spread[j])} % or better, and differ most at {comparison.joints[j]}."
     )
 
 
 def remarks(comparison: EstimatorComparison) -> list[str]:
-    """List estimators that refuse the data, or whose gains are not to be believed."""
+    """List estimators that refuse the data or give gains that cannot be trusted."""
     words = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
     words += [
         f"{row.method}: the gains are {row.outcome.value}"
         for row in comparison.rows
-        if row.outcome is not None and row.outcome.value not in BELIEVED
+        if row.outcome is not None and row.outcome.value not in TRUSTED
     ]
     return words
 
@@ -78,7 +76,7 @@ def comparison_table(comparison: EstimatorComparison) -> Table:
 
 
 def _charts(comparison: EstimatorComparison, prior: Mapping[str, float]) -> list[Chart]:
-    """Draw the gain of each joint by every estimator, with 95 % intervals, and the prior gain."""
+    """Draw the gain of each joint by every estimator, with 95 % intervals and the prior gain."""
     rows = {row.method: (row.gains, row.half_widths) for row in comparison.rows}
     shown = {method: (g.tolist(), h.tolist()) for method, (g, h) in rows.items() if g is not None and h is not None}
     charts = []

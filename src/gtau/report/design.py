@@ -1,4 +1,4 @@
-"""Show a designed motion as document, page and files."""
+"""Show a designed motion as page, JSON document and files."""
 
 from __future__ import annotations
 
@@ -39,18 +39,18 @@ if TYPE_CHECKING:
 DESIGN = "design.json"
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
-MOST = 1000  # %, of an assumed value, that are worth printing
+MOST = 1000  # per cent; larger standard deviations of assumed values are not printed
 NBSP = "\N{NO-BREAK SPACE}"
-NO_MOTION = "no motion of one joint within the limits helps; wider limits, or another pose of the robot, may"
+NO_MOTION = "moving one joint alone within the limits does not help; try wider limits or another pose of the robot"
 
 
 def file_stems(task: DesignProblem) -> tuple[str, ...]:
-    """Name without ending of each motion's files: ``trajectory`` of all runs, or ``trajectory_1`` of run 1, ..."""
+    """Name the files of each motion: ``trajectory`` for all runs, or ``trajectory_1``, ... for each."""
     return ("trajectory",) if task.one_motion else tuple(f"trajectory_{k + 1}" for k in range(len(task.motions)))
 
 
 def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
-    """Write each motion as CSV at the controller's rate, atomically: ``t``, then q, qd, qdd and each joint's name."""
+    """Write each motion as CSV at the controller's rate; see :func:`trajectory_table`."""
     paths = tuple(folder / f"{stem}.csv" for stem in file_stems(design.task))
     for path, (time, joints) in zip(paths, sampled_motions(design.task, design.x), strict=True):
         write_table(trajectory_table(design.task, time, joints), path)
@@ -58,7 +58,7 @@ def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
 
 
 def trajectory_table(task: DesignProblem, time: np.ndarray, joints: np.ndarray) -> pl.DataFrame:
-    """Tabulate a run: ``t`` (N,), then q, qd and qdd of ``joints`` (3 or more, n, N), each with its joint's name."""
+    """Tabulate ``t`` (N,), ``q_JOINT``, ``qd_JOINT`` and ``qdd_JOINT`` of ``joints`` (3 or more, n, N)."""
     import polars as pl
 
     columns = {"t": np.round(time, DIGITS)}
@@ -88,13 +88,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
         "guards": list(task.guards),
         "tool": {"frame": outlook.robot.tool, "speed": speed, **dict(zip("xyz", places.T.tolist(), strict=True))},
         "priors": [
-            {
-                "name": joint,
-                "value": known.value,
-                "interval": known.interval,
-                "source": known.source,
-                "model": known.model,
-            }
+            {"name": joint, **{key: getattr(known, key) for key in ("value", "interval", "source", "model")}}
             for joint, known in zip(outlook.robot.actuated, task.prior.known, strict=False)
         ],
         "gains": [_entry(outlook, gain, "gains" in outlook.assumed) for gain in expected.gains],
@@ -113,12 +107,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
             for usage in outlook.usages
         ],
         "payload_masses": [
-            {
-                "mass": mass,
-                "rel_std": {gain.name: gain.relative for gain in variant.forecast.gains},
-                "rms": variant.rms,
-                "exceeded": variant.exceeded,
-            }
+            {"mass": mass, "rel_std": _shares(variant), "rms": variant.rms, "exceeded": variant.exceeded}
             for mass, variant in zip(outlook.masses, outlook.variants, strict=True)
         ],
         "assumed": list(outlook.assumed.values()),
@@ -137,6 +126,10 @@ def _entry(outlook: Outlook, unknown: Expected, assumed: bool) -> dict[str, Any]
     }
 
 
+def _shares(outlook: Outlook) -> dict[str, float]:
+    return {gain.name: gain.relative for gain in outlook.forecast.gains}
+
+
 def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
@@ -146,7 +139,7 @@ def _advice(weak: Weak) -> str:
         return NO_MOTION
     return (
         f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
-        "or use it as criterion: --criterion " + weak.name
+        "or choose it as criterion: --criterion " + weak.name
     )
 
 
@@ -175,7 +168,7 @@ def design_page(outlook: Outlook) -> Page:
         (Column("allowed"), "allowed"),
         (Column("used, %", Kind.SHARE, decimals=1), "excess"),
     )
-    said = Text("", tuple(outlook.assumed.values())) if outlook.assumed else Text("Nothing was assumed.")
+    assumptions = Text("", tuple(outlook.assumed.values())) if outlook.assumed else Text("Nothing was assumed.")
     return page(
         f"Exciting motion for {outlook.robot.name}",
         section("Verdict", _verdict(outlook), Facts(facts), id="verdict"),
@@ -183,17 +176,17 @@ def design_page(outlook: Outlook) -> Page:
         section("Parameters to expect", parameters, unknown, id="parameters", folded=True),
         section("Limits", limits, id="limits"),
         _masses(outlook),
-        section("Assumptions", said, id="assumed"),
+        section("Assumptions", assumptions, id="assumed"),
         lead=[
             f"The tool moves at up to {outlook.tool[0]:.2g} m/s (frame of '{outlook.robot.tool}').",
-            *(f"{said[0].upper()}{said[1:]}." for said in task.guards),
+            *(f"{guard[0].upper()}{guard[1:]}." for guard in task.guards),
             f"Criterion: {design.criterion}. Runs: {', '.join(map(_load, task.payloads))}.",
         ],
     )
 
 
 def design_report(outlook: Outlook) -> Page:
-    """Add the motion and the robot to the page."""
+    """Show the predictions of a design with its motion and the robot."""
     short = design_page(outlook)
     motions = (section(title, chart) for title, chart in motion_charts(outlook))
     drawn = (section("Motion", *motions, id="motion"), section("Robot", outlook.robot, id="robot"))
@@ -209,23 +202,23 @@ def _verdict(outlook: Outlook) -> Text:
         f"With this motion of {outlook.duration:.4g} s a run, the drive gains can be identified with a standard "
         f"deviation of {outlook.rms:.2g} % (rms over the joints)."
     )
-    said = list(_weak(outlook.weak))
+    points = list(_weak(outlook.weak))
     if outlook.task.base.without_effect:
-        said.append(f"no effect on the motors along any motion: {', '.join(outlook.task.base.without_effect)}")
+        points.append(f"never felt by the motors: {', '.join(outlook.task.base.without_effect)}")
     if outlook.design.cut_short:
-        said.append("the search was cut short; a longer one may find a better motion")
-    said.append("these standard deviations are for white noise; model errors add to them")
-    return Text(words, tuple(said), "neutral")
+        points.append("the search was cut short; a longer search may find a better motion")
+    points.append("these standard deviations hold for white noise; model errors add to them")
+    return Text(words, tuple(points), "neutral")
 
 
 def _weak(unknowns: Sequence[Weak]) -> Iterator[str]:
-    """List what remains unidentified, then what one joint alone would bring, a sentence each."""
+    """List the weak unknowns, then the runs of one joint that would improve them."""
     if not unknowns:
         return
     shares = {weak.name: 100 * weak.relative for weak in unknowns}
     sizes = (f"{f'{share:.3g}' if share <= MOST else f'>{NBSP}{MOST}'} %" for share in shares.values())
     names = ", ".join(f"{name} ({size})" for name, size in zip(shares, sizes, strict=True))
-    yield f"not identified (30 % or more, of the value or of a typical one): {names}"
+    yield f"not determined (above 30 %): {names}"
     helpful: dict[tuple[str, str], list[str]] = {}
     for weak in unknowns:
         if weak.joint is not None and _helps(weak):
@@ -233,11 +226,11 @@ def _weak(unknowns: Sequence[Weak]) -> Iterator[str]:
     for (joint, how), brought in helpful.items():
         yield f"a run of joint '{joint}' alone, {how}, would bring {', '.join(brought)}"
     if len(unknowns) > sum(map(len, helpful.values())):
-        yield f"of the others: {NO_MOTION}" if helpful else NO_MOTION
+        yield f"for the others, {NO_MOTION}" if helpful else NO_MOTION
 
 
 def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: bool, name: str = "") -> Table:
-    """Tabulate standard deviations to expect; of a gain that is only assumed, just the relative one means something."""
+    """Tabulate expected standard deviations; for assumed gains only the relative one is meaningful."""
     hidden = assumed and unknowns is outlook.forecast.gains
     sources = dict.fromkeys((unknown.name for unknown in unknowns), "assumed" if assumed else "given")
     priors = dict(zip(outlook.robot.actuated, outlook.task.prior.known, strict=False))
@@ -267,7 +260,7 @@ def _meaningless(unknown: Expected, assumed: bool) -> bool:
 
 
 def _masses(outlook: Outlook) -> Section | None:
-    """Tabulate standard deviations of the gains with payloads of other masses, a column each; None without any."""
+    """Tabulate standard deviations of the gains with payloads of other masses; None without such masses."""
     if not outlook.masses:
         return None
     labels = ["as designed", *(f"{mass:g} kg" for mass in outlook.masses)]
@@ -285,7 +278,7 @@ def _masses(outlook: Outlook) -> Section | None:
 
 
 def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:
-    """Draw positions, velocities and accelerations of each motion, with its title."""
+    """Draw positions, velocities and accelerations of each motion; return titles and charts."""
     robot, task = outlook.robot, outlook.task
     charts = []
     for k, (time, values) in enumerate(outlook.motions):
@@ -301,10 +294,11 @@ def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:
 
 def write_design(outlook: Outlook, folder: Path) -> tuple[Path, ...]:
     """Write the trajectories, ``design.json``, and a figure of each trajectory."""
-    from gtau.report.render.charts import save
+    from gtau.report.render.charts import figure_of, save_figure
 
     written = [*write_trajectories(outlook.design, folder), folder / DESIGN]
     write_atomically(written[-1], json.dumps(design_document(outlook), indent=1, allow_nan=False) + "\n")
     for stem, (title, chart) in zip(file_stems(outlook.task), motion_charts(outlook), strict=True):
-        written.append(save(replace(chart, title=f"{chart.title}: {title}"), folder / f"{stem}.png"))
+        written.append(folder / f"{stem}.png")
+        save_figure(figure_of(replace(chart, title=f"{chart.title}: {title}")), written[-1])
     return tuple(written)

@@ -1,4 +1,4 @@
-"""Compare runs with the predictions of a model, for pages."""
+"""Compare runs with the predictions of a model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gtau.signals.run import Run
 from gtau.uses.prediction import predict
 from gtau.uses.weigh import undeclared_load
 
-LONGEST = 300_000  # samples of a run that are predicted; of a longer one its beginning
+LONGEST = 300_000  # samples; of longer runs only the beginning is predicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,16 +33,16 @@ class RunEvidence:
     used : bool
         Whether the model was identified from it.
     prediction, samples : Prediction, optional
-        Its prediction at the rows of identification, behind its low-pass; and the raw one at every sample where that
-        is wanted.
+        Prediction at the rows of the identification, behind its low-pass filter; and the raw prediction at every
+        sample if asked for.
     errors : tuple of TorqueError
-        Of every joint, over every sample.
+        Torque error of each joint over all samples.
     refusal : str
-        Why there is no prediction.
+        Reason for a missing prediction.
     cut : bool
-        Whether the run is longer than what is shown.
+        Whether only the beginning of the run is shown.
     notes : tuple of Finding
-        A load at the tool that the run does not declare, and what the prediction assumes.
+        Undeclared load at the tool, and assumptions of the prediction.
     """
 
     run: Run
@@ -62,18 +62,17 @@ class RunEvidence:
 
     @property
     def residuals(self) -> np.ndarray:
-        """Measured minus predicted torques (K, n), NaN where they are masked (:class:`Prediction`, ``keep``)."""
+        """Measured minus predicted torques (K, n), NaN at masked samples (:class:`Prediction`, ``keep``)."""
         assert self.prediction is not None
-        rest = self.prediction.measured - self.prediction.predicted
-        return np.where(self.prediction.keep, rest, np.nan)
+        return np.where(self.prediction.keep, self.prediction.measured - self.prediction.predicted, np.nan)
 
 
 def gather(
     result: Result, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
 ) -> tuple[RunEvidence, ...]:
-    """Predict the runs that a result was identified from, and those kept for validation.
+    """Predict the runs of an identification and of its validation.
 
-    A run that the model cannot predict is listed with the reason.
+    A run that the model cannot predict gets the reason as its ``refusal``.
     """
     listed = [(run, True) for run in runs] + [(run, False) for run in validation]
     gathered = []
@@ -90,10 +89,7 @@ def gather(
 def predicted(
     result: Result, run: Run, used: bool = False, longest: int | None = LONGEST, progress: Progress = silent
 ) -> RunEvidence:
-    """Predict a run, or its beginning, and find a load that it does not declare.
-
-    Raises GtauError where it does not suit the model.
-    """
+    """Predict a run, or its beginning, and look for an undeclared load; raises GtauError if the run does not fit."""
     cut = longest is not None and len(run.time) > longest
     prediction = predict(result, _beginning(run, longest or 0) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
@@ -111,7 +107,7 @@ def _beginning(run: Run, count: int) -> Run:
 
 
 def _unknown_payload(result: Result, run: Run) -> Iterator[Finding]:
-    """Note where the model has not seen the payload of a run, and the run gives only its mass."""
+    """Note a payload that the model does not know and of which the run gives only the mass."""
     payload = run.payload
     if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
         return
@@ -148,5 +144,5 @@ def settings_of(result: Result) -> dict[str, str]:
 
 
 def worst_joint(errors: Sequence[TorqueError]) -> TorqueError | None:
-    """Find the torque error with the largest rms relative to the rms torque of its joint."""
+    """Return the torque error that is largest relative to the torque of its joint."""
     return max(errors, key=lambda error: error.relative, default=None)

@@ -1,4 +1,4 @@
-"""Show findings (repairs, omissions, warnings) as a section of a page."""
+"""Show findings: repairs, omissions, warnings."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from gtau.findings.finding import by_severity
 from gtau.findings.words import moment
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table
 
-APART = 4  # notes of one kind on different logs that are still listed one by one
+APART = 4  # most findings of one kind on different logs that are listed one by one
 
 
 def findings_section(notes: Sequence[Finding], most: int | None = None) -> Section:
-    """List notes, the worst first, at most ``most`` of them."""
+    """List findings, the worst first, at most ``most`` of them."""
     shown = findings_table(notes, most)
     nothing = Text("Nothing was repaired, left out or flagged.")
     return section("Findings", shown if shown.rows else nothing, id="notes")
 
 
 def findings_table(notes: Sequence[Finding], most: int | None = None) -> Table:
-    """Tabulate notes, the worst first, at most ``most`` of them."""
+    """Tabulate findings, the worst first, at most ``most`` of them."""
     rows = [
         (grade.value, note.source, _where(note), note.what, note.advice)
         for grade, members in by_severity(same_in_several(notes)).items()
@@ -38,17 +38,14 @@ def findings_table(notes: Sequence[Finding], most: int | None = None) -> Table:
 
 
 def _where(note: Finding) -> str:
-    """Describe where in a log a finding is: joint, time and size, as far as they are known."""
+    """Describe joint, time and share of samples of a finding, as far as known."""
     share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
     time = None if note.time is None else moment(note.time, 4)
     return ", ".join(part for part in (note.joint and joint_label(note.joint), time, share) if part)
 
 
 def same_in_several(notes: Sequence[Finding]) -> list[Finding]:
-    """Merge notes that say the same of several logs, with whatever numbers where many logs have one: the worst counts.
-
-    They keep no time, as each log has its own.
-    """
+    """Merge equal findings on several logs, and findings of one kind on many logs into the worst, without time."""
     alike: dict[tuple[str, str], list[Finding]] = {}
     for note in notes:
         alike.setdefault((note.what, note.advice), []).append(note)
@@ -59,10 +56,10 @@ def same_in_several(notes: Sequence[Finding]) -> list[Finding]:
         groups.setdefault((note.kind, note.joint, note.advice), []).append(note)
     merged = []
     for group in groups.values():
-        of_logs = [note for note in group if note.source]
-        if len(of_logs) > APART:
-            worst = max(of_logs, key=lambda note: note.share or 0.0)
-            merged.append(replace(worst, source=f"{worst.source} and {len(of_logs) - 1} more", time=None))
+        on_logs = [note for note in group if note.source]
+        if len(on_logs) > APART:
+            worst = max(on_logs, key=lambda note: note.share or 0.0)
+            merged.append(replace(worst, source=f"{worst.source} and {len(on_logs) - 1} more", time=None))
             group = [note for note in group if not note.source]
         merged += group
     return merged

@@ -1,4 +1,4 @@
-"""Show a fleet as page, document, and tables in files."""
+"""Show a fleet as page, JSON document and tables."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from gtau.fleet.gains import FleetTable, JointOfFleet
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, page, section, table_of
 
-LISTED = 20  # outliers, or robots that were refused; the others are in the table
-NAMED = 40  # robots whose names find room below the axis
+LISTED = 20  # most outliers or refused robots that are listed
+NAMED = 40  # most robots whose names fit below the axis
 
 
 def fleet_document(fleet: FleetTable) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def fleet_document(fleet: FleetTable) -> dict[str, Any]:
 
 
 def fleet_page(fleet: FleetTable, full: bool = False) -> Page:
-    """Show each joint over the robots, outliers, and refused robots; in ``full`` every gain of every robot, too."""
+    """Show each joint over the robots, outliers and refused robots; in ``full`` also every gain of every robot."""
     why = (Column("why"), "why")
     charts = [fleet_chart(fleet, joint) for joint in fleet.joints if full]
     return page(
@@ -86,7 +86,7 @@ GAIN: tuple[ColumnOf, ...] = (
     (Column("z", Kind.NUMBER, 3), "z"),
     (Column("limit", Kind.NUMBER, 3), "limit"),
 )
-"""Columns of a gain with their cells."""
+"""Columns of a gain and their cells."""
 
 
 def _outliers(fleet: FleetTable) -> Section:
@@ -98,27 +98,27 @@ def _outliers(fleet: FleetTable) -> Section:
 def _refused(fleet: FleetTable, most: int | None = None) -> Section | None:
     if not fleet.refused:
         return None
-    said = [f"{robot}: {why}" for robot, why in fleet.refused[:most]]
-    more = len(fleet.refused) - len(said)
-    return section("Refused robots", Text("", (*said, *([f"and {more} more"] if more else []))), id="refused")
+    lines = [f"{robot}: {why}" for robot, why in fleet.refused[:most]]
+    more = len(fleet.refused) - len(lines)
+    return section("Refused robots", Text("", (*lines, *([f"and {more} more"] if more else []))), id="refused")
 
 
 def remarks(fleet: FleetTable) -> list[str]:
-    """List what else is to be said of the outliers."""
+    """List hints on the outliers."""
     joints = Counter(gain.robot for gain in fleet.gains)
     signs = Counter((gain.robot, "large" if (gain.difference_percent or 0) > 0 else "small") for gain in fleet.outliers)
-    said = [
-        f"robot '{robot}': all its gains are too {sign} alike; check the payload's mass in its experiment first"
+    hints = [
+        f"robot '{robot}': all its gains are too {sign}; check the payload's mass in its experiment first"
         for (robot, sign), count in signs.items()
         if 1 < count == joints[robot]
     ]
     few = dict.fromkeys(f"'{joint.model}'" for joint in fleet.joints if not joint.comparable)
-    said += [f"of {', '.join(few)} there are too few robots to find outliers (8 are needed)"] if few else []
-    return said
+    hints += [f"there are too few robots of {', '.join(few)} to find outliers (8 are needed)"] if few else []
+    return hints
 
 
 def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
-    """Draw gains of a joint on all robots in per cent of the median, with 95 % intervals and the spread."""
+    """Draw gains of a joint on all robots, in per cent of the median, with 95 % intervals and the spread."""
     gains = [
         gain
         for gain in fleet.gains

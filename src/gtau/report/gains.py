@@ -1,4 +1,4 @@
-"""Show drive gains and payloads: estimates, intervals, and the sources of their scale."""
+"""Show drive gains and payloads: estimates, intervals, and sources of the scale."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
 
 GOOD_OUTCOMES = (Grade.GOOD, Grade.GIVEN)
-LEAST = 0.01  # share of a source of the scale that is mentioned
-NOT_SHOWN = 1000.0  # per cent: a larger standard deviation is shown as larger
+LEAST = 0.01  # smallest share of a source of the scale that is mentioned
+LARGEST = 1000.0  # per cent; larger standard deviations are shown as "> 1000"
 
 
 def gains_section(
     result: Result, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
 ) -> Section:
-    """Show drive gains with their 95 % intervals, beside the prior ones, and the sources of their scale."""
-    of_torques, prior = result.kind == "torque", prior or {}
+    """Show drive gains with 95 % intervals, prior gains, reasons of verdicts, and the sources of the scale."""
+    from_torques, prior = result.kind == "torque", prior or {}
     words = "±: half the 95 % interval; random, model: standard deviations; % of the "
-    words += "scale, true over reported torque" if of_torques else "gain"
+    words += "scale, true over reported torque" if from_torques else "gain"
     return section(
-        "Torque scale" if of_torques else "Drive gains",
+        "Torque scale" if from_torques else "Drive gains",
         gains_table(result, prior),
         Text(words, style="soft") if _estimated(result) else None,
         reasons_table(result, charts),
@@ -42,7 +42,7 @@ def gains_section(
 
 
 def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
-    """Tabulate drive gains: verdict, value, interval with its two parts, delay, and the prior gain."""
+    """Tabulate drive gains: verdict, value, interval and its two parts, delay, and prior gain."""
     gains = result.drive_gains
     accuracy = 100 * result.statistics.get("accuracy", ACCURACY)
 
@@ -57,7 +57,7 @@ def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
         (Column("unit"), lambda joint: gains[joint].unit),
     ]
     if _estimated(result):
-        part = partial(Column, kind=Kind.NUMBER, digits=2, most=NOT_SHOWN)
+        part = partial(Column, kind=Kind.NUMBER, digits=2, most=LARGEST)
         columns += [
             (Column("±95 %", Kind.NUMBER), half),
             (part("random"), lambda joint: _relative(gains[joint], gains[joint].random_std)),
@@ -77,7 +77,7 @@ def _estimated(result: Result) -> bool:
 
 
 def reasons_table(result: Result, beside_actions: bool = False) -> Table | None:
-    """Tabulate why gains are not good, and what to do unless that stands beside; None if all are good."""
+    """Tabulate why gains are not good, with the remedies unless shown beside; None if all are good."""
     columns: list[ColumnOf] = [
         (Column("joint"), lambda reason: ", ".join(map(joint_label, reason.joints))),
         (Column("verdict", Kind.BADGE), "outcome.value"),
@@ -90,7 +90,7 @@ def reasons_table(result: Result, beside_actions: bool = False) -> Table | None:
 
 
 def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Chart | None:
-    """Draw 95 % intervals of drive gains and their random parts, in per cent of the gain, beside ``prior`` gains."""
+    """Draw 95 % intervals of drive gains, their random parts and ``prior`` gains, in per cent of the gain."""
     shown = {joint: gain for joint, gain in gains.items() if gain.value}
     off = [_off(prior.get(joint), gain) for joint, gain in shown.items()]
     if not any(gain.std for gain in shown.values()) and set(off) <= {None}:
@@ -102,7 +102,7 @@ def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Ch
 
 
 def _random_half(gain: Estimate) -> float | None:
-    """Half the random part of the interval, per cent; None where no model part is known."""
+    """Half-width of the random part of the interval, per cent; None if the model part is unknown."""
     if not gain.model_std or not gain.std or gain.half_width is None:
         return None
     return gain.half_width * (gain.random_std or 0.0) / gain.std
@@ -123,7 +123,7 @@ def _delay(delay: Estimate | None) -> tuple[float, float] | None:
 
 
 def whole_mass_text(result: Result) -> Text | None:
-    """Say what a floating robot weighs, the one figure that everyone can check on a scale."""
+    """Give the mass of a floating robot, which users can check on a scale."""
     if not result.robot.floating:
         return None
     name = whole_mass(result.base, result.idm.parameter_names)
@@ -134,11 +134,11 @@ def whole_mass_text(result: Result) -> Text | None:
     return Text(f"mass of the whole robot ({mass.name}): {mass.value:.4g} ± {half:.2g} kg")
 
 
-# What the scale rests on
+# Sources of the scale
 
 
 def _scale_text(result: Result, short: bool) -> Text | None:
-    """Describe what the scale of all gains rests on, or of each where they differ; None where they were given."""
+    """Name the sources of the scale, joint by joint if they differ; None if the gains were given."""
     if short:
         sources = all_sources(result)
         return Text(f"scale: from {sources}") if sources else None
@@ -155,7 +155,7 @@ def _scale_text(result: Result, short: bool) -> Text | None:
 
 
 def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
-    """Name the source of a scale, or several with their shares, the largest first."""
+    """Name the source of a scale, or several with their shares, largest first."""
     listed = sorted((item for item in scale.items() if abs(item[1]) >= LEAST), key=lambda item: -item[1])
     if len(listed) == 1:
         return names.get(listed[0][0], listed[0][0])
@@ -163,15 +163,15 @@ def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
 
 
 def all_sources(result: Result) -> str:
-    """List all sources of the scale, those on which most gains rest first; sensors of a kind together, by joint."""
+    """List the sources of the scale of all gains, largest first, with the sensors of a kind merged."""
     totals: Counter[str] = Counter()
     for shares in result.scale.values():
         totals.update({source: abs(share) for source, share in shares.items()})
     names = {source: source for source, total in totals.most_common() if total >= LEAST * len(result.drive_gains)}
     together = []
     for kind in dict.fromkeys(sensor.kind for sensor in result.sensors):
-        of_kind = (sensor for sensor in result.sensors if sensor.kind == kind and sensor.source in names)
-        joints = {sensor.source: sensor.joint for sensor in of_kind}
+        sensors = (sensor for sensor in result.sensors if sensor.kind == kind and sensor.source in names)
+        joints = {sensor.source: sensor.joint for sensor in sensors}
         if len(joints) > 1:
             together.append(f"the {kind.group} of " + ", ".join(f"'{joint}'" for joint in joints.values()))
             names = {source: words for source, words in names.items() if source not in joints}
@@ -183,7 +183,7 @@ def all_sources(result: Result) -> str:
 
 
 def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads") -> Section | None:
-    """Show inertial parameters of the payloads, in the frame of the body that carries them; None without any."""
+    """Show inertial parameters of payloads, in the frame of the body that carries them; None without payloads."""
     parts = [
         section(
             f"Payload '{payload.name}' of run {payload.run}",
@@ -196,12 +196,12 @@ def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads
 
 
 def unknown_payloads(result: Result) -> list[PayloadEstimate]:
-    """List the payloads of which something was identified."""
+    """List the payloads with identified parameters."""
     return [payload for payload in result.payloads if set(payload.parameters) - payload.known]
 
 
 def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
-    """Tabulate identified masses of payloads; None without any."""
+    """Tabulate identified masses of payloads; None without payloads."""
     rows = [
         (f"payload '{payload.name}' of {payload.run}", (mass.value, mass.half_interval()), mass.unit)
         for payload in payloads
@@ -213,21 +213,21 @@ def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
 VALUE = (
     Column("value", Kind.NUMBER, 5),
     Column("std", Kind.NUMBER, 2),
-    Column("std, %", Kind.NUMBER, decimals=2, most=NOT_SHOWN),
+    Column("std, %", Kind.NUMBER, decimals=2, most=LARGEST),
     Column("unit"),
 )
-"""Columns of an estimate, see :func:`value_cells`."""
+"""Columns for :func:`value_cells`."""
 
 
 def value_cells(estimate: Estimate) -> tuple[object, ...]:
-    """Return the value in the digits of its interval, standard deviation, relative standard deviation and unit."""
+    """Return value (rounded to its interval), standard deviation, relative standard deviation and unit."""
     value, half = estimate.value, estimate.half_interval()
     shown = float(to_width(value, half)) if half and value is not None else value
     return shown, estimate.std, estimate.rel_std, estimate.unit
 
 
 def estimates_table_of(estimates: Mapping[str, Estimate], known: Iterable[str] = ()) -> Table:
-    """Tabulate estimates by name, with whether they are ``known``, or what they regroup."""
+    """Tabulate estimates by name; the last column marks ``known`` values and lists regroupings."""
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL, wide=True), Column(""))
     rows = []
     for name, estimate in estimates.items():

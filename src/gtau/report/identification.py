@@ -1,4 +1,4 @@
-"""Show an identification: short and full on a terminal, and as a report."""
+"""Show an identification: one screen, in full, or as a report."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from gtau.report.uncertainty import PAPER, correlation_section, effects_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.drafting import DRAFT
 
-NOTES = 5  # that the short page shows
-MOVED = 0.5  # standard deviations: a smaller move is not worth a line
+NOTES = 5  # most findings on the short page
+MOVED = 0.5  # standard deviations; smaller moves are not listed
 LISTED = 12
 
 
 def summary_page(result: Result) -> Page:
-    """Show verdict, drive gains, payloads, fit and the most important notes on one screen."""
+    """Show verdict, drive gains, payloads, fit and the most important findings on one screen."""
     notes = [note for note in findings(result) if note.kind != DRAFT]
     guessed = [note for note in result.notes if note.kind == DRAFT]
     assumed = tuple("; ".join(filter(None, (note.what, note.advice))) for note in guessed)
@@ -67,7 +67,7 @@ def summary_page(result: Result) -> Page:
 
 
 def full_page(result: Result) -> Page:
-    """Show all that an identification found, without charts."""
+    """Show all results of an identification, without charts."""
     ratio = result.statistics.get("singular_ratio")
     words = f"ratio of the two smallest singular values of W_tot ({PAPER}, eq. 33): {ratio or 0.0:.2f}"
     nearest = singularities_section(result.singularities)
@@ -90,9 +90,9 @@ def full_page(result: Result) -> Page:
 
 
 def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float]) -> Page:
-    """Show all that an identification found, beside the runs it came from and those kept for validation.
+    """Show all results of an identification with predictions of its runs and of the validation runs.
 
-    First what decides whether to trust it and what to do next; the rest is folded.
+    Verdict, gains, findings and torques come first; the details are folded.
     """
     details = (
         residuals_section(result, runs),
@@ -121,7 +121,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
 
 
 def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section:
-    """Show the verdict with what to do about it, and the key figures."""
+    """Show the verdict, what to do about it, and the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
     if outcomes[Grade.NOT_IDENTIFIABLE] or not result.believable or missed(result):
@@ -135,7 +135,7 @@ def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section
 
 
 def actions(result: Result) -> list[str]:
-    """Say what to do about gains that are not good, the worst and the widest interval first."""
+    """List remedies for gains that are not good, the worst first."""
     accuracy = 100 * result.statistics.get("accuracy", 0.0)
 
     def named(joint: str) -> str:
@@ -147,7 +147,7 @@ def actions(result: Result) -> list[str]:
 
 
 def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
-    """Say what to do next with a result that is believed."""
+    """List the next steps after a believable result."""
     if not result.believable:
         return []
     wide = [joint for joint, gain in result.drive_gains.items() if gain.verdict.kind == WIDE_SCALE]
@@ -163,7 +163,7 @@ def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
 
 
 def _tiles(result: Result, runs: Sequence[RunEvidence]) -> Facts:
-    """List the key figures, six at most."""
+    """List the key figures."""
     widths = {joint: gain.half_width for joint, gain in result.drive_gains.items() if gain.half_width}
     widest = max(widths, key=lambda joint: widths[joint], default="")
     errors = [error for run in runs if not run.used for error in run.errors]
@@ -182,14 +182,14 @@ def _tiles(result: Result, runs: Sequence[RunEvidence]) -> Facts:
 
 
 def _largest(errors: Sequence[TorqueError], in_band: bool = False) -> str | None:
-    """Name the joint with the largest error of the rows used, or ``in_band``, reversals included."""
+    """Return the largest error and its joint, over the rows used or ``in_band`` with reversals."""
     sizes = [((error.relative_all if in_band else error.relative) or 0.0, error.joint) for error in errors]
     size, worst = max(sizes, default=(0.0, ""))
     return f"{percents([size])} ({worst})" if worst else None
 
 
 def counts(result: Result) -> str:
-    """Count the verdicts on the drive gains, in one sentence."""
+    """Count the verdicts on the drive gains in one sentence."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     (first, count), *others = outcomes.most_common()
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
@@ -216,8 +216,8 @@ def _fit_words(result: Result) -> list[Text]:
     worst = worst_joint(result.residuals)
     if worst is None:
         return []
-    every = [residual.relative_all for residual in result.residuals if residual.relative_all is not None]
-    more = f"; of all samples: {percents(every)}" if every else ""
+    errors = [residual.relative_all for residual in result.residuals if residual.relative_all is not None]
+    more = f"; of all samples: {percents(errors)}" if errors else ""
     where = f", the largest at '{worst.joint}'" if len(result.residuals) > 1 else ""
     used = percents(residual.relative for residual in result.residuals)
     said = [f"Torque residuals of the rows used: {used} rms{where}{more}."]
@@ -228,7 +228,7 @@ def _fit_words(result: Result) -> list[Text]:
 
 
 def _sensors_section(result: Result) -> Section | None:
-    """Show the fit of the sensors behind the drives, and their scale by all other data."""
+    """Show the fit of torque sensors, and their scale according to all other data."""
     if not result.sensors:
         return None
     ratios = [sensor for sensor in result.sensors if sensor.ratio is not None]
@@ -239,7 +239,7 @@ def _sensors_section(result: Result) -> Section | None:
         (Column("std", Kind.NUMBER, 2), "ratio.std"),
         (Column("verdict", Kind.BADGE), "ratio.verdict.outcome.value"),
     )
-    words = "ratio: torque from all other data, over the sensor's reading"
+    words = "ratio: torque according to all other data, over the reading of the sensor"
     return section(
         " and ".join(dict.fromkeys(sensor.kind.group for sensor in result.sensors)).capitalize(),
         *((listed, Text(words, style="soft")) if ratios else ()),
@@ -249,7 +249,7 @@ def _sensors_section(result: Result) -> Section | None:
 
 
 def requirements_section(result: Result) -> Section | None:
-    """Tabulate each requirement, the value found, and pass or fail; None without requirements."""
+    """Tabulate each requirement with its value and outcome; None without requirements."""
     if not result.requirements:
         return None
     listed = table_of(
@@ -265,7 +265,7 @@ def requirements_section(result: Result) -> Section | None:
 
 
 def _consistency_section(consistency: Consistency | None) -> Section | None:
-    """Show what physical consistency changes: the moves worth a line, and its cost."""
+    """Show the moves of estimates due to physical consistency, and the cost in residuals."""
     if consistency is None:
         return None
     moved = [move for move in consistency.moves if move.deviations >= MOVED]
@@ -282,17 +282,17 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
     joint = max(consistency.loss, key=lambda name: consistency.loss[name])
     words = (
         f"{len(moved)} of {len(consistency.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
-        f"{_growth(_overall(consistency))}, those of the worst joint, {joint}, {_growth(consistency.loss[joint])}. "
-        "model.json has every standard parameter under 'standard'; values that the data leave open were chosen."
+        f"{_growth(_overall(consistency))}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
+        "model.json has every standard parameter under 'standard'; values that the data do not determine were chosen."
     )
     return section("Physically consistent parameters", listed, Text(words), id="consistency")
 
 
 def _overall(consistency: Consistency) -> float:
-    """Compute by how much the residuals of all joints together grow, per cent."""
+    """Compute the growth of the residuals of all joints together, per cent."""
     return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in consistency.loss.values()])) - 1))
 
 
 def _growth(loss: float) -> str:
-    """Describe by how much torque residuals grow, ``loss`` in per cent."""
+    """Describe the growth of torque residuals by ``loss`` per cent."""
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"

@@ -1,4 +1,4 @@
-"""Show clock, repairs, spectra and preparation of logs, on pages and as figures."""
+"""Show clock, repairs, spectra and preparation of logs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gtau.signals.storage import block, spans
 if TYPE_CHECKING:
     from gtau.estimation.check_logs import LogCheck
 
-LOWEST = 1e-9  # of a spectrum's peak: what lies lower is arithmetic
+LOWEST = 1e-9  # of the peak of a spectrum; lower values are rounding errors
 FREQUENCY = Axis("frequency, Hz", log=True)
 
 
@@ -34,12 +34,12 @@ def payload_words(run: Run) -> str:
 
 
 def seconds(run: Run) -> float:
-    """Return how long a run takes, s."""
+    """Return the duration of a run, s."""
     return float(run.time[-1] - run.time[0])
 
 
 def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) -> Section | None:
-    """Show clock, repairs and spectra of the logs that a model was made from or tried on."""
+    """Show clock, repairs and spectra of logs."""
     if not runs:
         return None
     listed = table_of(
@@ -51,11 +51,11 @@ def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) ->
         (Column("repaired, %", Kind.SHARE, 2), lambda run: 1 - valid_share(run)),
         (Column("clock and repairs"), lambda run: "; ".join(map(str, run.notes)) or "uniform clock, no repairs"),
     )
-    return section("Clock and spectra of the logs", listed, *spectra_items(runs[0], robot, preparation), id="logs")
+    return section("Clock and spectra of the logs", listed, speed_chart(runs[0], robot, preparation), id="logs")
 
 
-def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Chart]:
-    """Draw amplitude spectral densities of a run's speeds, a panel for each unit."""
+def speed_chart(run: Run, robot: Robot, preparation: Preparation) -> Chart | None:
+    """Draw amplitude spectral densities of the speeds in a run, in a panel per unit."""
     rules = [Rule(x=preparation.bandwidth, label=f"bandwidth {preparation.bandwidth:.3g} Hz")]
     rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
     lines: dict[str, list[Series]] = {}
@@ -71,13 +71,13 @@ def spectra_items(run: Run, robot: Robot, preparation: Preparation) -> list[Char
     ]
     words = (
         f"Amplitude spectral densities of {run.name}: speeds, differentiated from the logged positions, in thirds of "
-        "an octave, and commands. Rules mark the bandwidth of the motion and the cut-off of the position filter."
+        "an octave. Dashed lines mark the bandwidth of the motion and the cut-off of the position filter."
     )
-    return [Chart(tuple(panels), columns=2, caption=words)] if panels else []
+    return Chart(tuple(panels), columns=2, caption=words) if panels else None
 
 
 def valid_share(run: Run) -> float:
-    """Compute the share of the samples of all joints that were not repaired."""
+    """Compute the share of samples, over all joints, that were not repaired."""
     return float(np.sum([np.sum(block(run.valid, *span)) for span in spans(len(run.valid))])) / run.valid.size
 
 
@@ -85,7 +85,7 @@ def valid_share(run: Run) -> float:
 
 
 def preparation_chart(log: LogCheck) -> Chart:
-    """Draw the spectra of a log's joints, the steps of its clock, and which rows of each joint are used."""
+    """Draw the spectra of the joints in a log, the steps of its clock, and the rows used."""
     preparation = log.preparation
     marks = {
         "bandwidth": preparation.bandwidth,
@@ -100,7 +100,7 @@ def preparation_chart(log: LogCheck) -> Chart:
 
 
 def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
-    """Draw a power spectrum of each joint, with a dot where noise begins to dominate its acceleration."""
+    """Draw the power spectrum of each joint, with a dot where noise starts to dominate the acceleration."""
     series: list[Series] = []
     for j, joint in enumerate(log.joints):
         spectrum = joint.spectrum
@@ -117,12 +117,12 @@ def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
 
 
 def _steps(run: Run) -> Panel:
-    """Draw steps of the time column over time, in samples of the grid."""
+    """Draw the steps of the time column over time, in sampling periods."""
     log = run.log
     assert log.signals is not None and log.units is not None  # noqa: PT018 (it has files)
     stamps = logged_instants(log.paths[0], log.signals, log.units.scale(log.signals)[2])
     begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
-    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]  # without those that are not finite
+    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]  # drops NaN, too
     time, steps = stamps[1:], np.diff(stamps) / period
     top = max(2.0, 1.1 * float(steps.max(initial=0.0)))
     series = Series("", time - begin, steps, "soft", width=0.6)
@@ -130,7 +130,7 @@ def _steps(run: Run) -> Panel:
 
 
 def _used(log: LogCheck) -> Panel:
-    """Draw which decimated rows of each joint are used: bars; the gaps are reversals, rests and masked samples."""
+    """Draw the decimated rows used of each joint as bars, with gaps at reversals, rests and masked samples."""
     time, series = log.distances["time"] - float(log.run.time[0]), []
     for j in range(len(log.run.joints)):
         edges = np.flatnonzero(np.diff(np.r_[False, log.used[:, j], False]))

@@ -1,4 +1,4 @@
-"""The robot, the path of its payload's body, distances to singular poses, and logged poses, on pages."""
+"""Show the robot, its path, distances to singular poses, and logged poses."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from gtau.robots.robot import Robot
 from gtau.signals.run import Run
 from gtau.signals.storage import rows_at
 
-POSE_DELAY_STD = 0.02  # standard deviation of the delay of a pose, s, above which it is not shown
+POSE_DELAY_STD = 0.02  # s; pose delays with a larger standard deviation are not shown
 
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 """Names of the types of singularities."""
-COLOURS = {1: "c7", 2: "c6"}  # others than those of six joints
-PATHS = 8  # runs whose path is drawn
-FLAT = 1e-6  # of the longest side: a path that is shorter along an axis lies in a plane
-POSES = 1500  # of a run, in its path
+COLOURS = {1: "c7", 2: "c6"}  # not among the colours of six joints
+PATHS = 8  # most paths in a chart
+FLAT = 1e-6  # of the longest side; a path shorter than this along an axis is planar
+POSES = 1500  # most poses in the path of a run
 TIME = Axis("time from the start of the run, s")
 STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
-LISTED = 12  # constants
-ROUNDING = 1e-3  # of the rms: a smaller bias is shown as zero
+LISTED = 12  # most constants in the table
+ROUNDING = 1e-3  # of the rms; a smaller bias is shown as zero
 ESTIMATED = {
-    "controller": "Nothing but the delay of the poses was estimated beside the constants.",
+    "controller": "Besides the constants, only the delay of the poses was estimated.",
     "tool": "The position of the tool on the body was estimated too.",
     "tracker": "The positions of the tracker (in each run) and its marker were estimated beside the constants.",
 }
@@ -45,7 +45,7 @@ def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
     paths = [(run.name, body_path(result, run)) for run in drawn]
     title = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
     starts = {run.run.name: float(run.run.time[0]) for run in runs}
-    along = zip(result.runs, result.distances, strict=False)  # none of a result that was loaded from a file
+    along = zip(result.runs, result.distances, strict=False)  # empty for a loaded result
     distances = distances_panels((name, starts.get(name, 0.0), run) for name, run in along) if used else []
     return section(
         "Robot and motion",
@@ -60,7 +60,7 @@ def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
 def joint_panels(
     robot: Robot, joints: Sequence[str], time: np.ndarray, values: np.ndarray, what: str, height: float, per: str = ""
 ) -> list[Panel]:
-    """Draw a quantity (K, n) of joints over time, a panel for rotations and one for translations."""
+    """Draw a quantity (K, n) of joints over time, in one panel for rotations and one for translations."""
     lines: dict[str, list[Series]] = {"rad": [], "m": []}
     for j, joint in enumerate(joints):
         line = Series(joint_label(joint), time, values[:, j], colour(j))
@@ -70,7 +70,7 @@ def joint_panels(
 
 
 def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
-    """Show where runs come nearest to singular poses."""
+    """Show the poses of runs nearest to singular poses."""
     if not nearest:
         return None
     listed = table_of(
@@ -89,7 +89,7 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
 
 
 def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Panel]:
-    """Draw distances to singular poses along runs: name, start (s), and distances; none where a run has none."""
+    """Draw distances to singular poses along runs, given as name, start (s) and distances."""
     panels = []
     for run, start, distances in runs:
         time = distances["time"] - start
@@ -98,7 +98,7 @@ def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Pane
             for kind, name in TYPES.items()
             if np.isfinite(distances[f"type_{kind}"]).any()
         ]
-        if len(series) == len(TYPES):  # at singularities of type 2 alone errors are magnified
+        if len(series) == len(TYPES):  # type 2 magnifies errors
             limit = np.full(len(time), NEAR_SINGULAR)
             series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "bad", width=0.8))
         axis = Axis("distance", limits=(0.0, 1.05))
@@ -107,7 +107,7 @@ def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Pane
 
 
 def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
-    """Draw paths (P, 3), m, of runs by name, in three projections, or in the one plane that holds them."""
+    """Draw paths (P, 3), m, of runs by name, in three projections, or in their common plane."""
     panels = []
     extent = np.ptp(np.concatenate([path for _, path in paths]), axis=0)
     moving = [axis for axis in range(3) if extent[axis] > FLAT * extent.max()]
@@ -120,7 +120,7 @@ def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
 
 
 def body_path(result: Result, run: Run) -> np.ndarray:
-    """Compute positions (P, 3), m, along a run of the body that carries the payload."""
+    """Compute positions (P, 3), m, of the body that carries the payload along a run."""
     import casadi as ca
 
     from gtau.model.kinematics import frames
@@ -138,21 +138,21 @@ def body_path(result: Result, run: Run) -> np.ndarray:
 
 
 def geometry_section(test: GeometryTest | None) -> Section | None:
-    """Show residuals of the pose in time and by component, and the constants that would explain them."""
+    """Show residuals of the logged pose, and the constants that would explain them."""
     if test is None:
         return None
-    said = [ESTIMATED[test.source]]
+    points = [ESTIMATED[test.source]]
     delay, std = test.delay
     if std < POSE_DELAY_STD:
-        said.append(f"the poses lag {1e3 * delay:.1f} ± {1.96e3 * std:.1g} ms behind the positions")
+        points.append(f"the poses lag {1e3 * delay:.1f} ± {1.96e3 * std:.1g} ms behind the positions")
     runs = dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
     return section(
         "Logged pose and geometry",
-        Text(str(test.note), tuple(said), STYLES[test.outcome]),  # type: ignore[arg-type]
+        Text(str(test.note), tuple(points), STYLES[test.outcome]),  # type: ignore[arg-type]
         *(section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(runs)),
         section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
         section(
-            "Constants, each by itself, sorted by the share of the residual variance explained",
+            "Constants one at a time, sorted by the share of the residual variance they explain",
             _constants(test),
             Text(f"{len(test.tried) - LISTED} more explain less; model.json and --json list them.")
             if len(test.tried) > LISTED

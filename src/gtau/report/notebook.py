@@ -1,4 +1,4 @@
-"""Pages of results in notebooks."""
+"""Views of results for notebooks."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
 from gtau.report.write import stamped
 
-TERMINAL = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
+SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 
 
 def html(shown: object) -> str:
-    """Write the markup of an object for a notebook: a frame with its page."""
+    """Write the page of an object as a frame for a notebook."""
     return frame(view(shown))
 
 
 def text(result: Result, verbose: bool) -> str:
-    """Write a result as text: all of it, or one screen."""
+    """Write a result as text, in full or on one screen."""
     return plain(full_page(result) if verbose else summary_page(result))
 
 
 def write(result: Result, path: Path) -> None:
-    """Write the report of a result, with the runs that it holds, to an HTML file."""
+    """Write the report of a result and its runs to an HTML file."""
     report = report_page(result, gather(result, result.data), {})
     write_atomically(path, rendered(stamped(report, settings_of(result))))
 
@@ -80,4 +80,4 @@ def _(shown: Prediction) -> Page:
 
 @view.register
 def _(shown: ExperimentCheck) -> Page:
-    return Page("", tuple(part for part in check_page(shown).sections if part.id in TERMINAL))
+    return Page("", tuple(part for part in check_page(shown).sections if part.id in SECTIONS))

@@ -1,7 +1,7 @@
-"""Pages as data, written once for each command; :mod:`gtau.report.render` has one renderer for each medium.
+"""Pages as data; :mod:`gtau.report.render` writes them to a terminal or as HTML.
 
-A page consists of sections of tables, charts, texts, facts and drawings of robots. Cells are values, not words: numbers
-keep all their digits, and a column says how they are written.
+A page has sections of tables, charts, texts, facts and drawings of robots. Table cells are values; the column formats
+them. A new section is a function that returns a :class:`Section` and one line in the list of a page.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ BADGES = {
     "warning": "weak",
     "information": "neutral",
 }
-"""Outcomes and grades of findings to the style that they are shown in; what is not listed is weak."""
+"""Style of verdicts, grades and results; others are shown as weak."""
 
 
 class Kind(StrEnum):
-    """What the cells of a column are; a text in place of a value is written as it is, None as ``missing``."""
+    """Content of a column's cells. Any cell may hold a text instead, or None, shown as ``missing``."""
 
     TEXT = "text"
-    SENTENCE = "sentence"  # without capital letter and full stop
-    NAME = "name"  # of a parameter, file or method: letters of equal width
+    SENTENCE = "sentence"  # given without capital letter and full stop
+    NAME = "name"  # of a parameter, file or method, in a fixed-width font
     NUMBER = "number"
-    SHARE = "share"  # a number between 0 and 1, shown in per cent
-    INTERVAL = "interval"  # its two ends
-    SPREAD = "spread"  # a value and half the width of its interval
-    BADGE = "badge"  # an outcome or a grade
+    SHARE = "share"  # from 0 to 1, shown in per cent
+    INTERVAL = "interval"  # both ends
+    SPREAD = "spread"  # a value and the half-width of its interval
+    BADGE = "badge"  # a key of BADGES
 
 
 NUMERIC = (Kind.NUMBER, Kind.SHARE, Kind.INTERVAL, Kind.SPREAD)
@@ -53,10 +53,10 @@ NUMERIC = (Kind.NUMBER, Kind.SHARE, Kind.INTERVAL, Kind.SPREAD)
 
 @dataclass(frozen=True)
 class Column:
-    """A column: title, kind of its cells, and how numbers are written.
+    """A column: title, kind of its cells, and format of its numbers.
 
-    ``digits`` are significant ones; ``decimals`` fixes the number of decimals instead. A number above ``most`` is
-    written as ``> most``. A ``wide`` column is left out on a terminal.
+    ``digits`` counts significant digits; ``decimals`` fixes the decimals instead. Numbers above ``most`` are written as
+    ``> most``. Terminals leave out ``wide`` columns.
     """
 
     title: str
@@ -68,7 +68,7 @@ class Column:
     wide: bool = False
 
     def text(self, cell: Any) -> str:
-        """Write a cell, negative numbers with a hyphen."""
+        """Format a cell, with a hyphen before negative numbers."""
         if isinstance(cell, str):
             return cell
         if cell is None or (isinstance(cell, float) and not isfinite(cell)):
@@ -86,7 +86,7 @@ class Column:
         return f"{value:z.{self.decimals}f}" if self.decimals is not None else number(value, self.digits)
 
     def sort_key(self, cell: Any) -> float | None:
-        """Return what a cell of numbers sorts by, None for a missing one."""
+        """Return the number by which a cell sorts, None for a missing value."""
         if cell is None or isinstance(cell, str):
             return None
         key = cell[1] - cell[0] if self.kind == Kind.INTERVAL else cell[0] if self.kind == Kind.SPREAD else cell
@@ -94,7 +94,7 @@ class Column:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """Write a number to the given significant digits, as people write it."""
+    """Format a number with significant digits: 1.5e-7, not 1.5e-07."""
     if isinstance(value, (int, np.integer)):
         return str(value)
     return f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")
@@ -104,8 +104,8 @@ def number(value: float, digits: int = 5) -> str:
 class Table:
     """A table.
 
-    A table with a ``name`` sorts and searches where the medium can. Rows in ``faint`` are shown faint. With ``listed``
-    a terminal shows the rows as a list, grouped by their badge.
+    In HTML, readers can sort and search a table with a ``name``. Rows in ``faint`` are dimmed. Terminals show a
+    ``listed`` table as a list, grouped by badge.
     """
 
     columns: tuple[Column, ...]
@@ -116,23 +116,23 @@ class Table:
 
 
 def table(columns: Iterable[Column], rows: Iterable[Sequence[Any]], **more: Any) -> Table:
-    """Make a table of any iterables."""
+    """Make a table from columns and rows of cells."""
     return Table(tuple(columns), tuple(map(tuple, rows)), **more)
 
 
 ColumnOf = tuple[Column, str | Callable[[Any], Any]]
-"""A column with what its cells are: the name of an attribute of the row's item, or a function of it."""
+"""A column, and the attribute of an item (``"a.b"``) or the function that gives its cell."""
 
 
 def table_of(items: Iterable[Any], *columns: ColumnOf, **more: Any) -> Table:
-    """Make a table with a row for each item."""
+    """Make a table with one row per item."""
     cells = [attrgetter(cell) if isinstance(cell, str) else cell for _, cell in columns]
     return table([column for column, _ in columns], [[cell(item) for cell in cells] for item in items], **more)
 
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph and a list of sentences: plain, soft, a command, or a verdict with its grade."""
+    """A paragraph and a list of sentences: plain, soft, a command, or a verdict in a style of BADGES."""
 
     words: str
     points: tuple[str, ...] = ()
@@ -141,18 +141,18 @@ class Text:
 
 @dataclass(frozen=True)
 class Facts:
-    """Values by name; those that are None are left out."""
+    """Values by name, without those that are None."""
 
     pairs: Mapping[str, object]
 
     def __post_init__(self) -> None:
-        there = {name: value for name, value in self.pairs.items() if value is not None}
-        object.__setattr__(self, "pairs", there)
+        known = {name: value for name, value in self.pairs.items() if value is not None}
+        object.__setattr__(self, "pairs", known)
 
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A titled part of a page; one inside another may be ``folded`` away (True) or unfolded (False)."""
+    """A titled part of a page, foldable unless ``folded`` is None; True folds it at first."""
 
     title: str
     items: tuple[Item, ...]
@@ -161,12 +161,12 @@ class Section:
 
 
 Item = Table | Text | Facts | Chart | Robot | Section
-"""What a section holds; a robot is drawn at home."""
+"""Items of a section; a robot is drawn in its home pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """What a command shows: a title, lines below it, and sections in reading order."""
+    """The output of a command: title, lines below it, and sections."""
 
     title: str
     sections: tuple[Section, ...]
@@ -174,12 +174,12 @@ class Page:
 
 
 def section(title: str, *items: Item | None, id: str = "", folded: bool | None = None) -> Section:
-    """Make a section of the items that are there."""
+    """Make a section of the items that are not None."""
     return Section(title, tuple(item for item in items if item is not None), id, folded)
 
 
 def page(title: str, *sections: Section | None, lead: Iterable[str] = ()) -> Page:
-    """Make a page of the sections that are there and hold something."""
+    """Make a page of the sections that have items."""
     return Page(title, tuple(part for part in sections if part is not None and part.items), tuple(lead))
 
 

@@ -1,4 +1,4 @@
-"""Show base parameters, friction, and what the data say of the inertias in the robot file."""
+"""Show base parameters, friction, and the test of the inertias in the robot file."""
 
 from __future__ import annotations
 
@@ -23,18 +23,17 @@ from gtau.signals.preparation.filters import position_filter
 GROUPS = ("base parameter", "friction", *(kind.name for kind in LINK_SIDE))
 KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
 NAMES = {"width": "presliding", "vs": "v_s"}
-POINTS = 3000  # of a panel
-CONTRADICTED = 6  # parameters on a short page
+POINTS = 3000  # most points in a panel
+CONTRADICTED = 6  # most parameters on a short page
 ORDER = ("contradicted", "agrees", "not stated", "not identifiable")
 FRICTION = (
     "Friction of each joint, identified on all samples at the gains and inertia above: fv qd + (fs + fb exp(-|qd| / "
-    "v_s) + fl |load|) z + off. Predictions and exports use it. z is the sign of the speed where a joint slides; "
-    "before that, a spring over the width of presliding. A width or a speed v_s is given where held-out blocks of the "
-    "logs support it; a joint without a width keeps the sign. Errors are of held-out blocks, in per cent of the "
-    "torque left to friction, with this law and with viscous and Coulomb friction alone. SI units; ± is "
-    "half a 95 % interval."
+    "v_s) + fl |load|) z + off. Predictions and exports use it. z is the sign of the speed once a joint slides; "
+    "before, a spring over the width of presliding. Width and v_s are added only if they predict held-out data better; "
+    "a joint without a width keeps the sign. Errors: on held-out blocks, in per cent of the friction torque, with this "
+    "law and with viscous and Coulomb friction alone. SI units; ± is half a 95 % interval."
 )
-CURVES = "The torque that gains and inertia leave to friction, and its prediction, at the rows of the runs."
+CURVES = "Measured torque less the predicted inertia and gravity torques, and the predicted friction."
 
 
 def parameters_section(result: Result) -> Section:
@@ -47,7 +46,7 @@ def parameters_section(result: Result) -> Section:
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
         f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {loss:.2g} %. A value "
-        f"with a standard deviation above 100 % is meaningless by itself: only sums with other parameters are known."
+        f"with a standard deviation above 100 % means nothing alone: only its sum with other parameters is known."
     )
     return section(
         "Parameters",
@@ -67,21 +66,23 @@ def _role(estimate: Estimate, group: str) -> str:
 
 
 def reference_text(result: Result) -> Text | None:
-    """Name the temperatures to which the friction parameters refer, where friction depends on them."""
-    warm = result.temperatures
-    if warm is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
+    """Name the reference temperatures of friction; None if friction does not depend on temperature."""
+    temperatures = result.temperatures
+    if temperatures is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
         return None
-    values = {joint: f"{value:.4g}" for joint, value in warm.of_joint.items()}
+    values = {joint: f"{value:.4g}" for joint, value in temperatures.of_joint.items()}
     listed = ", ".join(f"'{joint}' {value}" for joint, value in values.items())
-    at = next(iter(values.values())) if len(set(warm.of_joint.values())) == 1 else listed
-    return Text(f"fvt, fst: viscous and Coulomb friction per {warm.per} above the mean, {at} {warm.unit}")
+    at = next(iter(values.values())) if len(set(temperatures.of_joint.values())) == 1 else listed
+    return Text(
+        f"fvt, fst: viscous and Coulomb friction per {temperatures.per} above the mean, {at} {temperatures.unit}"
+    )
 
 
 # Friction
 
 
 def friction_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section | None:
-    """Show the friction of each joint; with ``runs`` also its curve. None for a result with the plain law alone."""
+    """Show the friction of each joint, with curves if ``runs`` are given; None if only the plain law was fitted."""
     if not result.curves:
         return None
     panels = _curves(result, [run for run in runs if run.used])
@@ -90,7 +91,7 @@ def friction_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Sectio
 
 
 def curves_table(result: Result) -> Table:
-    """Tabulate the friction of each joint, SI units, values with half their 95 % intervals."""
+    """Tabulate the friction of each joint in SI units, with half-widths of 95 % intervals."""
     friction = {**result.friction, **result.friction_parameters}
 
     def value(kind: str, curve: FrictionCurve) -> tuple[float, float] | None:
@@ -113,7 +114,7 @@ def curves_table(result: Result) -> Table:
 
 
 def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
-    """Draw what gains and inertia leave to friction, and the friction predicted, over the speed of each joint."""
+    """Draw measured and predicted friction torque over the speed of each joint."""
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     for evidence in runs:
         if (prediction := evidence.prediction) is None:
@@ -122,18 +123,18 @@ def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
         count = int(np.searchsorted(run.time, prediction.time[-1])) + 1
         qd = position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff, 0, count)[1]
         speed = qd[np.minimum(np.searchsorted(run.time, prediction.time), count - 1)]
-        rest = prediction.measured - prediction.predicted + prediction.friction
-        gathered.append((speed, rest, prediction.friction, prediction.valid))
+        measured = prediction.measured - prediction.predicted + prediction.friction
+        gathered.append((speed, measured, prediction.friction, prediction.valid))
     panels = []
     for j, joint in enumerate(result.idm.actuated if gathered else ()):
         if joint in result.robot.base:
             continue
-        speed, rest, friction, valid = (np.concatenate([run[k][:, j] for run in gathered]) for k in range(4))
+        speed, measured, friction, valid = (np.concatenate([run[k][:, j] for run in gathered]) for k in range(4))
         shown = np.flatnonzero(valid)
         shown = shown[:: max(1, len(shown) // POINTS)]
         series = (
             Series("predicted", speed[shown], friction[shown], "predicted", "points", width=2.4),
-            Series("left to friction", speed[shown], rest[shown], "measured", "points", width=0.0),
+            Series("measured", speed[shown], measured[shown], "measured", "points", width=0.0),
         )
         x = Axis(f"speed, {position_unit(result.robot, joint)}/s")
         y = Axis(f"friction, {torque_unit(result.robot, joint)}")
@@ -141,11 +142,11 @@ def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
     return panels
 
 
-# Inertias of the robot file
+# Inertias in the robot file
 
 
 def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section | None:
-    """Show how well the file's inertias predict, what contradicts them, and what is not identifiable."""
+    """Show how well the inertias in the robot file predict, and which of them the data contradict."""
     if audit is None:
         return None
     words = (
@@ -154,8 +155,8 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
     )
     if audit.prior:
         words += (
-            f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, and the intervals include them; "
-            "where something else gives the scale, the comparison below uses the data without them."
+            f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, which the intervals include; if "
+            "something else gives the scale, the comparison below uses the data without them."
         )
     return section(
         "Inertias of the robot file",
@@ -166,25 +167,25 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
 
 
 def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
-    wrong, said = audit.of("contradicted"), []
+    wrong, points = audit.of("contradicted"), []
     tested = len(wrong) + len(audit.of("agrees"))
     if not wrong:
-        said.append(f"the data contradict none of the {tested} base parameters that they determine")
+        points.append(f"the data contradict none of the {tested} base parameters that they determine")
     elif audit.links:
-        said.append(f"the data contradict {len(wrong)} of the {tested} base parameters that they determine")
+        points.append(f"the data contradict {len(wrong)} of the {tested} base parameters that they determine")
         steps = [f"{link.name} ({link.error:.2g} %)" for link in audit.links]
-        said.append(f"correct in the file, in this order (torque error after each step): {', '.join(steps)}")
+        points.append(f"correct in the file, in this order (torque error after each step): {', '.join(steps)}")
     if open_ := audit.of("not stated"):
-        said.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
+        points.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
     if unknown := audit.of("not identifiable"):
         several = len(unknown) > 1
         listed = f"; --verbose lists {'them' if several else 'it'}"
         listed = listed if short else f": {', '.join(parameter.name for parameter in unknown)}"
-        said.append(
+        points.append(
             f"{len(unknown)} base parameter{'s are' if several else ' is'} not identifiable from these motions to "
             f"better than +-100 % of the link{listed}"
         )
-    return said
+    return points
 
 
 def _audit_table(audit: InertiaAudit, short: bool) -> Table:

@@ -1,4 +1,4 @@
-"""The figures of a result, one call each: ``result.plot.torques("elbow_joint")``."""
+"""Figures of a result: ``result.plot.torques("elbow_joint")``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gtau.report.logs import seconds
 from gtau.report.motion import TIME, distances_panels
 from gtau.report.render.charts import figure_of
 from gtau.report.residuals import residual_panels
-from gtau.report.torques import stretch_chart
+from gtau.report.torques import torques_chart
 from gtau.report.uncertainty import correlation_chart, correlation_of, singular_values_chart
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plots:
-    """Figures of a result; each call returns a :class:`matplotlib.figure.Figure`.
+    """Figures of a result, as :class:`matplotlib.figure.Figure`, which a notebook shows and ``savefig`` writes.
 
-    A run is given by its name among those of the result, as a :class:`gtau.Run`, or left out for the first. A result
-    that was loaded from a file has no runs: give one of :func:`gtau.read_run`.
+    ``run`` is the name of a run of the result or a :class:`gtau.Run`; by default the first run. A result loaded from a
+    file has no runs: pass one from :func:`gtau.read_run`.
     """
 
     result: Result
@@ -42,7 +42,7 @@ class Plots:
         return f"figures of {self.result.robot.name!r}: {', '.join(names)}"
 
     def gains(self, prior: Mapping[str, float] | None = None) -> Figure:
-        """Draw drive gains with their 95 % intervals, in per cent of the gain, beside ``prior`` ones."""
+        """Draw drive gains with 95 % intervals and ``prior`` gains, in per cent of the gain."""
         chart = gains_chart(self.result.drive_gains, prior or {})
         if chart is None:
             raise GtauError("the drive gains were given, so there are no intervals to plot; give prior gains.")
@@ -51,17 +51,22 @@ class Plots:
     def torques(
         self, joint: str | None = None, run: str | Run | None = None, start: float = 0.0, stop: float | None = None
     ) -> Figure:
-        """Plot measured and predicted torques and residuals of a joint or all of a run, ``start`` to ``stop`` in s."""
+        """Draw measured and predicted torques and residuals of one joint or all, from ``start`` to ``stop`` in s."""
         evidence, joints = self._evidence(joint, run)
         assert evidence.prediction is not None
         end = seconds(evidence.run) if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
-        complete, prediction = start <= 0 and stop is None, evidence.prediction.of(joints)
-        return figure_of(stretch_chart(self.result, evidence.run, prediction, start, end, complete))
+        time, title = evidence.time, evidence.run.name
+        if start > 0 or stop is not None:
+            title += f", {start:.4g} to {end:.4g} s of {seconds(evidence.run):.4g} s"
+        window = (time >= start) & (time <= end)
+        prediction, robot = evidence.prediction.of(joints).part(window), self.result.robot
+        units = [torque_unit(robot, name) for name in joints]
+        return figure_of(torques_chart(prediction, units, evidence.run.kind, time[window], title=title))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
-        """Draw a joint's residuals along a run, their histogram, spectrum and autocorrelation."""
+        """Draw a joint's residuals along a run, with histogram, spectrum and autocorrelation."""
         evidence, _ = self._evidence(joint, run)
         assert evidence.prediction is not None
         evidence = replace(evidence, prediction=evidence.prediction.in_band)
@@ -94,7 +99,7 @@ class Plots:
         return figure_of(Chart(tuple(panels)))
 
     def robot(self) -> Figure:
-        """Draw the robot at home."""
+        """Draw the robot in its home pose."""
         from gtau.report.robot_figure import robot_figure
 
         return robot_figure(self.result.robot)

@@ -1,4 +1,4 @@
-"""Show torque residuals with masked samples: histogram, spectrum and autocorrelation."""
+"""Show torque residuals: histogram, spectrum and autocorrelation, without masked samples."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.page import Section, Text, joint_label, section
 from gtau.robots.parameter import torque_unit
 
-SEGMENT = 256  # samples of a segment of the spectrum, at most
-FEWEST = 16  # samples that a statistic needs
+SEGMENT = 256  # most samples in a segment of the spectrum
+FEWEST = 16  # samples needed for a statistic
 LAGS = 40
 
 Residuals = Sequence[tuple[np.ndarray, np.ndarray]]
-"""Of each run, times (K,) in s on a uniform grid and residuals (K,), NaN where they are masked."""
+"""Times (K,) in s on a uniform grid and residuals (K,) of each run, NaN where masked."""
 
 
 def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
-    """Show histogram, spectrum and autocorrelation of the residuals of each joint, over all runs used."""
+    """Show the residuals of each joint over all runs used."""
     used = [run for run in runs if run.used and run.prediction is not None]
     if not used:
         return None
@@ -29,8 +29,8 @@ def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | 
     residuals = {joint: [(run.time, run.residuals[:, j]) for run in used] for j, joint in enumerate(joints)}
     units = {joint: torque_unit(result.robot, joint) for joint in joints}
     words = (
-        "Over all runs used, masked samples left out. White residuals have a flat spectrum and an autocorrelation "
-        "within the band; where they do not, the block jackknife accounts for it in the standard deviations."
+        "Over all runs used, without masked samples. White residuals have a flat spectrum and an autocorrelation "
+        "within the band; for other residuals the block jackknife corrects the standard deviations."
     )
     panels = residual_panels(residuals, units)
     chart = Chart(panels, columns=3) if panels else None
@@ -38,22 +38,22 @@ def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | 
 
 
 def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]) -> tuple[Panel, ...]:
-    """Draw histograms, spectra (one panel for each unit) and autocorrelations of residuals by joint."""
+    """Draw histograms, spectra (a panel per unit) and autocorrelations of the residuals of joints."""
     bars: list[Series] = []
     lags: list[Series] = []
     spectra: dict[str, list[Series]] = {}
     band = 0.0
-    for j, (joint, of_joint) in enumerate(residuals.items()):
+    for j, (joint, runs) in enumerate(residuals.items()):
         label = joint_label(joint)
-        if (bins := histogram(of_joint)) is not None:
+        if (bins := histogram(runs)) is not None:
             bars.append(Series(label, *bins, colour(j), "steps"))
-        if (densities := spectrum(of_joint)) is not None and (densities[1] > 0).any():
+        if (densities := spectrum(runs)) is not None and (densities[1] > 0).any():
             frequency, density = (part[densities[1] > 0] for part in densities)
             spectra.setdefault(units[joint], []).append(Series(label, frequency, np.sqrt(density), colour(j)))
-        if (correlation := autocorrelation(of_joint)) is not None:
-            lag, value, of_white = correlation
+        if (correlation := autocorrelation(runs)) is not None:
+            lag, value, white_band = correlation
             lags.append(Series(label, lag, value, colour(j)))
-            band = max(band, of_white)
+            band = max(band, white_band)
     panels = []
     if bars:
         x = np.linspace(-4.0, 4.0, 90)
@@ -64,13 +64,13 @@ def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]
         axis, density_axis = Axis("frequency, Hz"), Axis(f"{unit}/√Hz", log=True)
         panels.append(Panel(axis, density_axis, tuple(lines), "Amplitude spectral density", height=2))
     if lags:
-        title = "Autocorrelation; band: white noise, 95 %"
+        title = "Autocorrelation; band: white noise"
         panels.append(Panel(Axis("lag, s"), Axis("autocorrelation"), tuple(lags), title, band=(-band, band), height=2))
     return tuple(panels)
 
 
 def moments(residuals: Residuals) -> tuple[float, float] | None:
-    """Compute mean and standard deviation of the residuals that are kept; None where there are too few."""
+    """Compute mean and standard deviation of the unmasked residuals; None if there are too few."""
     values = _kept(residuals)
     return (float(values.mean()), float(values.std())) if len(values) >= FEWEST and np.ptp(values) else None
 
@@ -80,10 +80,7 @@ def _kept(residuals: Residuals) -> np.ndarray:
 
 
 def histogram(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
-    """Compute edges (B + 1,) and density (B,) of the residuals that are kept, in standard deviations about the mean.
-
-    None where there are too few.
-    """
+    """Compute bin edges (B + 1,) and density (B,) of the unmasked residuals, in standard deviations about the mean."""
     values = _kept(residuals)
     if (centre := moments(residuals)) is None:
         return None
@@ -95,7 +92,7 @@ def histogram(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _centred(residuals: Residuals) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """List the step, s, of runs that are long enough, their residuals (K,) about the mean, and which are kept (K,)."""
+    """List step (s), residuals about the mean (K,) and unmasked samples (K,) of each run that is long enough."""
     centred = []
     for time, values in residuals:
         kept = np.isfinite(values)
@@ -106,9 +103,9 @@ def _centred(residuals: Residuals) -> list[tuple[float, np.ndarray, np.ndarray]]
 
 
 def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
-    """Compute Welch's spectrum over all runs, masked residuals as zero, scaled by the share that is kept.
+    """Compute frequencies (F,), Hz, and Welch's one-sided power spectral density (F,) over all runs.
 
-    Returns frequencies (F,), Hz, and the one-sided power spectral density (F,); None where there are too few samples.
+    Masked residuals count as zero, and the density is scaled by the share of unmasked ones.
     """
     from scipy.signal import welch
 
@@ -125,11 +122,7 @@ def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Compute the autocorrelation over all runs, from the pairs of residuals that are both kept.
-
-    Returns lags (L,), s, the autocorrelation (L,), and the 95 % band of white noise about zero; None where there are
-    too few samples.
-    """
+    """Compute lags (L,), s, autocorrelation (L,) over pairs of unmasked residuals, and the 95 % band of white noise."""
     from scipy.special import ndtri
 
     runs = _centred(residuals)

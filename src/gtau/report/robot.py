@@ -1,4 +1,4 @@
-"""Show a robot as document and page: joints, loops, singular poses and base parameters."""
+"""Show a robot as page and JSON document: joints, loops, singular poses and base parameters."""
 
 from __future__ import annotations
 
@@ -19,14 +19,12 @@ TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
 def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, Any]:
-    """Describe joints, limits, loops, gravity, payload's body and base parameters of a robot as a JSON document.
-
-    Lengths in m, angles in rad, gravity in m/s2 in base axes; a limit that is not known is null.
+    """Describe a robot as a JSON document in SI units; unknown limits are null.
 
     Raises
     ------
     GtauError
-        Where its loops do not close or its actuation is not what gtau treats.
+        If the loops do not close, or gtau does not support the actuation.
     """
     robot, distances = model.robot, zip(TYPES, _distances_at_home(model), strict=True)
     return {
@@ -80,7 +78,7 @@ def _loops_document(model: InverseDynamics) -> dict[str, Any]:
 
 
 def _distances_at_home(model: InverseDynamics) -> list[float | None]:
-    """Compute the distance to singularities of each type at home; None where the robot has none."""
+    """Compute the distance to singularities of both types at home; None if the robot has no such singularity."""
     still = np.zeros((len(model.actuated), 1))
     near = singular_distances(model)(model.rates(model.home[:, None], still, still))[:, 0]
     return [None if np.isnan(distance) else float(distance) for distance in near]
@@ -96,7 +94,7 @@ def _units(base: BaseParameters, robot: Robot) -> dict[Parameter, str]:
 
 
 def robot_page(model: InverseDynamics, base: BaseParameters, verbose: bool = False) -> Page:
-    """Show a robot, ``verbose`` with every base parameter."""
+    """Show a robot; with ``verbose`` list every base parameter."""
     robot, notes = model.robot, _notes(model.robot)
     source = f" ({robot.source})" if robot.source else ""
     platforms = (Text(f"{part.name}: platform, free in {' '.join(part.dof)}") for part in robot.platforms)
@@ -108,12 +106,12 @@ def robot_page(model: InverseDynamics, base: BaseParameters, verbose: bool = Fal
         f"{spring.name}: {spring.a.body} - {spring.b.body} ({', '.join(TERMS[kind] for kind in spring.parameters)})"
         for spring in robot.springs
     ]
-    hint = Text("Their names, units and regroupings: --verbose.", style="soft")
+    hint = Text("Names, units and regroupings: --verbose.", style="soft")
     return page(
         f"{robot.name}: {len(model.actuated)} degrees of freedom, {len(robot.joints)} joints{source}",
         section("Joints", _joints(model), *platforms, _facts(model), id="joints"),
         _loops(model),
-        section("Springs between two points, and the terms of their force", Text("", tuple(terms))) if terms else None,
+        section("Springs between two points, with the terms of their force", Text("", tuple(terms))) if terms else None,
         section("Notes", Text("", tuple(notes))) if notes else None,
         section("Base parameters", Text(count), _base_table(base, robot) if verbose else hint, id="parameters"),
     )
@@ -161,7 +159,7 @@ def _limits(joint: Joint, unit: str) -> str:
 
 
 def _loops(model: InverseDynamics) -> Section | None:
-    """List closures and couplings; None for a robot without any."""
+    """List closures and couplings; None for a robot without loops."""
     robot, loops = model.robot, model.loops
     if loops is None or not loops.rows:
         return None

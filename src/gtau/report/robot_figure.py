@@ -1,4 +1,4 @@
-"""A robot at home as a skeleton, seen in parallel projection: base, rails, links, joints, closures and payload."""
+"""Drawing of a robot at home as a skeleton in parallel projection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 from gtau.model.home import close_home
 from gtau.model.kinematics import Coordinates, poses
 from gtau.report.chart import Shape, Sketch, Word
-from gtau.report.render.charts import figure_of_sketch
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Joint, Robot
 
@@ -20,36 +19,38 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
-WIDTH, TALLEST = 240.0, 240.0  # points, of the sheet, and of the robot on it: a telephone shows words at 10 pixels
+WIDTH, TALLEST = 240.0, 240.0  # points: width of the sheet, height of the robot; a phone shows words at 10 pixels
 MARGIN, HEAD = 12.0, 32.0  # points, around the robot, and above it
-STRIP, ROW, GAP = 66.0, 13.0, 24.0  # points: what holds axes and key, a row of the key, and what is above them
-LETTER, AWAY = (4.6, 9.0), 6.0  # points: a letter of a name, width and height, and how far off its joint a name stands
-CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])  # of a joint, in which its name may stand
+STRIP, ROW, GAP = 66.0, 13.0, 24.0  # points: strip for axes and key, a row of the key, and the gap above the strip
+LETTER, AWAY = (4.6, 9.0), 6.0  # points: width and height of a letter, and distance of a name from its joint
+CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)])  # of a joint, for its name
 GRID = np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 5)), axis=-1).reshape(-1, 2)  # of a box
-LETTERS = 14  # of a name in the key
+LETTERS = 14  # most letters of a name in the key
 DRIVEN, PASSIVE = (8.2, RED), (6.1, "page")  # size and colour of marks
-# corners of marks, by how much of one they are turned, and their radius, as a share of the size
+# number of corners of marks, turn as a share of a corner, and radius as a share of the size
 OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0, 0.71), "hexagon": (6, 0.0, 0.5)}
 COILS = 8  # turns of a spring
-PARALLEL = 1e-6  # of a cosine
-FLAT = 0.05  # a robot thinner than this share of its size is looked at from the front
+PARALLEL = 1e-6  # tolerance of a cosine
+FLAT = 0.05  # share of its size below which a robot is drawn from the front
 
 
 def robot_figure(robot: Robot) -> Figure:
-    """Draw a robot at home, gravity pointing down the page; see :func:`sketch_of`."""
+    """Draw a robot at home; see :func:`sketch_of`."""
+    from gtau.report.render.charts import figure_of_sketch
+
     return figure_of_sketch(sketch_of(robot))
 
 
 def sketch_of(robot: Robot) -> Sketch:
-    """Sketch a robot at home, gravity pointing down the page; raises GtauError where its loops close nowhere.
+    """Sketch a robot at home, with gravity down the page; raises GtauError if its loops do not close.
 
-    Pale lines are the base, grey ones the travel of prismatic joints, blue ones links, from a joint to the next, and
-    filled faces platforms; the body that carries the payload is green, with the axes of its frame. Discs are revolute
-    joints, with their axis through them, and squares prismatic ones, red and named where a motor moves them; diamonds
-    close loops, zigzags are springs. Below are the axes of the base, a scale and a key.
+    Pale lines are the base, grey lines the travel of prismatic joints, blue lines links, and filled faces platforms;
+    the body with the payload is green, with the axes of its frame. Discs are revolute joints with their axes, squares
+    prismatic joints; driven joints are red and named. Diamonds close loops, zigzags are springs. The strip below holds
+    the axes of the base, a scale and a key.
     """
     largest = scene_of(robot)
-    for share in (1.0, 0.8, 0.6):  # long names beside the robot need room, too
+    for share in (1.0, 0.8, 0.6):  # smaller to make room for long names
         scene, pen = replace(largest, scale=share * largest.scale, size=share * largest.size), Pen()
         _draw_robot(pen, scene)
         _draw_names(pen, scene)
@@ -71,14 +72,14 @@ def sketch_of(robot: Robot) -> Sketch:
 
 
 def _box(word: Word) -> np.ndarray:
-    """Return two corners (2, 2) of a word."""
+    """Return two opposite corners (2, 2) of a word."""
     start = 0.0 if word.side == "start" else -LETTER[0] * len(word.text) / 2
     return word.place + np.array([(start, -LETTER[1] / 2), (start + LETTER[0] * len(word.text), LETTER[1] / 2)])
 
 
 @dataclass(frozen=True, eq=False)
 class Pen:
-    """Draws in points, in colours by name; what has a label is explained in the key, by a sample around the origin."""
+    """Collects shapes and words, in points; the key explains shapes with a label by a sample around the origin."""
 
     items: list[Shape | Word] = field(default_factory=list)
     key: dict[str, Shape] = field(default_factory=dict)
@@ -90,7 +91,7 @@ class Pen:
             self.key.setdefault(label, Shape(np.array([(-7.0, 0.0), (7.0, 0.0)]), colour, width))
 
     def mark(self, place: np.ndarray, look: tuple[str, float, str], edge: str = INK, label: str = "") -> None:
-        """Draw a mark of a shape, size and colour at a place (2,)."""
+        """Draw a mark (shape, size, colour) at a place (2,)."""
         shape, size, fill = look
         corners, turn, radius = OUTLINES[shape]
         angle = 2 * np.pi * (np.arange(corners) + turn) / corners
@@ -101,11 +102,11 @@ class Pen:
             self.key.setdefault(label, mark)
 
     def word(self, text: str, place: np.ndarray, colour: str = "ink") -> None:
-        """Write words about a place (2,)."""
+        """Write words centred at a place (2,)."""
         self.items.append(Word(text, place, colour=colour))
 
     def triad(self, origin: np.ndarray, ends: np.ndarray, colour: str) -> None:
-        """Draw the axes that do not point at the reader; ``ends`` (2, 3) relative to ``origin`` (2,)."""
+        """Draw axes with ``ends`` (2, 3) relative to ``origin`` (2,), except an axis towards the reader."""
         for end, name in zip(ends.T, "xyz", strict=True):
             if np.linalg.norm(end) > 1.0:
                 self.line([origin, origin + end], colour)
@@ -113,7 +114,7 @@ class Pen:
 
 
 def _draw_robot(pen: Pen, scene: Scene) -> None:
-    """Draw base, rails, links, platforms, joints, frame of the payload, springs and closures."""
+    """Draw all parts of a robot."""
     robot, frames, reach = scene.robot, scene.frames, scene.size
     tool = robot.tool if len(robot.tool) <= LETTERS else robot.tool[: LETTERS - 1] + "\u2026"
     payload = f"payload on {tool}"
@@ -133,7 +134,7 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
     R, place = frames[robot.tool]
     if robot.tool not in {body for body, _ in scene.lines} | {platform.name for platform in robot.platforms}:
         pen.mark(scene.on_page(place), ("disc", 13.0, ""), GREEN, payload)
-    for joint in sorted(scene.joints, key=lambda joint: joint.name in robot.driven):  # driven ones on top
+    for joint in sorted(scene.joints, key=lambda joint: joint.name in robot.driven):  # driven joints on top
         driven, centre = joint.name in robot.driven, scene.centre(joint)
         if joint.turns:
             half = (0.06 if driven else 0.04) * reach / scene.scale * (frames[joint.name][0] @ np.array(joint.axis))
@@ -150,7 +151,7 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
 
 
 def _draw_platform(pen: Pen, scene: Scene, name: str, colour: str, label: str) -> None:
-    """Fill the face between the points at which a platform is held, or draw a mark where they are one point."""
+    """Fill the face between the attachment points of a platform, or mark them if they coincide."""
     ends = [end for closure in scene.robot.closures for end in (closure.a, closure.b) if end.body == name]
     points = np.array([attached(end, scene.frames)[1] for end in ends])
     corners = points - points.mean(axis=0)
@@ -165,7 +166,7 @@ def _draw_platform(pen: Pen, scene: Scene, name: str, colour: str, label: str) -
 
 
 def _draw_names(pen: Pen, scene: Scene) -> None:
-    """Name what motors move, each in the corner with the fewest marks, then lines, under it."""
+    """Name driven joints, in the corner that covers the fewest marks, then lines."""
     shapes = [item for item in pen.items if isinstance(item, Shape)]
     marks = np.array([shape.points.mean(axis=0) for shape in shapes if shape.closed])
     along = np.linspace(0, 1, 30)[:, None]
@@ -188,7 +189,7 @@ def _draw_names(pen: Pen, scene: Scene) -> None:
 
 
 def _draw_compass(pen: Pen, scene: Scene, place: np.ndarray) -> None:
-    """Draw the axes of the base around a place (2,), and which way gravity points."""
+    """Draw the axes of the base around a place (2,), and the direction of gravity."""
     pen.triad(place, 18.0 * scene.view @ scene.upright, GREY)
     x, y = place
     pen.word("world" if scene.robot.floating else "base", np.array([x, y - 31.0]), colour=GREY)
@@ -205,7 +206,7 @@ def _draw_compass(pen: Pen, scene: Scene, place: np.ndarray) -> None:
 
 
 def _draw_scale(pen: Pen, scene: Scene, start: np.ndarray) -> None:
-    """Draw a bar of a round length, about a fifth of the drawing."""
+    """Draw a scale bar of a round length, about a fifth of the drawing."""
     size = scene.size / scene.scale
     decade = 10.0 ** floor(log10(0.25 * size))
     length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.25 * size)
@@ -217,17 +218,17 @@ def _draw_scale(pen: Pen, scene: Scene, start: np.ndarray) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A robot whose gravity points down the page: ``view`` (2, 3) projects m to the page, whose ``scale`` is points/m.
+    """Layout of a robot with gravity down the page; ``view`` (2, 3) projects m to the page at ``scale`` points/m.
 
-    ``frames`` are those of all bodies, ``joints`` those that are drawn, ``lines`` bodies with a line (2, 3) of their
-    link, ``rails`` prismatic joints with their travel (2, 3), ``feet`` (3,) where joints stand on the base.
+    ``frames`` holds the frames of all bodies, ``joints`` the drawn joints, ``lines`` bodies and lines (2, 3) of their
+    links, ``rails`` prismatic joints and their travel (2, 3), ``feet`` (3,) the points where joints stand on the base.
     """
 
     robot: Robot
     upright: np.ndarray
     view: np.ndarray
     scale: float
-    size: float  # points, of the larger side
+    size: float  # points, larger side
     frames: dict[str, Frame]
     joints: list[Joint]
     lines: list[tuple[str, np.ndarray]]
@@ -245,7 +246,7 @@ class Scene:
 
 
 def scene_of(robot: Robot) -> Scene:
-    """Lay out a robot at home; raises GtauError where its loops close nowhere."""
+    """Lay out a robot at home; raises GtauError if its loops do not close."""
     robot = close_home(robot)
     upright = upright_rotation(np.array(robot.gravity))
     layout = Coordinates(robot)
@@ -266,7 +267,7 @@ def scene_of(robot: Robot) -> Scene:
 
 
 def upright_rotation(gravity: np.ndarray) -> np.ndarray:
-    """Compute the rotation (3, 3) after which gravity points along -z, with x where it was if that can be."""
+    """Compute the rotation (3, 3) that turns gravity to -z and keeps x if possible."""
     size = np.linalg.norm(gravity)
     up = -gravity / size if size else np.array([0.0, 0.0, 1.0])
     x = np.array([1.0, 0.0, 0.0]) if abs(up[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
@@ -276,9 +277,9 @@ def upright_rotation(gravity: np.ndarray) -> np.ndarray:
 
 
 def view_plane(extent: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
-    """Choose the plane of the page, to the right and up, (2, 3), for a robot of that extent (3,).
+    """Choose the directions right and up on the page, (2, 3), for a robot of the given extent (3,).
 
-    A planar robot is drawn in its plane, with that ``normal`` (3,).
+    A planar robot with the ``normal`` (3,) is drawn in its plane.
     """
     if normal is not None:
         level = np.cross([0.0, 0.0, 1.0], normal)
@@ -293,7 +294,7 @@ def view_plane(extent: np.ndarray, normal: np.ndarray | None = None) -> np.ndarr
 
 
 def normal_of(joints: Sequence[Joint], frames: Mapping[str, Frame]) -> np.ndarray | None:
-    """Find the axis (3,) about which all joints of a planar robot turn, and across which they slide; else None."""
+    """Return the common axis (3,) of a planar robot's revolute joints, normal to its prismatic ones; else None."""
     axes = {joint: frames[joint.name][0] @ np.array(joint.axis) for joint in joints}
     turns = [axis for joint, axis in axes.items() if joint.turns]
     if len(turns) < 2:
@@ -304,7 +305,7 @@ def normal_of(joints: Sequence[Joint], frames: Mapping[str, Frame]) -> np.ndarra
 
 
 def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> list[tuple[str, np.ndarray]]:
-    """List bodies and lines (2, 3) from every joint to what its link carries."""
+    """List bodies and the lines (2, 3) of their links, from each joint to the next."""
     lines = []
     for joint in joints:
         foot = foot_of(joint, frames)
@@ -320,7 +321,7 @@ def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> l
 
 
 def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
-    """Draw a line (points, 2) between two points (2,) that looks like a coil, straight at both ends."""
+    """Return a zigzag (points, 2) between two points (2,), straight at both ends."""
     along = end - start
     length = max(float(np.linalg.norm(along)), 1e-12)
     across = width / length * np.array([-along[1], along[0]])
@@ -330,14 +331,14 @@ def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
 
 
 def foot_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
-    """Locate where a joint stands on the link before it, (3,)."""
+    """Locate the foot of a joint on the link before it, (3,)."""
     R, p = frames[joint.antecedent]
     foot: np.ndarray = p + R @ joint.placement.position
     return foot
 
 
 def rail_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
-    """Return the path of a prismatic joint within its limits, (2, 3)."""
+    """Return the travel of a prismatic joint within its limits, (2, 3)."""
     R, p = frames[joint.name]
     low, high = joint.limits.position or (joint.home, joint.home)
     return np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in (low, high)])

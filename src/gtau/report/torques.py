@@ -1,4 +1,4 @@
-"""Measured and predicted torques and their residuals, on pages."""
+"""Show measured and predicted torques, their residuals, and external torques."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
-from gtau.report.logs import payload_words, seconds
+from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
 from gtau.report.page import (
     Column,
@@ -31,33 +31,32 @@ from gtau.report.page import (
     table_of,
 )
 from gtau.robots.parameter import torque_unit
-from gtau.signals.run import Run
 
 if TYPE_CHECKING:
     from gtau.uses.external_torques import TorquesAlongLog
 
 REVERSALS = (
-    "Raw: against the torque as it was measured, at all samples. In band: both torques behind the low-pass of the "
-    "identification. Gains and inertia are identified away from reversals, where friction does not change its sign; "
-    "all samples include them, with the friction identified on them."
+    "Raw: against the measured torque, at all samples. In band: both torques behind the low-pass filter of the "
+    "identification. Without reversals: as used for gains and inertia, because friction changes its sign at reversals; "
+    '"all samples" includes reversals.'
 )
 BANDS = (
-    "Against the raw torque at all samples, in bands that begin where the one before ends. Near 100 %, the model says "
-    "nothing of the torque in a band: it is noise, or faster than the positions show."
+    "Against the raw torque at all samples; each band starts where the previous one ends. Near 100 % the model does "
+    "not explain the torque in a band: the torque is noise, or faster than the positions show."
 )
 EXTERNAL = (
-    "Behind the low-pass of identification. rms: away from reversals, as largest and beyond 4; all: over all samples. "
-    "residual: that of the identification; beyond 4: share of samples above four of them, by chance 0.006 %. A contact "
-    "or an unknown payload shows there."
+    "Behind the low-pass filter of the identification. rms, largest, beyond 4: without reversals. all: over all "
+    "samples. residual: torque residual of the identification. beyond 4: share of samples above four residuals, by "
+    "chance 0.006 %; a contact or an unknown payload raises it."
 )
-SEEN = "seen: share of samples whose pose shows the component; elsewhere it has no value, and is empty in the table."
-SHORTEST = 1e-3  # of the time: shaded stretches closer together are drawn as one
-RAW, BAND, AWAY = "raw", "in band", "in band away from reversals"
-"""Where a torque error is counted."""
+SEEN = "seen: share of samples whose pose shows the component; elsewhere the component has no value."
+SHORTEST = 1e-3  # of the duration: stretches closer together are shaded as one
+RAW, BAND, AWAY = "raw", "in band", "in band without reversals"
+"""Samples over which a torque error is computed."""
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
-    """Tabulate torque errors of each joint on each run: raw, and in the band of the identification."""
+    """Tabulate torque errors of each joint on each run, raw and in the band of the identification."""
     share = partial(Column, kind=Kind.NUMBER, decimals=2)
     return table_of(
         [(run, error) for run in runs for error in run.errors],
@@ -74,20 +73,20 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
 
 
 def bands_section(errors: Sequence[TorqueError]) -> Section | None:
-    """Tabulate raw torque errors and torques by frequency, of each joint over all its runs; None without a run."""
+    """Tabulate raw torque errors and torques of each joint by frequency, over all runs; None without runs."""
     bands = sorted({(band.low, band.high) for error in errors for band in error.bands})
     if not bands:
         return None
     edges = [f"to {high:.4g} Hz" for _, high in bands]
     shares, torques = [], []
     for joint in dict.fromkeys(error.joint for error in errors):
-        mine = [error for error in errors if error.joint == joint]
+        joint_errors = [error for error in errors if error.joint == joint]
         pairs = np.zeros((len(bands), 2))
-        for band in (band for error in mine for band in error.bands):
+        for band in (band for error in joint_errors for band in error.bands):
             pairs[bands.index((band.low, band.high))] += band.rms**2, band.signal**2
-        rms, signal = np.sqrt(pairs.T / len(mine))
+        rms, signal = np.sqrt(pairs.T / len(joint_errors))
         shares.append((joint_label(joint), *(100 * rms / np.maximum(signal, np.finfo(float).tiny)).tolist()))
-        torques.append((joint_label(joint), *signal.tolist(), mine[0].unit))
+        torques.append((joint_label(joint), *signal.tolist(), joint_errors[0].unit))
     percent = [Column(edge, Kind.NUMBER, decimals=1, most=999) for edge in edges]
     columns = [Column("measured torque, rms"), *(Column(edge, Kind.NUMBER, 2) for edge in edges), Column("unit")]
     return section(
@@ -114,13 +113,13 @@ def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
 
 
 def external_page(torques: TorquesAlongLog) -> Page:
-    """Show external torques along a log, the wrench where it was asked for, and the errors by frequency."""
-    of_joints = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
-    sections = [section("External torque", _external(torques.joints, "joint", *of_joints), Text(EXTERNAL))]
+    """Show external torques along a log, the external wrench if asked for, and torque errors by frequency."""
+    joint_columns = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
+    sections = [section("External torque", _external(torques.joints, "joint", *joint_columns), Text(EXTERNAL))]
     if (wrench := torques.wrench) is not None:
-        of_wrench = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
-        words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval, the median. {SEEN}"
-        sections.append(section("External wrench", _external(wrench.components, "name", *of_wrench), Text(words)))
+        wrench_columns = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
+        words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval (median). {SEEN}"
+        sections.append(section("External wrench", _external(wrench.components, "name", *wrench_columns), Text(words)))
     return page("", *sections, bands_section(torques.errors))
 
 
@@ -138,7 +137,7 @@ def _external(rows: Iterable[Any], name: str, *more: ColumnOf) -> Table:
 
 
 def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
-    """Compute R² of each joint over runs, away from reversals: 1 - error^2 / (measured - its mean)^2."""
+    """Compute R² of each joint over runs, without reversals: 1 - error^2 / (measured - its mean)^2."""
     shares = {}
     predictions = [run.prediction for run in runs if run.prediction is not None]
     for j, joint in enumerate(predictions[0].joints if predictions else ()):
@@ -151,22 +150,23 @@ def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
 
 
 def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
-    """Show measured and predicted torques of every joint along every run, used and not used."""
+    """Show measured and predicted torques of every joint along every run, with the torque errors."""
     if not runs:
         return None
-    parts, shown_first = [], min(runs, key=lambda run: (run.prediction is None, run.used))
+    parts, unfolded = [], min(runs, key=lambda run: (run.prediction is None, run.used))
     for run in runs:
         title = f"{run.run.name} ({'used' if run.used else 'validation, not used'}; {payload_words(run.run)})"
         if run.prediction is None:
             parts.append(section(title, Text(f"Not predicted: {run.refusal}"), folded=True))
             continue
-        cut = f"Only the first {run.time[-1]:.4g} s of this long run are shown."
-        shown = Text(cut, style="soft") if run.cut else None
-        chart = torques_chart(run.prediction, units_of(result, run.prediction), run.run.kind, run.time, run.errors)
-        parts.append(section(title, shown, chart, folded=run is not shown_first))
+        cut = Text(f"Only the first {run.time[-1]:.4g} s of this long run are shown.", style="soft")
+        units = [torque_unit(result.robot, joint) for joint in run.prediction.joints]
+        chart = torques_chart(run.prediction, units, run.run.kind, run.time, run.errors)
+        parts.append(section(title, cut if run.cut else None, chart, folded=run is not unfolded))
     words = (
-        "A small residual does not validate the gains, because they scale both sides. In the shaded intervals "
-        "friction changes its sign or samples are missing; the identification of gains and inertia excludes them."
+        "A small residual says nothing about the gains, which scale measured and predicted torque alike. In the shaded "
+        "intervals friction changes its sign or samples are missing; the identification of gains and inertia excludes "
+        "them."
     )
     judged = [run for run in runs if not run.used and run.errors] or runs
     by_band = bands_section([error for run in runs for error in run.errors])
@@ -183,11 +183,6 @@ def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | No
     )
 
 
-def units_of(result: Result, prediction: Prediction) -> list[str]:
-    """List the units of the predicted torques."""
-    return [torque_unit(result.robot, joint) for joint in prediction.joints]
-
-
 def torques_chart(
     prediction: Prediction,
     units: Sequence[str],
@@ -196,18 +191,18 @@ def torques_chart(
     errors: Sequence[TorqueError] = (),
     title: str = "",
 ) -> Chart:
-    """Draw measured and predicted torques of each joint over ``time`` (K,), and below them the residuals.
+    """Draw measured and predicted torques of each joint over ``time`` (K,), and the residuals below.
 
-    Where ``kind`` is current, what is measured is ``v g_tau``. Stretches near reversals, where the model's friction
-    does not hold, and near gaps are shaded.
+    If ``kind`` is current, the measured torque is ``v g_tau``. Reversals, where the friction of the model does not
+    hold, and gaps are shaded.
     """
-    of_joint = {error.joint: error for error in errors}
+    error_by_joint = {error.joint: error for error in errors}
     label = "measured (current × gain)" if kind == "current" else "measured"
     panels = []
     for j, (joint, unit) in enumerate(zip(prediction.joints, units, strict=True)):
-        words, error = joint_label(joint), of_joint.get(joint)
+        words, error = joint_label(joint), error_by_joint.get(joint)
         if error is not None:
-            words += f": torque error {error.relative:.2f} % in band away from reversals"
+            words += f": torque error {error.relative:.2f} % in band without reversals"
             words += f", {error.relative_raw:.2f} % raw" if error.relative_raw is not None else ""
         measured, predicted = prediction.measured[:, j], prediction.predicted[:, j]
         masked = stretches(time, ~prediction.keep[:, j])
@@ -219,17 +214,8 @@ def torques_chart(
     return Chart(tuple(panels), title, live=True)
 
 
-def stretch_chart(result: Result, run: Run, prediction: Prediction, start: float, stop: float, whole: bool) -> Chart:
-    """Draw the torques of a run between two instants, s from its start; the title names those of no ``whole`` run."""
-    time = prediction.time - float(run.time[0])
-    window = (time >= start) & (time <= stop)
-    part = prediction.part(window)
-    title = run.name if whole else f"{run.name}, {start:.4g} to {stop:.4g} s of {seconds(run):.4g} s"
-    return torques_chart(part, units_of(result, part), run.kind, time[window], title=title)
-
-
 def stretches(time: np.ndarray, masked: np.ndarray) -> np.ndarray:
-    """List beginnings and ends, s, (2 K,) of the stretches where ``masked`` (K,) holds; join those close together."""
+    """List starts and ends, s, (2 K,) of the stretches where ``masked`` (K,) holds; near stretches are joined."""
     shortest = SHORTEST * float(time[-1] - time[0])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], masked, [False]]).astype(np.int8)))
     starts, stops = time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]

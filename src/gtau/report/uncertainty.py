@@ -1,4 +1,4 @@
-"""Show what the uncertainty of the estimates comes from: correlations, singular values and effects of the model."""
+"""Show the sources of uncertainty: correlations, singular values and effects beside the model."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from gtau.estimation.results.result import Result
 from gtau.report.chart import Axis, Chart, Panel, Series, intervals
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table, table_of
 
-STRONG = 0.9  # correlation from which on a pair is listed
+STRONG = 0.9  # smallest correlation that is listed
 LISTED = 20
 PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
-SHOWN = 60  # estimates whose names fit beside a matrix
-DRAWN, VISIBLE = 12, 0.02  # effects in the chart, and the move of a gain, per cent, that is drawn
+SHOWN = 60  # most estimates whose names fit beside a matrix
+DRAWN, VISIBLE = 12, 0.02  # most effects in the chart, and the smallest move of a gain, per cent
 
 
 def correlation_of(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
-    """Compute names and correlations (m, m) of all estimates that have a variance."""
+    """Compute names and correlation matrix (m, m) of all estimates with a variance."""
     covariance = result.covariance
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     known = np.flatnonzero(std > 0)
@@ -30,14 +30,14 @@ def correlation_of(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
-    """Draw a correlation matrix; names are beside it where they fit."""
+    """Draw a correlation matrix, with names if they fit."""
     shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
     axis = Axis("" if shown else "number of the estimate", names=shown)
     return Chart((Panel(axis, axis, matrix=matrix, height=5.2),), "Correlations")
 
 
 def correlation_section(result: Result) -> Section | None:
-    """Show the correlation matrix of the estimates, and the pairs that are strongly correlated."""
+    """Show the correlation matrix of the estimates and the strongest pairs."""
     names, matrix = correlation_of(result)
     if len(names) < 2:
         return None
@@ -63,7 +63,7 @@ def correlation_section(result: Result) -> Section | None:
 
 
 def singular_values_chart(values: np.ndarray) -> Chart:
-    """Draw singular values (K,) in falling order, the smallest apart."""
+    """Draw singular values (K,) in falling order and mark the smallest."""
     order = np.arange(1.0, len(values) + 1)
     series = (
         Series("singular values", order[:-1], values[:-1], "predicted", "points"),
@@ -73,7 +73,7 @@ def singular_values_chart(values: np.ndarray) -> Chart:
 
 
 def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
-    """Draw by how much the largest effects move the gain that each moves most, with 95 % intervals, per cent."""
+    """Draw the largest effects by the largest move of a gain, per cent, with 95 % intervals."""
     drawn = [effect for effect in effects if effect.largest_move > VISIBLE and effect.size][:DRAWN]
     if not drawn:
         return None
@@ -84,7 +84,7 @@ def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
 
 
 def effects_section(result: Result) -> Section | None:
-    """Show the effects found beside the model, with their intervals, and by how much each moves the gains."""
+    """Show the effects beside the model with their sizes and the moves of the gains."""
     if not result.effects:
         return None
     ranked = sorted(result.effects, key=lambda effect: -effect.largest_move)
@@ -102,14 +102,13 @@ def effects_section(result: Result) -> Section | None:
         name="effects-table",
     )
     words = (
-        "All effects are estimated together with the parameters, as random effects of one mixed model. The "
-        "log-likelihood is what the data lose without an effect, all others being found again: below 3 it is hardly "
-        "seen. The estimates are moved by all effects, and what they leave open widens the intervals. Effects are "
-        "listed by the largest move of a gain."
+        "All effects are random effects of one mixed model, estimated together with the parameters. Log-likelihood: "
+        "loss of a fit without the effect; below 3 the data hardly show it. The estimates and intervals include all "
+        "effects. Effects are sorted by the largest move of a gain."
     )
-    every = section(f"All {len(ranked)} effects", listed, folded=True)
+    full_list = section(f"All {len(ranked)} effects", listed, folded=True)
     drifting = _drift_text([effect.subject for effect in ranked], result)
-    return section("Effects beside the model", Text(words), drifting, effects_chart(ranked), every, id="effects")
+    return section("Effects beside the model", Text(words), drifting, effects_chart(ranked), full_list, id="effects")
 
 
 def _moved(joint: str, effect: EstimatedEffect) -> float | None:
@@ -117,7 +116,7 @@ def _moved(joint: str, effect: EstimatedEffect) -> float | None:
 
 
 def _drift_text(texts: Iterable[str], result: Result) -> Text | None:
-    """Explain names such as ``fv_left@2``, where there are any."""
+    """Explain names such as ``fv_left@2``, if there are any."""
     drift = next(filter(None, (re.search(r"(\w+)@(\d+)", text) for text in texts)), None)
     if drift is None:
         return None

@@ -1,4 +1,4 @@
-"""Show predictions on other runs, and weighed payloads: pages, documents and figures."""
+"""Show predictions of other runs and weighed payloads, as pages, JSON documents and files."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_
 from gtau.uses.weigh import FRICTION_CHANGE, GAIN_CHANGE
 
 CAUTION = (
-    "A small error does not validate the gains: they scale both sides. Next: weigh a known load, which does (gtau "
-    "payload MODEL.json LOG); then export the model (gtau export), or watch the robot with it (gtau watch)."
+    "A small error says nothing about the gains, which scale measured and predicted torque alike. Next: weigh a known "
+    "load (gtau payload MODEL.json LOG); then export the model (gtau export), or watch the robot with it (gtau watch)."
 )
 
 
@@ -39,7 +39,7 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 
 def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
-    """Show the torque errors of each run; ``notes`` say what all predictions take for granted."""
+    """Show the torque errors of each run; ``notes`` hold assumptions of all predictions."""
     noted = [(run.run.name, note, note.decisive) for run in runs for note in run.notes]
     said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
     doubted = any(decisive for *_, decisive in noted)
@@ -56,7 +56,7 @@ def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence
 def validation_report(
     result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float], notes: Sequence[Finding] = ()
 ) -> Page:
-    """Show the verdict with torques, gains, motion and logs."""
+    """Show verdict, torques, gains, motion and logs."""
     short = validation_page(result, runs, notes)
     return page(
         short.title,
@@ -83,12 +83,12 @@ def headline(result: Result, runs: Sequence[RunEvidence]) -> str:
     band = max(result.preparation.at(rate).decimator.cutoff(rate) for rate in rates)  # Hz, of the low-pass
     return (
         f"The predicted torques differ from the raw measured ones by {raw}, most at {worst.joint}; in the band of the "
-        f"identification (below {band:.3g} Hz) by {in_band}, there away from reversals by {away}."
+        f"identification (below {band:.3g} Hz) by {in_band}, leaving out reversals by {away}."
     )
 
 
 def write_torques(runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
-    """Write a table with all samples of each run; raises GtauError where a file cannot be written."""
+    """Write a table with all samples of each run; raises GtauError if a file cannot be written."""
     names = unique_names([run.run.name for run in runs])
     named = [(folder / f"torques_{name}.parquet", run.samples) for name, run in zip(names, runs, strict=True)]
     for path, samples in named:
@@ -108,9 +108,9 @@ def weighing_page(
     bodies: Sequence[PayloadBody] = (),
     prior: Mapping[str, float] | None = None,
 ) -> Page:
-    """Show the payloads weighed with the ``gains`` (identified or prior), those of joints ``exact`` assumed exact.
+    """Show payloads weighed with the ``gains`` (identified or prior), which are taken as exact for joints ``exact``.
 
-    A report has the drive gains beside ``prior`` ones, and the robot, too.
+    With ``prior`` gains the page also shows the drive gains and the robot.
     """
     torques = result.kind == "torque" and gains != "prior"
     said = [f"Weighed with the {gains} drive gains."]
@@ -142,7 +142,7 @@ def weighing_page(
 
 
 def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
-    """Tabulate mass, centre of mass and inertia about it, in the frame asked for; None without payloads."""
+    """Tabulate mass, centre of mass and inertia about it, in the requested frame; None without payloads."""
     parts = []
     for body in bodies:
         shown = table_of(
@@ -158,7 +158,7 @@ def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
 
 
 def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
-    """Describe bodies as JSON: null where the motion does not show a quantity."""
+    """Describe bodies as JSON, with null for quantities that the motion does not show."""
     return [
         {
             "name": body.name,
@@ -174,7 +174,7 @@ def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
 
 
 def masses_words(payloads: Sequence[PayloadEstimate], given: str) -> str:
-    """Summarise the masses in one sentence, with their intervals and the condition ``given`` under which they hold."""
+    """Summarise the masses and their intervals, which hold under the condition ``given``, in one sentence."""
     parts = []
     for payload in payloads:
         name, mass = payload.name, payload.parameters.get("m")

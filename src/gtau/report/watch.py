@@ -1,4 +1,4 @@
-"""Show watched robots: the table on the screen, the report with dated trends, and one page for a fleet."""
+"""Show a watched robot, on a terminal and with dated trends in a report, and a watched fleet."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ VISIBLE = (
     Column("grown slowly", Kind.NUMBER, 2, missing="no"),
 )
 """Columns of :func:`visible_changes`."""
-END = "Once it is explained, accept it by --acknowledge NOTE; after maintenance begin anew by --reset DATE."
+END = "Once explained, accept it with --acknowledge NOTE; after maintenance start again with --reset DATE."
 NO_SAFETY_FUNCTION = (
     "This is not a safety function: it detects wear and mistakes between logs and protects nobody. Keep the robot's "
     "own safety functions."
 )
-STATES = ("replace", "check", "baseline", "OK")  # those to look after first
-DRAWN = 400  # points of a panel, beyond which days are averaged
-SPREAD = 1.5  # times what nine of ten logs stay within, that a panel shows at least
+STATES = ("replace", "check", "baseline", "OK")  # the most urgent first
+DRAWN = 400  # most points in a panel; more are averaged by day
+SPREAD = 1.5  # least height of a panel, as a multiple of the range of nine in ten logs
 
 
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
-    """Describe the change, its beginning, and what to do."""
+    """Describe the change, its start, and what to do."""
     causes = "; or ".join(map(str, alarm.explanations)) or "no cause fits"
     if len(alarm.explanations) > 1:
         causes += " (these causes cannot be distinguished)"
     listed, day = ", ".join(alarm.charts[:5]), alarm.date[:10]
     advice = dict.fromkeys(part.advice for cause in alarm.explanations for part in cause.parts)
-    to_do = [f"{each[0].upper()}{each[1:]}." for each in advice] or ["Identify again and compare both models."]
+    to_do = [f"{remedy[0].upper()}{remedy[1:]}." for remedy in advice] or ["Identify again and compare both models."]
     if alarm.kind == "log":
         head = f"Log {alarm.since} is odd by itself and set aside ({listed}): {causes}."
         return head, ("Repeat it; if the next log agrees, both count.", *to_do)
@@ -51,13 +51,13 @@ def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
 
 
 def status_words(status: Status) -> str:
-    """Describe what is said of a log in a line."""
+    """Describe the verdict on a log in one line."""
     healthy = "no change" if status.phase == "watching" else status.phase
     return tidy(f"{status.log}: {status.skipped or (alarm_words(status.alarm)[0] if status.alarm else healthy)}")
 
 
 def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> str:
-    """State a robot in one word; ``complete`` is whether its baseline is."""
+    """Return the state of a robot in one word; ``complete`` if the baseline has enough logs."""
     if alarm is None:
         refused = any(event.kind == "refused" for event in events)
         return "check" if refused else "OK" if complete else "baseline"
@@ -66,7 +66,7 @@ def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> st
 
 
 def verdict_text(watch: Watch) -> Text:
-    """State whether the robot is the one that was identified."""
+    """State whether the robot has changed since its identification."""
     settings, points = watch.settings, tuple[str, ...]()
     head = "Within tolerance of the model. " if watch.count >= FEWEST_OF_WEEK else ""
     if watch.phase == "baseline":
@@ -86,7 +86,7 @@ def verdict_text(watch: Watch) -> Text:
 
 
 def watch_page(watch: Watch) -> Page:
-    """Show the state after the last log: verdict, and each quantity against its tolerance."""
+    """Show the verdict after the last log, and each quantity against its tolerance."""
     begun = len(watch.view.values) > 0
     return page(
         f"Watching {watch.model.robot.name}",
@@ -97,12 +97,12 @@ def watch_page(watch: Watch) -> Page:
 
 
 def _shown(quantity: Quantity) -> tuple[str, str, float]:
-    """Give name, unit and factor in which a quantity is shown."""
+    """Return name, displayed unit and factor of a quantity."""
     return quantity.title, *SHOWN.get(quantity.unit, (quantity.unit, 1.0))
 
 
 def _quantities(watch: Watch) -> Iterator[Table | Text]:
-    """Tabulate the last week of each quantity against its tolerance, and the smallest visible change."""
+    """Tabulate the last week of each quantity, its tolerance and the smallest visible change."""
     view, visible = watch.view, visible_changes(watch.view)
     (mean, half), far = week_of(view), beyond(view)
     shown = np.isfinite(view.values).any(axis=0)
@@ -131,34 +131,34 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
 
 
 def _hidden(watch: Watch) -> Iterator[Text]:
-    """List the quantities that the motion does not show, and apart from them the zeros that none can show."""
+    """List the quantities that this motion does not show, and the encoder zeros that no motion shows."""
     hidden = [
         quantity
         for quantity, values in zip(watch.view.quantities, watch.view.values.T, strict=True)
         if not np.isfinite(values).any()
     ]
     unseen = unseen_zeros(watch.model) if hidden else ()
-    of_none = [quantity for quantity in hidden if quantity.kind == "zero" and quantity.joint in unseen]
-    if names := ", ".join(_shown(quantity)[0] for quantity in hidden if quantity not in of_none):
+    never = [quantity for quantity in hidden if quantity.kind == "zero" and quantity.joint in unseen]
+    if names := ", ".join(_shown(quantity)[0] for quantity in hidden if quantity not in never):
         advice = "Another motion, from 'gtau excite', may show them."
         yield Text(f"Not visible with this motion: {names}. {advice}", style="soft")
-    if names := ", ".join(_shown(quantity)[0] for quantity in of_none):
+    if names := ", ".join(_shown(quantity)[0] for quantity in never):
         why = "To turn the whole robot about the vertical moves no torque; check the zero against its mark."
         yield Text(f"Visible with no motion: {names}. {why}", style="soft")
 
 
 def power_rows(watch: Watch) -> list[dict[str, object]]:
-    """List the smallest change of each quantity that is found; None where none is."""
+    """List the smallest detectable change of each quantity; None if no change is detectable."""
     rows: list[dict[str, object]] = []
     for quantity, sizes in zip(watch.view.quantities, power(watch.view), strict=True):
         name, unit, factor = _shown(quantity)
-        found = [float(factor * size) if np.isfinite(size) else None for size in sizes]
-        rows.append({"quantity": name, "unit": unit} | dict(zip(("week", "month", "slowly"), found, strict=True)))
+        changes = [float(factor * size) if np.isfinite(size) else None for size in sizes]
+        rows.append({"quantity": name, "unit": unit} | dict(zip(("week", "month", "slowly"), changes, strict=True)))
     return rows
 
 
 def power_page(watch: Watch) -> Page:
-    """Show which faults the motion of an imagined history finds, and how large they must be."""
+    """Show how large faults must be for watching with this motion to find them."""
     rows = [[*row.values()] for row in power_rows(watch)]
     sizes = table((Column("quantity"), Column("unit"), *VISIBLE), rows, name="power-table")
     note = Text(
@@ -171,7 +171,7 @@ def power_page(watch: Watch) -> Page:
 
 
 def watch_report(watch: Watch) -> Page:
-    """Add the history of each quantity with its tolerance, and the events."""
+    """Show the verdict, the events, and the history of each quantity."""
     short, view, alarm = watch_page(watch), watch.view, watch.alarm
     events = [] if alarm is None else [(alarm.date, alarm.since, alarm_words(alarm)[0])]
     for event in watch.events:
@@ -190,11 +190,11 @@ def watch_report(watch: Watch) -> Page:
 
 
 def _history(watch: Watch, k: int) -> Panel:
-    """Draw a quantity over the dates of its logs within its tolerance; an outlier does not set the scale."""
+    """Draw a quantity and its tolerance over dates; outliers do not set the scale."""
     view, alarm = watch.view, watch.alarm
     name, unit, factor = _shown(view.quantities[k])
-    there = np.isfinite(view.values[:, k])
-    days, y = view.logs.days[there], factor * view.values[there, k]
+    known = np.isfinite(view.values[:, k])
+    days, y = view.logs.days[known], factor * view.values[known, k]
     if len(days) > DRAWN:
         days, at = np.unique(np.floor(days), return_inverse=True)
         y = np.bincount(at, y) / np.bincount(at)
@@ -224,7 +224,7 @@ def _history(watch: Watch, k: int) -> Panel:
 
 
 def fleet_lines(folder: Path) -> list[dict[str, str]]:
-    """Sum up each history in the folders of a folder, named as its robot, in a line of the page; raises GtauError."""
+    """Summarise the history in each subfolder, named after its robot; raises GtauError."""
     lines = []
     for robot in in_order(path.parent for path in folder.glob(f"*/{HISTORY}")):
         history = History(robot)
@@ -242,7 +242,7 @@ def fleet_lines(folder: Path) -> list[dict[str, str]]:
 
 
 def fleet_page(lines: Sequence[Mapping[str, str]]) -> Page:
-    """List the robots of a fleet, those to look after first."""
+    """List the robots of a fleet, the most urgent first."""
     waiting = sum(line["state"] in STATES[:2] for line in lines)
     words = f"{waiting} of {len(lines)} robots need attention." if waiting else f"All {len(lines)} robots are OK."
     robots = table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots-table")

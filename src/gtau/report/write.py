@@ -1,8 +1,9 @@
-"""Write ``report.html``: a page, and its provenance: command, hashes of its inputs, versions, settings, run time."""
+"""Write a page as ``report.html``, with the command, hashes of input files, versions, settings and time taken."""
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import platform
 import shlex
 import sys
@@ -23,18 +24,19 @@ from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.run import Run
 
 Inputs = tuple[tuple[str, Path], ...]
-"""Files, by what they are for."""
+"""Files with their purpose."""
 REPORT = "report.html"
 PACKAGES = ("numpy", "scipy", "polars", "casadi", "numba", "clarabel", "mujoco")
-LISTED = 12  # inputs that are shown unfolded
-LARGEST = 1 << 31  # bytes of an input that is hashed
+LISTED = 12  # inputs; longer lists are folded
+LARGEST = 1 << 31  # bytes; larger inputs are not hashed
 
 
 def write_report(
     page: Page, folder: Path, seconds: float, inputs: Inputs = (), settings: Mapping[str, str] | None = None
 ) -> Path:
-    """Write a page to a folder, with the command that runs now, its ``inputs`` and ``settings``, and its time, s."""
+    """Write a page to a folder, with the current command, its ``inputs``, ``settings`` and ``seconds`` taken."""
     command = shlex.join(["gtau", *sys.argv[1:]])
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # services without a home get no warning about its cache
     write_atomically(folder / REPORT, html(stamped(page, settings or {}, command, inputs, seconds)))
     return folder / REPORT
 
@@ -48,16 +50,16 @@ def write_identification(
     seconds: float,
     progress: Progress = silent,
 ) -> Path:
-    """Write the report of an identification from the ``experiment`` of the file at ``path``, which took ``seconds``.
+    """Write the report of an identification that took ``seconds``, with predictions of its ``validation`` runs.
 
-    The runs kept for ``validation`` are predicted too.
+    The ``experiment`` was read from ``path``.
     """
     page = report_page(result, gather(result, result.data, validation, progress), experiment.expected_gains)
     return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result))
 
 
 def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = True) -> Inputs:
-    """List an experiment file, the robot file and the logs that it names, those of the ``runs`` only where wanted."""
+    """List an experiment file, its robot file and its logs; without ``runs`` only the validation logs."""
     experiment = experiment or read_experiment(path)
     source = experiment.robot
     robot = Path(source if isinstance(source, str) else source.file)
@@ -69,10 +71,7 @@ def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = Tru
 def stamped(
     page: Page, settings: Mapping[str, str], command: str = "", inputs: Inputs = (), seconds: float | None = None
 ) -> Page:
-    """Add to a page when and by which version it was made, on top, and at its end what from.
-
-    ``settings`` are values by name, and ``seconds`` the time that the work took.
-    """
+    """Add date and version below the title of a page, and at its end the section on provenance."""
     made, packages = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"), versions()
     facts = {"made on": made, "time taken": None if seconds is None else f"{seconds:.1f} s", **packages}
     files = table(
@@ -94,7 +93,7 @@ def stamped(
 
 
 def versions() -> dict[str, str]:
-    """List versions of gtau, Python and the packages that compute."""
+    """List the versions of gtau, Python and the numerical packages."""
     python = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
     packages = {"gtau": version("gtau"), "Python": python}
     for package in PACKAGES:
@@ -106,7 +105,7 @@ def versions() -> dict[str, str]:
 
 
 def fingerprint(path: Path) -> tuple[str, str]:
-    """Return size in words and SHA-256 of a file; of a folder those of its files, of a missing file that it is."""
+    """Return size and SHA-256 of a file or of the files in a folder."""
     if path.is_dir():
         parts = sorted(part for part in path.iterdir() if part.is_file())
         return f"{len(parts)} files", _digest(parts)

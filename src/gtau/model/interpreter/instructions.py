@@ -1,114 +1,102 @@
-"""Translate CasADi functions to instructions of the interpreter: fused, and with few registers."""
+"""Translate CasADi functions to instructions of the interpreter: sums of products, with few registers."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-LANES = 64
-WIDE = 8  # doubles in a cache line
-ROW = LANES + 8  # doubles from a row to the next: strides that are powers of two thrash the cache
-TILE = 8  # samples of a path that are put into the results together: a cache line of each row
+SUMS = ((1, 0), (2, 0), (0, 1), (1, 1), (0, 2), (1, 2), (0, 3), (1, 3))
+"""Sums by their numbers of terms and of products; the index in this tuple is the operation code.
 
-OPERATIONS = (
-    *("MUL", "ADD", "SUB", "MULTIPLY_ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT"),
-    *("MUL last", "ADD last", "SUB last", "SUB from last", "MULTIPLY_ADD last", "MULTIPLY_SUBTRACT last"),
-    *("SUBTRACT_PRODUCT last", "MULTIPLY_ADD by last", "MULTIPLY_SUBTRACT by last", "SUBTRACT_PRODUCT by last"),
-    *("NEG", "DIV", "SQRT", "ASSIGN", "SIGN", "FABS", "FMAX", "SINE_COSINE"),
-)
-"""Operations of the interpreter; the index in this tuple is the operation code."""
-
-NOWHERE = 2**32 - 1
-"""Row of a result that only the next instruction needs."""
-
-_ADDRESSES = (
-    *("machine", "step", "step_count", "step_rows", "fast_step", "fast_step_count", "fast_step_rows"),
-    *("gap", "gap_count", "gap_rows", "trial", "made", "scale", "actuated", "n_c", "n"),
-    *("now", "guess", "past", "tile", "target", "begin"),
-)
-FOLLOWER = np.dtype(
-    [(name, np.int64) for name in _ADDRESSES]
-    + [(name, np.float64) for name in ("shortest", "residual", "contraction", "reach")]
-)
-"""What the loops are followed with: addresses, sizes, and the parameters of the continuation.
-
-The programs read ``trial`` (n_c, ROW) and write ``made``: n_c rows, then size, condition and gap. ``actuated`` (n,) are
-rows of the configuration, and ``scale`` (n_c,) is what its entries are multiplied by to become rad or lengths over the
-characteristic length, zero for the actuated. The compiled loops work with ``now`` and ``guess`` (n_c, LANES), ``past``
-(2, n_c, LANES), ``tile`` (n_c, LANES, TILE), ``target`` and ``begin`` (n, LANES).
+They have at most eight operands: LLVM compares no more of them with the result before it computes in vectors.
 """
 
+OTHERS = ("DIV", "SQRT", "SIGN", "FABS", "FMAX", "SINE_COSINE")
+"""Other operations; their codes follow the codes of sums."""
 
-CODE = {name: code for code, name in enumerate(OPERATIONS)}
-_SAME = {getattr(ca, f"OP_{name}"): name for name in OPERATIONS if hasattr(ca, f"OP_{name}")}
+NOWHERE = 2**32 - 1
+"""Output of an instruction whose result is no output."""
+
+_SAME = {getattr(ca, f"OP_{name}"): name for name in OTHERS if hasattr(ca, f"OP_{name}")}
 _SINE_OR_COSINE = (ca.OP_SIN, ca.OP_COS)
-# a product used once is made together with the sum it goes into: by sum and place of the product in it
-_FUSED = {("ADD", 0): "MULTIPLY_ADD", ("ADD", 1): "MULTIPLY_ADD", ("SUB", 0): "MULTIPLY_SUBTRACT",
-          ("SUB", 1): "SUBTRACT_PRODUCT"}  # fmt: skip
-
-# the form of an operation whose operand in a place is the result before
-_LAST = {("MUL", 0): "MUL last", ("MUL", 1): "MUL last", ("ADD", 0): "ADD last", ("ADD", 1): "ADD last",
-         ("SUB", 0): "SUB from last", ("SUB", 1): "SUB last"}  # fmt: skip
-for _name in ("MULTIPLY_ADD", "MULTIPLY_SUBTRACT", "SUBTRACT_PRODUCT"):
-    _LAST |= {(_name, 0): f"{_name} by last", (_name, 1): f"{_name} by last", (_name, 2): f"{_name} last"}
+_SIGNS = {ca.OP_ASSIGN: (1.0,), ca.OP_NEG: (-1.0,), ca.OP_ADD: (1.0, 1.0), ca.OP_SUB: (1.0, -1.0)}
 
 
+class Code(NamedTuple):
+    """Instructions of a function; the fields are those of :class:`gtau.model.interpreter.program.Program`."""
+
+    code: np.ndarray
+    signs: np.ndarray
+    constants: np.ndarray
+    registers: int
+    fixed: tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(slots=True)
 class Instruction:
-    """An operation on values, which are numbered: the inputs, then the results of the instructions."""
+    """An operation on values, which are numbered: the inputs, then the results of the instructions.
 
-    __slots__ = ("operands", "operation", "results")
-
-    def __init__(self, operation: str, results: list[int], operands: list[int]):
-        self.operation, self.results, self.operands = operation, results, operands
-
-
-def instructions(
-    function: ca.Function, parameters: int
-) -> tuple[np.ndarray, np.ndarray, int, tuple[np.ndarray, np.ndarray]]:
-    """Return ``code``, ``constants``, ``registers`` and ``fixed`` of :class:`gtau.model.interpreter.program.Program`.
-
-    The last ``parameters`` entries of the function's input are the same for all samples.
+    A sum, whose ``operation`` is empty, has ``terms`` (signs and values) and ``products`` (signs and pairs of values)
+    in place of ``arguments``.
     """
+
+    operation: str
+    results: list[int]
+    arguments: list[int] = field(default_factory=list)
+    terms: list[tuple[float, int]] = field(default_factory=list)
+    products: list[tuple[float, int, int]] = field(default_factory=list)
+
+    @property
+    def operands(self) -> list[int]:
+        """Values that the instruction reads."""
+        factors = [value for _, *pair in self.products for value in pair]
+        return [*self.arguments, *(value for _, value in self.terms), *factors]
+
+    @property
+    def signs(self) -> list[float]:
+        """Signs of terms and products."""
+        return [sign for sign, *_ in (*self.terms, *self.products)]
+
+    @property
+    def number(self) -> int:
+        """Operation code."""
+        if self.operation:
+            return len(SUMS) + OTHERS.index(self.operation)
+        return SUMS.index((len(self.terms), len(self.products)))
+
+
+def instructions(function: ca.Function, parameters: int) -> Code:
+    """Translate a function of one vector, whose last ``parameters`` entries are the same for all samples."""
     inputs = function.numel_in() - parameters
     listing, constants, outputs = _read(function)
-    listing = _fused(_multiplied(listing, constants), outputs)
+    listing = _merged(_multiplied(listing, constants), outputs)
     fixed = [k for k, value in enumerate(outputs) if value in constants]
-    used = {value for instruction in listing for value in instruction.operands} & constants.keys()
-    place = {value: k for k, value in enumerate(sorted(used))}
-    made = {value for instruction in listing for value in instruction.results}
-    # A value that is an output is in the output's row from the first; other outputs are copies.
-    home: dict[int, int] = {}
+    written: dict[int, int] = {}  # output of a first result
+    first = {instruction.results[0] for instruction in listing}
     for k, value in enumerate(outputs):
-        if value in made and value not in home:
-            home[value] = k
-        elif value not in constants:
-            listing.append(Instruction("ASSIGN", [_copy(k)], [value]))
-            home[_copy(k)] = k
-    unstored = _chained(listing, home.keys())
-    registers, stands = _allocated(listing, made - home.keys() - unstored)
-    row = place | {inputs + k: len(place) + k for k in range(parameters)}
-    first = len(place) + parameters
-    row |= {value: first + register for value, register in stands.items()}
-    row |= {value: first + registers + value for value in range(inputs)}
-    row |= {value: first + registers + inputs + k for value, k in home.items()}
-    code = np.zeros((len(listing), 5), dtype=np.uint32)
-    for line, instruction in zip(code, listing, strict=True):
-        # the second result of SINE_COSINE takes the place of a second operand
-        rows = [
-            row.get(value, NOWHERE)
-            for value in (instruction.results[0], *instruction.operands, *instruction.results[1:])
-        ]
-        line[: len(rows) + 1] = CODE[instruction.operation], *rows
-    values = np.array([constants[value] for value in sorted(used)])
-    constant_outputs = np.array(fixed, dtype=int), np.array([constants[outputs[k]] for k in fixed])
-    return code, values, registers, constant_outputs
-
-
-def _copy(output: int) -> int:
-    """Return the number of the value that is the copy for an output."""
-    return -1 - output
+        if value in first and value not in written:
+            written[value] = k
+        elif value not in constants:  # an input, a cosine, or what is an output already: copied
+            listing.append(Instruction("", [-1 - k], terms=[(1.0, value)]))
+            written[-1 - k] = k
+    used = sorted({value for instruction in listing for value in instruction.operands} & constants.keys())
+    registers, stands = _allocated(listing)
+    row = {value: value for value in range(inputs)} | {value: inputs + k for k, value in enumerate(used)}
+    row |= {inputs + k: inputs + len(used) + k for k in range(parameters)}
+    row |= {value: inputs + len(used) + parameters + register for value, register in stands.items()}
+    code, signs = np.zeros((len(listing), 10), dtype=np.uint32), np.ones((len(listing), 4))
+    for line, sign, instruction in zip(code, signs, listing, strict=True):
+        result, *second = instruction.results  # the cosine takes the place of a second operand
+        rows = [row[value] for value in (*instruction.operands, *second)]
+        line[:3] = instruction.number, row[result], written.get(result, NOWHERE)
+        line[3 : 3 + len(rows)] = rows
+        sign[: len(instruction.signs)] = instruction.signs
+    values, of_fixed = ([constants[value] for value in some] for some in (used, (outputs[k] for k in fixed)))
+    return Code(code, signs, np.array(values), registers, (np.array(fixed, dtype=int), np.array(of_fixed)))
 
 
 def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], list[int]]:
@@ -143,30 +131,30 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
                 listing.append(turned[angle])
             held[results[0]] = turned[angle].results[_SINE_OR_COSINE.index(identity)]
         else:
-            operands = [held[argument] for argument in arguments]
-            if identity == ca.OP_SQ:
-                operation, operands = "MUL", operands * 2
+            values = [held[argument] for argument in arguments]
+            held[results[0]] = next(fresh)
+            instruction = Instruction("", [held[results[0]]])
+            if identity in _SIGNS:
+                instruction.terms = list(zip(_SIGNS[identity], values, strict=True))
             elif identity == ca.OP_TWICE:
-                operation, operands = "ADD", operands * 2
-            elif identity == ca.OP_INV:
-                operation, operands = "DIV", [constant(1.0), *operands]
+                instruction.terms = [(1.0, values[0])] * 2
+            elif identity in (ca.OP_MUL, ca.OP_SQ):
+                instruction.products = [(1.0, values[0], values[-1])]
             elif identity in _SAME:
-                operation = _SAME[identity]
+                instruction.operation, instruction.arguments = _SAME[identity], values
+            elif identity == ca.OP_INV:
+                instruction.operation, instruction.arguments = "DIV", [constant(1.0), *values]
             else:
                 raise ValueError(
                     f"an expression has CasADi's operation {identity}, which the interpreter does not support"
                 )
-            held[results[0]] = next(fresh)
-            listing.append(Instruction(operation, [held[results[0]]], operands))
+            listing.append(instruction)
     return listing, constants, outputs
 
 
 def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list[Instruction]:
     """Replace division by constants, and by values that divide more than once, by far cheaper multiplication."""
-    divides: dict[int, int] = {}
-    for instruction in listing:
-        if instruction.operation == "DIV":
-            divides[instruction.operands[1]] = divides.get(instruction.operands[1], 0) + 1
+    divides = Counter(instruction.arguments[1] for instruction in listing if instruction.operation == "DIV")
     named = [*constants, *(value for instruction in listing for value in instruction.results)]
     fresh = iter(range(1 + max(named, default=0), 2**31))
     reciprocal: dict[int, int] = {}
@@ -174,7 +162,7 @@ def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list
     multiplied = []
     for instruction in listing:
         if instruction.operation == "DIV":
-            by = instruction.operands[1]
+            value, by = instruction.arguments
             if by in constants and by not in reciprocal:
                 reciprocal[by] = next(fresh)
                 constants[reciprocal[by]] = 1.0 / constants[by]
@@ -185,66 +173,40 @@ def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list
                 reciprocal[by] = next(fresh)
                 multiplied.append(Instruction("DIV", [reciprocal[by]], [one, by]))
             if by in reciprocal:
-                instruction = Instruction("MUL", instruction.results, [instruction.operands[0], reciprocal[by]])
+                instruction = Instruction("", instruction.results, products=[(1.0, value, reciprocal[by])])
         multiplied.append(instruction)
     return multiplied
 
 
-def _fused(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
-    """Fuse products and negations used only once, in a sum, with that sum."""
-    uses: dict[int, int] = {}
-    for value in outputs + [operand for instruction in listing for operand in instruction.operands]:
-        uses[value] = uses.get(value, 0) + 1
-    maker = {value: instruction for instruction in listing for value in instruction.results}
-    gone: set[int] = set()
-
-    def once(value: int, operation: str) -> Instruction | None:
-        made = maker.get(value)
-        return made if made and made.operation == operation and uses[value] == 1 else None
-
+def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
+    """Compute sums that are used only once, as terms of another sum, together with that sum."""
+    uses = Counter(outputs)
     for instruction in listing:
-        if instruction.operation not in ("ADD", "SUB"):
-            continue
-        for place in (1, 0):
-            negated = once(instruction.operands[place], "NEG")
-            if negated and (instruction.operation == "ADD" or place == 1):
-                # x + (-y) = x - y,  (-x) + y = y - x,  x - (-y) = x + y
-                instruction.operands = [instruction.operands[1 - place], negated.operands[0]]
-                instruction.operation = "SUB" if instruction.operation == "ADD" else "ADD"
-                gone.add(negated.results[0])
-        for place in (1, 0):
-            product = once(instruction.operands[place], "MUL")
-            if product:
-                gone.add(product.results[0])
-                instruction.operation = _FUSED[instruction.operation, place]
-                instruction.operands = [*product.operands, instruction.operands[1 - place]]
-                break
+        uses.update(instruction.operands)
+    sums = {instruction.results[0]: instruction for instruction in listing if not instruction.operation}
+    gone: set[int] = set()
+    for instruction in sums.values():
+        waiting = list(instruction.terms)
+        while waiting:
+            term = sign, value = waiting.pop()
+            part = sums.get(value)
+            if part is None or uses[value] > 1:
+                continue
+            added = [(sign * s, operand) for s, operand in part.terms]
+            products = instruction.products + [(sign * s, a, b) for s, a, b in part.products]
+            if (len(instruction.terms) - 1 + len(added), len(products)) in SUMS:
+                instruction.terms.remove(term)
+                instruction.terms += added
+                instruction.products = products
+                gone.add(value)
     return [instruction for instruction in listing if instruction.results[0] not in gone]
 
 
-def _chained(listing: list[Instruction], kept: Collection[int]) -> set[int]:
-    """Let instructions take the previous result from the processor's registers; return values that then need no row.
+def _allocated(listing: list[Instruction]) -> tuple[int, dict[int, int]]:
+    """Allocate registers: their number, and the register of each result, the one that became free last.
 
-    The values ``kept`` need one in any case.
+    An instruction must not write where it reads: loops over overlapping rows are not vectorised.
     """
-    made: set[int] = set()
-    read = set(kept)
-    before: int | None = None
-    for instruction in listing:
-        places = [place for place, value in enumerate(instruction.operands) if value == before]
-        if len(places) == 1 and (instruction.operation, places[0]) in _LAST:
-            instruction.operation = _LAST[instruction.operation, places[0]]
-            del instruction.operands[places[0]]
-        read.update(instruction.operands)
-        before = None
-        if instruction.operation != "SINE_COSINE":
-            before = instruction.results[0]
-            made.add(before)
-    return made - read
-
-
-def _allocated(listing: list[Instruction], values: set[int]) -> tuple[int, dict[int, int]]:
-    """Allocate registers: their number, and the register of each of ``values``, the one that became free last."""
     last: dict[int, int] = {}
     for k, instruction in enumerate(listing):
         last.update(dict.fromkeys(instruction.operands + instruction.results, k))
@@ -252,16 +214,11 @@ def _allocated(listing: list[Instruction], values: set[int]) -> tuple[int, dict[
     stands: dict[int, int] = {}
     registers = 0
     for k, instruction in enumerate(listing):
-        ended = [value for value in dict.fromkeys(instruction.operands) if last[value] == k and value in values]
-        if instruction.operation != "SINE_COSINE":  # which must not write where it reads
-            free += [stands[value] for value in ended]
         for value in instruction.results:
-            if value in values:
-                if not free:
-                    free.append(registers)
-                    registers += 1
-                stands[value] = free.pop()
-        if instruction.operation == "SINE_COSINE":
-            free += [stands[value] for value in ended]
-        free += [stands[value] for value in instruction.results if last[value] == k and value in values]
+            if not free:
+                free.append(registers)
+                registers += 1
+            stands[value] = free.pop()
+        read = dict.fromkeys(instruction.operands + instruction.results)
+        free += [stands[value] for value in read if last[value] == k and value in stands]
     return registers, stands

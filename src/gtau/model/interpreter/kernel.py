@@ -1,316 +1,288 @@
-"""Compiled loops: of :mod:`gtau.model.interpreter.program`, and of continuation, which closes loops along paths.
+"""The loops that Numba compiles: the interpreter, and the continuation that closes a robot's loops along paths.
 
-Numba compiles them, for :mod:`gtau.model.interpreter.compiled`, which alone imports this module. They take addresses
-and whole numbers and allocate nothing, so that their machine code needs nothing of Numba. All arrays are in C order.
+Numba takes 0.4 s to import, so this module is imported only to evaluate something. All arrays are in C order. Numba
+notices changes of this file alone, so it imports nothing of gtau.
 """
 
 from __future__ import annotations
 
-from numba import carray  # type: ignore[attr-defined]
+from typing import Any
 
-from gtau.model.interpreter import lanes
-from gtau.model.interpreter.instructions import LANES, NOWHERE, ROW, TILE, WIDE
-from gtau.model.interpreter.lanes import compiled, lane, to_addresses, to_doubles, to_flags, to_followers
+import numpy as np
+from numba import njit, types
 
+SOURCES = 4  # arrays that inputs come from
 ITERATIONS = 8
 
+_HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)  # in parts of 33 bits, and the rest
+_FAR = 1e6  # rad: up to here whole multiples of the parts are exact
+_ROUND = 6755399441055744.0  # 1.5 * 2^52: what is added to it is rounded to an integer
 
-def run_machine(code, count, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``count`` instructions, at the address ``code``, on one lane of the rows whose addresses are at ``rows``.
 
-    The previous result stays in the processor's registers as ``last``.
+def _compiled(*signature: Any) -> Any:
+    """Compile a function now, or with its callers where no types are given, and cache the code where that can be."""
+    contract = {"contract"}  # a product and a sum are rounded once; what is not a number stays so
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": contract}
+
+    def decorate(function: Any) -> Any:
+        compiler: Any = njit
+        try:
+            return compiler(*signature, cache=True, **options)(function)
+        except RuntimeError:  # no folder can be written to
+            return compiler(*signature, **options)(function)
+
+    return decorate
+
+
+_inlined: Any = njit(inline="always")
+_NUMBERS = types.float64[:, ::1]
+_SOURCES = types.UniTuple(types.Array(types.float64, 2, "C", readonly=True), SOURCES)
+
+
+@_inlined
+def _sine_cosine(rows, sine, cosine, angle, count):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Compute sines and cosines to about a unit in the last place: the library's are not vectorised, and take longer.
+
+    The polynomials in r^2 on |r| <= pi/4 interpolate at Chebyshev's points, to 2e-17 and 7e-19 of the values.
     """
-    words, row = carray(lanes.to_words(code), (count, 5)), carray(lanes.to_addresses(rows), (2**31,))
-    last = lanes.undefined()
-    for k in range(count):
-        op, to, a, b = words[k, 0], words[k, 1], row[words[k, 2]], row[words[k, 3]]
-        if op == 0:
-            last = lanes.multiply(lanes.load(a), lanes.load(b))
-        elif op == 1:
-            last = lanes.add(lanes.load(a), lanes.load(b))
-        elif op == 2:
-            last = lanes.subtract(lanes.load(a), lanes.load(b))
-        elif op == 3:
-            last = lanes.multiply_add(lanes.load(a), lanes.load(b), lanes.load(row[words[k, 4]]))
-        elif op == 4:
-            last = lanes.multiply_subtract(lanes.load(a), lanes.load(b), lanes.load(row[words[k, 4]]))
-        elif op == 5:
-            last = lanes.subtract_product(lanes.load(a), lanes.load(b), lanes.load(row[words[k, 4]]))
-        elif op == 6:
-            last = lanes.multiply(lanes.load(a), last)
-        elif op == 7:
-            last = lanes.add(lanes.load(a), last)
-        elif op == 8:
-            last = lanes.subtract(lanes.load(a), last)
-        elif op == 9:
-            last = lanes.subtract(last, lanes.load(a))
-        elif op == 10:
-            last = lanes.multiply_add(lanes.load(a), lanes.load(b), last)
-        elif op == 11:
-            last = lanes.multiply_subtract(lanes.load(a), lanes.load(b), last)
-        elif op == 12:
-            last = lanes.subtract_product(lanes.load(a), lanes.load(b), last)
-        elif op == 13:
-            last = lanes.multiply_add(lanes.load(a), last, lanes.load(b))
-        elif op == 14:
-            last = lanes.multiply_subtract(lanes.load(a), last, lanes.load(b))
-        elif op == 15:
-            last = lanes.subtract_product(lanes.load(a), last, lanes.load(b))
-        elif op == 16:
-            last = lanes.negate(lanes.load(a))
-        elif op == 17:
-            last = lanes.divide(lanes.load(a), lanes.load(b))
-        elif op == 18:
-            last = lanes.square_root(lanes.load(a))
-        elif op == 19:
-            last = lanes.load(a)
-        elif op == 20:
-            last = lanes.sign(lanes.load(a))
-        elif op == 21:
-            last = lanes.absolute(lanes.load(a))
-        elif op == 22:
-            last = lanes.maximum(lanes.load(a), lanes.load(b))
-        else:
-            lanes.sine_cosine(lane(row[to]), lane(b), lane(a))
-            continue
-        if to != NOWHERE:
-            lanes.store(row[to], last)
+    far = False
+    for n in range(count):
+        x = rows[angle, n]
+        far |= abs(x) > _FAR
+        turns = (x * (2 / np.pi) + _ROUND) - _ROUND
+        r = ((x - turns * _HALF_PI[0]) - turns * _HALF_PI[1]) - turns * _HALF_PI[2]
+        z = r * r
+        s = 2.755731608382574e-06 + z * (-2.505112794596564e-08 + z * 1.591784866512194e-10)
+        s = r + r * z * (-0.16666666666666666 + z * (0.008333333333330925 + z * (-0.00019841269836722437 + z * s)))
+        c = -2.755731726001471e-07 + z * (2.0876143829213935e-09 + z * -1.1382456865840483e-11)
+        c = 0.041666666666666664 + z * (-0.0013888888888887382 + z * (2.480158729874308e-05 + z * c))
+        half = 0.5 * z
+        most = 1.0 - half
+        c = most + (((1.0 - most) - half) + z * z * c)
+        quadrant = turns - 4.0 * np.floor(0.25 * turns)
+        odd = quadrant == 1.0 or quadrant == 3.0
+        sin, cos = (c, s) if odd else (s, c)
+        rows[sine, n] = -sin if quadrant >= 2.0 else sin
+        rows[cosine, n] = -cos if quadrant == 1.0 or quadrant == 2.0 else cos
+    if far:
+        for n in range(count):
+            if abs(rows[angle, n]) > _FAR:
+                rows[sine, n], rows[cosine, n] = np.sin(rows[angle, n]), np.cos(rows[angle, n])
 
 
-@compiled
-def _run(machine, code, count, rows, size, own, long, moved, start):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``count`` instructions of ``code`` on the lane at ``start``."""
-    rows, there = carray(to_addresses(rows), (size,)), carray(to_addresses(moved), (size,))
-    for k in range(size):
-        there[k] = rows[k] + 8 * start if own <= k < long else rows[k]
-    lanes.call(machine, code, count, moved)
+@_compiled(types.void(types.uint32[:, ::1], _NUMBERS, _NUMBERS, _SOURCES, _NUMBERS, *[types.int64] * 3))
+def evaluate(code, signs, rows, sources, outputs, start, stop, column):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Compute ``outputs``, from a ``column`` on, of the samples ``start`` to ``stop`` of ``sources``.
 
-
-def interpret(machine, code, count, rows, size, own, long, moved, start, stop):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Run ``code`` (count, 5) over the samples ``start`` to ``stop``, at least LANES of them.
-
-    ``machine`` is the address of :func:`run_machine`. Of the ``rows`` (size,), those from ``own`` to ``long`` are as
-    long as the data, the others are of one lane. ``moved`` (size,) is memory to work with.
+    The sources, one above the other, are the inputs (inputs, N). For ``code``, ``signs`` and ``rows`` see
+    :class:`gtau.model.interpreter.program.Program`.
     """
-    while start < stop:
-        start = min(start, stop - LANES)  # the last lane ends where the data do, and repeats some samples
-        _run(machine, code, count, rows, size, own, long, moved, start)
-        start += LANES
+    lanes = rows.shape[1]
+    for first in range(start, stop, lanes):
+        count, row = min(lanes, stop - first), 0
+        for source in sources:
+            for i in range(len(source)):
+                for n in range(count):
+                    rows[row + i, n] = source[i, first + n]
+            row += len(source)
+        for k in range(len(code)):
+            op, to, out, a, b, c = code[k, 0], code[k, 1], code[k, 2], code[k, 3], code[k, 4], code[k, 5]
+            d, e, f, g = code[k, 6], code[k, 7], code[k, 8], code[k, 9]
+            s, t, u, v = signs[k, 0], signs[k, 1], signs[k, 2], signs[k, 3]
+            if op == 0:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n]
+            elif op == 1:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] + t * rows[b, n]
+            elif op == 2:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] * rows[b, n]
+            elif op == 3:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] + t * rows[b, n] * rows[c, n]
+            elif op == 4:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] * rows[b, n] + t * rows[c, n] * rows[d, n]
+            elif op == 5:
+                for n in range(count):
+                    rows[to, n] = s * rows[a, n] + t * rows[b, n] * rows[c, n] + u * rows[d, n] * rows[e, n]
+            elif op == 6:
+                for n in range(count):
+                    part = s * rows[a, n] * rows[b, n]
+                    rows[to, n] = part + t * rows[c, n] * rows[d, n] + u * rows[e, n] * rows[f, n]
+            elif op == 7:
+                for n in range(count):
+                    part = s * rows[a, n] + t * rows[b, n] * rows[c, n]
+                    rows[to, n] = part + u * rows[d, n] * rows[e, n] + v * rows[f, n] * rows[g, n]
+            elif op == 8:
+                for n in range(count):
+                    rows[to, n] = rows[a, n] / rows[b, n]
+            elif op == 9:
+                for n in range(count):
+                    rows[to, n] = np.sqrt(rows[a, n])
+            elif op == 10:
+                for n in range(count):
+                    x = rows[a, n]
+                    rows[to, n] = 1.0 if x > 0.0 else (-1.0 if x < 0.0 else x)  # zero and nan stay what they are
+            elif op == 11:
+                for n in range(count):
+                    rows[to, n] = abs(rows[a, n])
+            elif op == 12:
+                for n in range(count):
+                    x, y = rows[a, n], rows[b, n]
+                    rows[to, n] = x if x > y or x != x else y  # nan if either is, so that a test on it fails
+            else:
+                _sine_cosine(rows, to, b, a, count)
+            if out < len(outputs):
+                for n in range(count):
+                    outputs[out, column + first - start + n] = rows[to, n]
 
 
-def scatter(  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    machine, code, count, rows, size, own, long, moved, start, stop, made, order, places, outputs, table, stride
-):
-    """Run as :func:`interpret`, and put the outputs ``made`` (outputs, ROW) at ``places`` of the rows of ``table``.
-
-    ``table`` is (N, columns), a row ``stride`` bytes; ``places`` (outputs,) rise, and are those of the outputs in the
-    ``order`` (outputs,). ``moved`` (size + 2 WIDE,) is memory to work with.
-    """
-    order, places = carray(to_addresses(order), (outputs,)), carray(to_addresses(places), (outputs,))
-    source, target = moved + 8 * size, moved + 8 * (size + WIDE)
-    sources, targets = carray(to_addresses(source), (WIDE,)), carray(to_addresses(target), (WIDE,))
-    made_rows = carray(to_addresses(rows), (size,))
-    while start < stop:
-        start = min(start, stop - LANES)
-        _run(machine, code, count, rows, size, own, long, moved, start)
-        for first in range(0, LANES, WIDE):  # a cache line of each output
-            k = 0
-            while k < outputs:
-                if k + WIDE <= outputs and places[k + WIDE - 1] == places[k] + WIDE - 1:
-                    for i in range(WIDE):
-                        sources[i] = made_rows[long + order[k + i]] + 8 * first
-                        targets[i] = table + (start + first + i) * stride + 8 * places[k]
-                    lanes.transpose(source, target)
-                    k += WIDE
-                else:
-                    values = carray(to_doubles(made + 8 * ROW * order[k]), (LANES,))
-                    for n in range(first, first + WIDE):
-                        carray(to_doubles(table + (start + n) * stride + 8 * places[k]), (1,))[0] = values[n]
-                    k += 1
-        start += LANES
+@_compiled()
+def scatter(made, order, places, table, start, count):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Put ``count`` columns of ``made``, in ``order``, at ``places`` of the rows of ``table`` from ``start`` on."""
+    for n in range(count):
+        for k in range(len(order)):
+            table[start + n, places[k]] = made[order[k], n]
 
 
-@compiled
-def _newton(f, now, going, good, share):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Close the loops from the initial guess ``f.trial`` in the lanes ``going``; ``good`` becomes where that succeeded.
+@_inlined
+def _newton(programs, scale, limits, trial, now, going, good, share, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Close the loops from the initial guess ``trial`` on the paths ``going``; ``good`` becomes where that succeeded.
 
     ``now`` is the previous closed configuration, ``share`` becomes the share of the way to a singular pose.
     """
-    trial, made = carray(to_doubles(f.trial), (f.n_c, ROW)), carray(to_doubles(f.made), (f.n_c + 3, ROW))
-    scale = carray(to_doubles(f.scale), (f.n_c,))
-    size, condition, gap = made[f.n_c], made[f.n_c + 1], made[f.n_c + 2]
-    done, step = carray(lanes.flags(), (LANES,)), carray(lanes.flags(), (LANES,))
-    last, ahead = carray(lanes.doubles(), (LANES,)), carray(lanes.doubles(), (LANES,))
-    for n in range(LANES):
-        good[n], done[n], last[n], ahead[n], share[n] = going[n], False, 0.0, 0.0, 0.0
-    for i in range(f.n_c):
-        for n in range(LANES):
-            ahead[n] = max(ahead[n], scale[i] * abs(trial[i, n] - now[i, n]))
-    for iteration in range(ITERATIONS):
-        if iteration == 0:
-            lanes.call(f.machine, f.step, f.step_count, f.step_rows)
-        else:
-            lanes.call(f.machine, f.fast_step, f.fast_step_count, f.fast_step_rows)
+    _, residual, contraction, reach = limits
+    n_c, paths = trial.shape
+    nothing = np.empty((0, paths))
+    made = np.empty((n_c + 2, paths))  # the configuration after a step, its size, and the condition number or the gap
+    size, other = made[n_c], made[n_c + 1]
+    last, done, stepped = np.empty(paths), np.empty(paths, np.bool_), np.empty(paths, np.bool_)
+    for n in range(used):
+        good[n], share[n], done[n] = going[n], 0.0, False
+    for i in range(n_c):
+        for n in range(used):
+            share[n] = max(share[n], scale[i] * abs(trial[i, n] - now[i, n]))
+    iteration, busy = 0, True
+    while True:
+        last_of_all = not busy or iteration == ITERATIONS
+        code, signs, rows = programs[2 if last_of_all else min(iteration, 1)]
+        evaluate(code, signs, rows, (trial, nothing, nothing, nothing), made, 0, used, 0)
+        if last_of_all:
+            break
         busy = False
-        for n in range(LANES):
-            step[n] = False
+        for n in range(used):
+            stepped[n] = False
             if good[n] and not done[n]:
                 if iteration == 0:
-                    share[n] = (ahead[n] + size[n]) * condition[n]
-                    good[n] = share[n] <= f.reach
+                    share[n] = (share[n] + size[n]) * other[n]
+                    good[n] = share[n] <= reach
                 else:
-                    good[n] = size[n] <= f.contraction * last[n] or size[n] < 1e-9
+                    good[n] = size[n] <= contraction * last[n] or size[n] < 1e-9
                 last[n] = size[n]
-                step[n] = good[n]
+                stepped[n] = good[n]
                 done[n] = size[n] < 1e-7  # it is squared by the step; the gap shows whether that is enough
                 busy |= good[n] and not done[n]
-        for i in range(f.n_c):
-            for n in range(LANES):
-                trial[i, n] = made[i, n] if step[n] else trial[i, n]
-        if not busy:
-            break
-    lanes.call(f.machine, f.gap, f.gap_count, f.gap_rows)
-    for n in range(LANES):
-        good[n] = good[n] and done[n] and gap[n] < f.residual
+        for i in range(n_c):
+            for n in range(used):
+                trial[i, n] = made[i, n] if stepped[n] else trial[i, n]
+        iteration += 1
+    for n in range(used):
+        good[n] = good[n] and done[n] and made[0, n] < residual
 
 
-@compiled
-def _go(f, now, guess, guessed, target, going, arrived):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Move ``now`` (n_c, LANES) straight to ``target`` (n, LANES) in the lanes ``going``; ``arrived`` becomes which do.
+@_inlined
+def _go(programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Move ``now`` (n_c, paths) straight to ``target`` (n, paths) on paths ``going``; ``arrived`` becomes which do.
 
-    In the lanes ``guessed`` the configuration there is tried to be ``guess``; where that was in one step,
+    On the paths ``guessed`` the configuration there is tried to be ``guess``; where that was in one step,
     ``guessed`` is True afterwards.
     """
-    trial, actuated = carray(to_doubles(f.trial), (f.n_c, ROW)), carray(to_addresses(f.actuated), (f.n,))
-    begin = carray(to_doubles(f.begin), (f.n, LANES))
-    travelled, stride = carray(lanes.doubles(), (LANES,)), carray(lanes.doubles(), (LANES,))
-    there, share = carray(lanes.doubles(), (LANES,)), carray(lanes.doubles(), (LANES,))
-    moving, first = carray(lanes.flags(), (LANES,)), carray(lanes.flags(), (LANES,))
-    closed = carray(lanes.flags(), (LANES,))
+    shortest, _, _, reach = limits
+    n_c, paths = now.shape
+    trial, begin = np.empty((n_c, paths)), np.empty((len(actuated), paths))
+    travelled, stride, there, share = np.empty(paths), np.empty(paths), np.empty(paths), np.empty(paths)
+    moving, first, closed = np.empty(paths, np.bool_), np.empty(paths, np.bool_), np.empty(paths, np.bool_)
     busy = False
-    for n in range(LANES):
+    for n in range(used):
         moving[n], first[n], travelled[n], stride[n] = going[n], guessed[n], 0.0, 1.0
         busy |= going[n]
-        for j in range(f.n):
+        for j in range(len(actuated)):
             begin[j, n] = now[actuated[j], n]
     while busy:
-        for i in range(f.n_c):
-            for n in range(LANES):
+        for i in range(n_c):
+            for n in range(used):
                 trial[i, n] = guess[i, n] if first[n] else now[i, n]
-        for n in range(LANES):
+        for n in range(used):
             there[n] = min(travelled[n] + stride[n], 1.0)
-        for j in range(f.n):
-            for n in range(LANES):
+        for j in range(len(actuated)):
+            for n in range(used):
                 if moving[n]:  # exact at the ends
                     trial[actuated[j], n] = (1.0 - there[n]) * begin[j, n] + there[n] * target[j, n]
-        _newton(f, now, moving, closed, share)
-        for i in range(f.n_c):
-            for n in range(LANES):
+        _newton(programs, scale, limits, trial, now, moving, closed, share, used)
+        for i in range(n_c):
+            for n in range(used):
                 now[i, n] = trial[i, n] if closed[n] else now[i, n]
         busy = False
-        for n in range(LANES):
+        for n in range(used):
             if moving[n]:
                 if closed[n]:
                     guessed[n] = travelled[n] == 0.0 and there[n] == 1.0
                     travelled[n] = there[n]
-                    stride[n] *= min(2.0, 0.9 * f.reach / share[n])
+                    stride[n] *= min(2.0, 0.9 * reach / share[n])
                 elif not first[n]:
-                    stride[n] *= max(0.1, 0.9 * f.reach / share[n]) if share[n] > f.reach else 0.5
+                    stride[n] *= max(0.1, 0.9 * reach / share[n]) if share[n] > reach else 0.5
                 first[n] = False
-                moving[n] = travelled[n] < 1.0 and stride[n] >= f.shortest
+                moving[n] = travelled[n] < 1.0 and stride[n] >= shortest
                 busy |= moving[n]
-    for n in range(LANES):
+    for n in range(used):
         arrived[n] = travelled[n] >= 1.0
 
 
-def advance_to(follower, c, q, samples, begin, end, reached):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Move the columns ``begin`` to ``end`` of ``c`` (n_c, N) towards those of ``q`` (n, N), in place.
-
-    ``reached`` (N,) becomes True for those that arrive. ``follower`` is a Follower.
-    """
-    f = carray(to_followers(follower), (1,))[0]
-    c, q = carray(to_doubles(c), (f.n_c, samples)), carray(to_doubles(q), (f.n, samples))
-    reached = carray(to_flags(reached), (samples,))
-    now, target = carray(to_doubles(f.now), (f.n_c, LANES)), carray(to_doubles(f.target), (f.n, LANES))
-    going, guessed, arrived = (
-        carray(lanes.flags(), (LANES,)),
-        carray(lanes.flags(), (LANES,)),
-        carray(lanes.flags(), (LANES,)),
-    )
-    for start in range(begin, end, LANES):
-        used = min(LANES, end - start)
-        for n in range(LANES):
-            going[n], guessed[n] = n < used, False
-        for n in range(used):
-            for i in range(f.n_c):
-                now[i, n] = c[i, start + n]
-            for j in range(f.n):
-                target[j, n] = q[j, start + n]
-        _go(f, now, now, guessed, target, going, arrived)
-        for n in range(used):
-            reached[start + n] = arrived[n]
-            for i in range(f.n_c):
-                c[i, start + n] = now[i, n]
-
-
-def follow_path(follower, c, q, samples, starts, parts, length, filled):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+@_compiled()
+def follow(programs, scale, actuated, limits, c, q, starts, filled, length):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Fill ``c`` (n_c, N) along ``q`` (n, N) from each of ``starts``: ``length`` samples, or as many as can be reached.
 
-    ``starts`` and ``filled``, how many were, are (parts,). The initial guess extrapolates the parabola through the last
-    three samples.
+    ``filled`` becomes how many were; the sample after them is where the loops closed last. ``programs``, with rows to
+    work with, are a step with its condition number, a step, and the gap; ``limits`` are the shortest step, the largest
+    residual, the contraction and the reach; ``scale`` (n_c,) makes entries of c rad or lengths over the characteristic
+    length. The initial guess extrapolates the parabola through the last three samples.
     """
-    f = carray(to_followers(follower), (1,))[0]
-    n_c = f.n_c
-    c, q = carray(to_doubles(c), (n_c, samples)), carray(to_doubles(q), (f.n, samples))
-    starts, filled = carray(to_addresses(starts), (parts,)), carray(to_addresses(filled), (parts,))
-    now, guess = carray(to_doubles(f.now), (n_c, LANES)), carray(to_doubles(f.guess), (n_c, LANES))
-    target = carray(to_doubles(f.target), (f.n, LANES))
-    past = carray(to_doubles(f.past), (2, n_c, LANES))  # the two samples before ``now``
-    tile = carray(to_doubles(f.tile), (n_c, LANES, TILE))
-    known = carray(lanes.doubles(), (LANES,))  # samples before ``now`` that were led on from in one step each
-    going, guessed, arrived = (
-        carray(lanes.flags(), (LANES,)),
-        carray(lanes.flags(), (LANES,)),
-        carray(lanes.flags(), (LANES,)),
-    )
-    for first in range(0, parts, LANES):
-        used = min(LANES, parts - first)
-        for n in range(LANES):
-            going[n], known[n] = n < used, 0.0
+    n_c, samples, paths = len(c), c.shape[1], programs[0][2].shape[1]
+    now, guess, target = np.empty((n_c, paths)), np.empty((n_c, paths)), np.empty((len(q), paths))
+    past = np.empty((2, n_c, paths))  # the two samples before ``now``
+    known = np.empty(paths)  # samples before ``now`` that were led on from in one step each
+    going, guessed, arrived = np.empty(paths, np.bool_), np.empty(paths, np.bool_), np.empty(paths, np.bool_)
+    for first in range(0, len(starts), paths):
+        used = min(paths, len(starts) - first)
         for n in range(used):
-            filled[first + n] = 1
+            going[n], known[n], filled[first + n] = True, 0.0, 1
             for i in range(n_c):
                 now[i, n] = c[i, starts[first + n]]
-        busy, offset = True, 0
-        while busy and offset < length - 1:
-            offset += 1
+        offset, busy = 1, length > 1
+        while busy:
             for n in range(used):
                 at = starts[first + n] + offset
                 going[n] = going[n] and at < samples
-                if going[n]:
-                    for j in range(f.n):
-                        target[j, n] = q[j, at]
-            for n in range(LANES):
                 guessed[n] = known[n] >= 2
+                if going[n]:
+                    for j in range(len(q)):
+                        target[j, n] = q[j, at]
             for i in range(n_c):
-                for n in range(LANES):
+                for n in range(used):
                     guess[i, n] = 3.0 * (now[i, n] - past[0, i, n]) + past[1, i, n]
                     past[1, i, n] = past[0, i, n]
                     past[0, i, n] = now[i, n]
-            _go(f, now, guess, guessed, target, going, arrived)
+            _go(programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used)
             busy = False
             for n in range(used):
                 known[n] = known[n] + 1.0 if guessed[n] else 0.0
-                going[n] = going[n] and arrived[n]
-                busy |= going[n]
                 if going[n]:
-                    filled[first + n] = offset + 1
-            for i in range(n_c):
-                for n in range(LANES):
-                    tile[i, n, offset % TILE] = now[i, n]
-            if not busy or offset % TILE == TILE - 1 or offset == length - 1:
-                low = max(offset - offset % TILE, 1)
-                for i in range(n_c):
-                    for n in range(used):
-                        for k in range(low, min(offset + 1, filled[first + n])):
-                            c[i, starts[first + n] + k] = tile[i, n, k % TILE]
+                    for i in range(n_c):
+                        c[i, starts[first + n] + offset] = now[i, n]
+                    going[n] = arrived[n]
+                    filled[first + n] += arrived[n]
+                busy |= going[n]
+            offset += 1
+            busy = busy and offset < length

@@ -1,8 +1,8 @@
 """Evaluate CasADi functions for many samples, shared among threads: a small batched interpreter.
 
-A symbolic function is turned into a list of instructions on rows; each instruction is carried out for a
-whole lane of samples before the next, so the interpreter's own cost is shared by the lane and the
-registers stay in the cache. One compiled loop (:mod:`gtau.model.interpreter.compiled`) serves all robots.
+A symbolic function becomes a list of instructions on rows. An instruction is carried out for LANES samples before the
+next, so that these samples share the interpreter's own cost and the rows stay in the cache. The same compiled loops
+(:mod:`gtau.model.interpreter.kernel`) serve all robots.
 """
 
 from __future__ import annotations
@@ -12,16 +12,17 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gtau.model.interpreter.compiled import loops
-from gtau.model.interpreter.instructions import LANES, ROW, WIDE, instructions
+from gtau.model.interpreter.instructions import instructions
 
+LANES = 200  # samples: 200 and 264 are fastest of 72 to 520 on four robots; rows of a power of two thrash the cache
+SHARE = 1024  # samples a thread at least
 NONE = np.zeros(0)
 
 
@@ -29,12 +30,14 @@ NONE = np.zeros(0)
 class Program:
     """Instructions of a function from a vector to a vector.
 
-    ``code`` is (instructions, 5): operation, row of the result and rows of up to three operands. The rows
-    are first the ``constants``, then the ``parameters``, the registers, the inputs and the outputs. ``fixed`` are
-    the outputs that are constants, and their values: no instruction writes them.
+    ``code`` is (instructions, 10): operation, row of the result, output that the result is, or NOWHERE, and rows of up
+    to seven operands; ``signs`` (instructions, 4) are the signs of a sum's terms and products. The rows are first the
+    inputs, then the ``constants``, the ``parameters`` and the registers. ``fixed`` are the outputs that are constants,
+    and their values: no instruction writes them.
     """
 
     code: np.ndarray
+    signs: np.ndarray
     constants: np.ndarray
     parameters: int
     registers: int
@@ -47,108 +50,64 @@ class Program:
 
         ``parameters`` (parameters,) are common to all samples.
         """
+        from gtau.model.interpreter.kernel import evaluate
+
         sources, samples = self._sources(inputs)
-        result = np.empty((self.outputs, sources[0].shape[1]))
-        outputs, values = self.fixed
-        result[outputs] = values[:, None]
-
-        def run(start: int, stop: int) -> None:
-            bound = Bound(self, _rows(sources), addresses(result), parameters)
-            moved = np.empty(bound.rows.size, dtype=np.int64)
-            loops().interpret(*bound.run(), bound.own, bound.rows.size, address(moved), start, stop)
-
-        share(run, result.shape[1])
-        return result[:, :samples]
-
-    def at(self, parameters: np.ndarray) -> Program:
-        """Return the program with its ``parameters`` (parameters,) fixed at these values, as constants."""
-        return replace(self, constants=np.concatenate([self.constants, parameters]), parameters=0)
+        result = self._results(samples)
+        share(lambda start, stop: evaluate(*self.bound(parameters), sources, result, start, stop, start), samples)
+        return result
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
         """Put the outputs, in ``order`` (outputs,), of every sample at ``places`` (outputs,) of its row of ``table``.
 
-        ``table`` is (N, columns), and the places rise.
+        ``table`` is (N, columns), in C order, and the places rise.
         """
+        from gtau.model.interpreter.kernel import evaluate, scatter
+
         sources, samples = self._sources(inputs)
-        filled = table if samples >= LANES else np.zeros((LANES, table.shape[1]))
-        order, places = np.ascontiguousarray(order, np.int64), np.ascontiguousarray(places, np.int64)
 
-        def run(start: int, stop: int) -> None:
-            made = aligned(self.outputs)  # it stays in the cache
-            outputs, values = self.fixed
-            made[outputs] = values[:, None]
-            bound = Bound(self, _rows(sources), addresses(made))
-            moved = np.empty(bound.rows.size + 2 * WIDE, dtype=np.int64)
-            where = address(made), address(order), address(places), order.size, address(filled), filled.strides[0]
-            long = bound.own + self.inputs
-            loops().scatter(*bound.run(), bound.own, long, address(moved), start, stop, *where)
+        def work(start: int, stop: int) -> None:
+            bound, made = self.bound(), self._results(LANES)  # which stay in the cache
+            for first in range(start, stop, LANES):
+                last = min(first + LANES, stop)
+                evaluate(*bound, sources, made, first, last, 0)
+                scatter(made, order, places, table, first, last - first)
 
-        share(run, len(filled))
-        if filled is not table:
-            table[:, places] = filled[:samples, places]
+        share(work, samples)
 
-    def _sources(self, inputs: tuple[np.ndarray, ...]) -> tuple[list[np.ndarray], int]:
-        """Return the inputs, padded to a lane, and the number of samples."""
-        shapes = [np.shape(array) for array in inputs]
-        samples = shapes[0][-1] if shapes[0] else 0
-        if any(len(shape) != 2 or shape[1] != samples for shape in shapes) or sum(s[0] for s in shapes) != self.inputs:
-            raise ValueError(f"expected inputs of shape ({self.inputs}, N), got {', '.join(map(str, shapes))}")
-        if samples >= LANES:
-            return [_contiguous(array) for array in inputs], samples
-        filled = np.zeros((self.inputs, LANES))
-        filled[:, :samples] = np.concatenate(inputs)
-        if samples:
-            filled[:, samples:] = filled[:, samples - 1 : samples]
-        return [filled], samples
+    def bound(self, parameters: np.ndarray = NONE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return ``code``, ``signs`` and rows to work with, which hold the constants and ``parameters``."""
+        if parameters.shape != (self.parameters,):
+            raise ValueError(f"expected {self.parameters} parameters, got shape {parameters.shape}")
+        values = np.concatenate([self.constants, parameters])
+        rows = _aligned(self.inputs + len(values) + self.registers)
+        rows[self.inputs : self.inputs + len(values)] = values[:, None]
+        return self.code, self.signs, rows
 
+    def _results(self, samples: int) -> np.ndarray:
+        """Allocate the outputs (outputs, samples), of which the constant ones have their values."""
+        results = np.empty((self.outputs, samples))
+        outputs, values = self.fixed
+        results[outputs] = values[:, None]
+        return results
 
-class Bound:
-    """A program with registers of its own and the addresses of its inputs and outputs.
+    def _sources(self, inputs: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], int]:
+        """Return the inputs as arrays, as many as the compiled loops take, and the number of samples."""
+        from gtau.model.interpreter.kernel import SOURCES
 
-    ``own`` of the addresses ``rows`` are those of ``memory`` (own, LANES): constants, parameters and registers.
-    """
-
-    def __init__(self, program: Program, inputs: np.ndarray, outputs: np.ndarray, parameters: np.ndarray = NONE):
-        if parameters.shape != (program.parameters,):
-            raise ValueError(f"expected {program.parameters} parameters, got shape {parameters.shape}")
-        values = np.concatenate([program.constants, parameters])
-        self.code = program.code
-        self.own = len(values) + program.registers
-        self.memory = aligned(self.own)
-        self.memory[: len(values)] = values[:, None]
-        self.rows = np.concatenate([addresses(self.memory), inputs, outputs])
-
-    def run(self) -> tuple[int, int, int, int, int]:
-        """Return the addresses and sizes with which the compiled loops run the program."""
-        return loops().machine, address(self.code), len(self.code), address(self.rows), self.rows.size
+        sources = [np.asarray(array, dtype=float, order="C") for array in inputs]
+        samples = sources[0].shape[-1] if sources[0].ndim else 0
+        if any(source.shape[1:] != (samples,) for source in sources) or sum(map(len, sources)) != self.inputs:
+            shapes = ", ".join(str(source.shape) for source in sources)
+            raise ValueError(f"expected inputs of shape ({self.inputs}, N), got {shapes}")
+        return (*sources, *[np.empty((0, samples))] * (SOURCES - len(sources))), samples
 
 
-def aligned(rows: int) -> np.ndarray:
-    """Allocate rows (rows, LANES) aligned to cache lines."""
-    memory = np.empty((rows + 1) * ROW)
-    first = -address(memory) % 64 // 8
-    return memory[first : first + rows * ROW].reshape(rows, ROW)[:, :LANES]
-
-
-def address(array: np.ndarray) -> int:
-    """Return the address of an array's first entry."""
-    where: int = array.ctypes.data
-    return where
-
-
-def addresses(array: np.ndarray) -> np.ndarray:
-    """Return the addresses (rows,) of the rows of an array."""
-    return address(array) + array.strides[0] * np.arange(len(array))
-
-
-def _rows(arrays: list[np.ndarray]) -> np.ndarray:
-    return np.concatenate([addresses(array) for array in arrays])
-
-
-def _contiguous(array: np.ndarray) -> np.ndarray:
-    """Return the array, or a copy if need be, contiguous along the last axis."""
-    array = np.asarray(array, dtype=float)
-    return array if array.strides[-1] == array.itemsize else np.ascontiguousarray(array)
+def _aligned(rows: int) -> np.ndarray:
+    """Allocate rows (rows, LANES) that begin at cache lines, as whole vectors are loaded from them."""
+    memory = np.empty(rows * LANES + 8)
+    first = -memory.ctypes.data % 64 // 8
+    return memory[first : first + rows * LANES].reshape(rows, LANES)
 
 
 def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Sequence[ca.SX] = ()) -> Program:
@@ -160,12 +119,11 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
     function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])
-    code, constants, registers, fixed = instructions(function, p.numel())
-    return Program(code, constants, p.numel(), registers, x.numel(), y.numel(), fixed)
+    code, signs, constants, registers, fixed = instructions(function, p.numel())
+    return Program(code, signs, constants, p.numel(), registers, x.numel(), y.numel(), fixed)
 
 
 _inside = threading.local()
-SHARE = 16 * LANES  # minimum number of samples per thread
 
 
 def threads() -> int:
@@ -180,7 +138,7 @@ _cores = cache(lambda: os.cpu_count() or 1)
 
 
 def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
-    """Call ``work(start, stop)`` for stretches of whole lanes that together are ``samples``.
+    """Call ``work(start, stop)`` for stretches that together are ``samples``.
 
     In threads, where each gets at least ``worth`` samples; the results do not depend on their number. Work that
     is itself done by one of them is not shared again.
@@ -189,8 +147,7 @@ def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) ->
     if parts < 2:
         work(0, samples)
         return
-    lanes = samples // LANES
-    cuts = [LANES * (lanes * k // parts) for k in range(parts)] + [samples]
+    cuts = [samples * k // parts // 8 * 8 for k in range(parts)] + [samples]  # at cache lines
     list(_pool(os.getpid(), parts).map(work, cuts[:-1], cuts[1:]))
 
 

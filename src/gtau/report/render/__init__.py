@@ -1,1 +1,1 @@
-"""Renderers of pages, one for each medium: terminal, HTML, notebooks, figures."""
+"""Renderers of pages: terminal, HTML with uPlot for time series, and Matplotlib for all other charts."""

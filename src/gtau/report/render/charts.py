@@ -1,47 +1,63 @@
-"""Charts and sketches by Matplotlib: figures for files and notebooks."""
+"""Charts and sketches drawn by Matplotlib: figures for notebooks and files, inline SVG for pages."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
+from hashlib import sha256
+from html import escape
 from importlib.resources import as_file, files
-from io import BytesIO
+from io import BytesIO, StringIO
+from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+from matplotlib import rc_context, rcdefaults, rcParams, style
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba_array
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Series, Sketch, Word
 from gtau.report.page import number
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 ASSETS = files("gtau.report.render") / "assets"
-WIDTH = 7.2  # inches, of a figure
-NAMES = 220.0  # points, that the names at an axis share
+WIDTH = 7.2  # inches, width of a figure
+NARROW, WIDE, INCH = (
+    300.0,
+    360.0,
+    90.0,
+)  # points: width of panels of a page, side by side or alone; an inch of height
+NAMES, SMALLEST = 220.0, 5.5  # points: room for the names along an axis, and their smallest size
+LEVEL = 36  # letters of names that fit side by side below an axis
+STEPS = [1, 2, 2.5, 5, 10]  # of a decade, between ticks
 HALO = 2.4  # points, of the page's colour around words
+
+Colours = Mapping[str, Any]
 
 
 @contextmanager
-def styled() -> Iterator[None]:
-    """Draw in the style of the package; afterwards the user's settings are as before."""
-    from matplotlib import rc_context, rcdefaults, style
-
+def styled(colours: Colours, **settings: Any) -> Iterator[None]:
+    """Draw in the style of the package, and restore the user's settings afterwards."""
+    roles = ("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
+    settings |= dict.fromkeys(roles, colours["soft"]) | {"grid.color": colours["grid"]}
     with rc_context(), as_file(ASSETS / "figure.mplstyle") as path:
         rcdefaults()
         style.use(path)
+        rcParams.update(settings)  # type: ignore[arg-type]
         yield
 
 
 @cache
-def palette() -> dict[str, Any]:
-    """Read the colours of the style sheet by name, as Matplotlib takes them."""
+def palette() -> Colours:
+    """Read the light colours of the style sheet by name."""
     text = (ASSETS / "light.css").read_text(encoding="utf-8")
     colours: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
     for name, *parts in re.findall(r"--([\w-]+): rgba\((\d+), (\d+), (\d+), ([\d.]+)\)", text):
@@ -50,39 +66,39 @@ def palette() -> dict[str, Any]:
     return colours
 
 
-@cache
-def shown_figure() -> type[Figure]:
-    """Make the class of figures that show themselves in a notebook without pyplot; imports Matplotlib."""
-    from matplotlib.figure import Figure
+def page_palette() -> Colours:
+    """Give each colour a code that :func:`_inline` replaces by the variable of the page's style sheet."""
+    return {name: f"#00fe{k:02x}" for k, name in enumerate(palette())}
 
-    class ShownFigure(Figure):
-        """A figure unknown to pyplot, drawn where a notebook cell ends with it."""
 
-        def _repr_png_(self) -> bytes:
-            content = BytesIO()
-            with styled():
-                self.savefig(content, format="png")
-            return content.getvalue()
+# Figures
 
-    return ShownFigure
+
+class ShownFigure(Figure):
+    """A figure that pyplot does not know; a notebook shows it where a cell ends with it."""
+
+    def _repr_png_(self) -> bytes:
+        content = BytesIO()
+        with styled(palette()):
+            self.savefig(content, format="png")
+        return content.getvalue()
 
 
 def figure_of(chart: Chart) -> Figure:
     """Draw a chart as one figure, its panels in rows of ``columns``, its key above them."""
     rows = -(-len(chart.panels) // chart.columns)
     heights = [max(panel.height for panel in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
-    with styled():
-        figure = shown_figure()(figsize=(WIDTH, 0.5 + 1.15 * sum(heights)), layout="constrained")
+    with styled(palette()):
+        figure = ShownFigure(figsize=(WIDTH, 0.5 + 1.15 * sum(heights)), layout="constrained")
         grid = figure.subplots(
             rows, chart.columns, squeeze=False, height_ratios=heights, sharex="col" if chart.live else "none"
         )
         places = grid.reshape(-1)
         for axes, panel in zip(places, chart.panels, strict=False):
-            draw(axes, panel, last=not chart.live or axes in grid[-1])
+            _draw(axes, panel, palette(), last=not chart.live or axes in grid[-1])
         for axes in places[len(chart.panels) :]:
             axes.set_axis_off()
-        first, label = places[0], chart.panels[0].title
-        first.set_title(": ".join(filter(None, (chart.title, label))))
+        places[0].set_title(": ".join(filter(None, (chart.title, chart.panels[0].title))))
         handles: dict[str, Any] = {}
         for axes in places:
             handles.update(dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True)))
@@ -92,124 +108,12 @@ def figure_of(chart: Chart) -> Figure:
     return figure
 
 
-def draw(axes: Axes, panel: Panel, last: bool = True) -> None:
-    """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
-    from matplotlib.colors import to_rgba_array
-
-    colours = palette()
-    if panel.matrix is not None:  # correlations by the strength of two colours on the page's own
-        hues = to_rgba_array([colours["positive"], colours["negative"]])[(panel.matrix < 0).astype(int)]
-        hues[..., 3] = np.abs(panel.matrix)
-        axes.imshow(hues, interpolation="none", aspect="equal")
-    if panel.band is not None:
-        axes.axhspan(*panel.band, color=colours["shade"], linewidth=0)
-    for start, stop in () if panel.shaded is None else panel.shaded.reshape(-1, 2):
-        axes.axvspan(start, stop, color=colours["shade"], linewidth=0)
-    for rule in panel.rules:
-        dashed: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8, "linestyle": (0, (3, 3))}
-        if rule.y is not None:
-            axes.axhline(rule.y, **dashed)
-        if rule.x is not None:
-            axes.axvline(rule.x, **dashed)
-        if rule.label and rule.x is not None:
-            place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
-            axes.annotate(rule.label, (rule.x, 1.0), (-2.0, -2.0), **place, rotation=90, va="top", ha="right",
-                          fontsize="small", color=colours["soft"])  # fmt: skip
-    for series in panel.series:
-        _draw_series(axes, series)
-    _draw_axis(axes, panel.x, "x")
-    _draw_axis(axes, panel.y, "y")
-    axes.set(title=panel.title, xlabel=panel.x.label if last else "", ylabel=panel.y.label)
-    if panel.matrix is not None:
-        axes.grid(False)
-    if panel.y.names:
-        axes.grid(False, axis="y")
-        axes.spines["left"].set_visible(False)
-    if panel.equal:
-        axes.set_aspect("equal", adjustable="datalim")
-
-
-def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
-    from matplotlib import rcParams
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
-
-    ticks = axes.xaxis if which == "x" else axes.yaxis
-    if axis.log:
-        axes.set(**{f"{which}scale": "log"})
-        low, high = ticks.get_view_interval()
-        ticks.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 20 * low else (1.0,), numticks=6))
-        ticks.set_minor_locator(NullLocator())
-        ticks.set_major_formatter(lambda value, _: number(value).replace("-", MINUS))
-    else:
-        ticks.set_major_locator(MaxNLocator(5))
-    if axis.names:
-        size = min(rcParams["font.size"], NAMES / len(axis.names))
-        ticks.set_ticks(list(axis.names), list(axis.names.values()), fontsize=size)
-        ticks.set_tick_params(rotation=90 if which == "x" else 0)
-    if any(end is not None for end in axis.limits):
-        axes.set(**{f"{which}lim": axis.limits})
-
-
-def _draw_series(axes: Axes, series: Series) -> None:
-    colours = palette()
-    colour = colours[series.colour]
-    look: dict[str, Any] = {"label": series.label or None}
-    if series.mark == "steps":
-        axes.stairs(series.y, series.x, color=colour, linewidth=series.width, **look)
-    elif series.mark == "spans":
-        spans = [(start, stop - start) for start, stop in series.x]
-        axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=colour, linewidth=0)
-    elif series.mark == "line":
-        style = (0, series.dashes) if series.dashes else "-"
-        axes.plot(*series.thinned(), color=colour, linewidth=series.width, linestyle=style, **look)
-    elif series.mark == "points":
-        look |= {"markersize": 2 + series.width, "markeredgewidth": 0.0}
-        axes.plot(series.x, series.y, "o", color=colour, **look)
-        axes.margins(x=0.03)
-    else:
-        half = np.zeros(len(series.x)) if series.half is None else series.half
-        marks: dict[str, dict[str, Any]] = {
-            "disc": {"marker": "o", "elinewidth": 1.2, "capsize": 3},
-            "diamond": {"marker": "D", "markerfacecolor": colours["page"], "elinewidth": 0, "capsize": 0},
-            "thick": {"marker": "", "elinewidth": 4, "capsize": 0},
-        }
-        look |= {"yerr" if series.upright else "xerr": half, "color": colour, "linestyle": "none", "markersize": 4.5}
-        axes.errorbar(series.x, series.y, **marks[series.mark], **look)
-        axes.margins(x=0.06, y=0.1)
-
-
 def figure_of_sketch(sketch: Sketch) -> Figure:
     """Draw a sketch on axes that fill a figure of its size."""
-    from matplotlib.patheffects import withStroke
-
-    colours = palette() | {"": "none"}
-    sides = {"start": "left", "middle": "center", "end": "right"}
-    look: dict[str, Any]
-    halo = withStroke(linewidth=HALO, foreground=colours["page"])
-    with styled():
-        figure = shown_figure()(figsize=tuple(sketch.size / 72))
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        for order, item in enumerate(sketch.items):
-            if isinstance(item, Word):
-                look = {"fontsize": item.size, "fontweight": "bold" if item.bold else "normal"}
-                look |= {"color": colours[item.colour], "path_effects": [halo], "zorder": order}
-                axes.text(item.place[0], item.place[1], item.text, ha=sides[item.side], va="center", **look)
-            elif item.closed:
-                axes.fill(*item.points.T, facecolor=colours[item.fill], edgecolor=colours[item.stroke],
-                          linewidth=item.width, alpha=item.opacity, zorder=order)  # fmt: skip
-            else:
-                look = {"color": colours[item.stroke], "linewidth": item.width, "solid_capstyle": "round"}
-                axes.plot(*item.points.T, **look, zorder=order)
-        ends = np.column_stack([sketch.corner, sketch.corner + sketch.size])
-        axes.set(xlim=ends[0], ylim=ends[1])
-        axes.set_axis_off()
+    with styled(palette()):
+        figure = ShownFigure(figsize=tuple(sketch.size / 72))
+        _draw_sketch(figure, sketch, palette(), [withStroke(linewidth=HALO, foreground=palette()["page"])])
     return figure
-
-
-def save(chart: Chart, path: Path) -> Path:
-    """Write a chart as a figure; see :func:`save_figure`."""
-    save_figure(figure_of(chart), path)
-    return path
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
@@ -224,6 +128,178 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     if kind not in ("png", "pdf"):
         raise GtauError(f"figures are written as PNG or PDF, so '{path}' would mislead; let its name end in .png.")
     content = BytesIO()
-    with styled():
+    with styled(palette()):
         figure.savefig(content, format=kind, metadata={"Software": None} if kind == "png" else {"CreationDate": None})
     write_atomically(path, content.getvalue())
+
+
+# Inline SVG
+
+
+def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
+    """Draw a panel without its title as SVG, wider where it stands ``alone``; screen readers read ``title`` first."""
+    width = WIDE if alone else NARROW
+    height = width if panel.matrix is not None else 0.8 * width if panel.equal else INCH * panel.height
+    axes = " over ".join(filter(None, (panel.y.label, panel.x.label)))
+    key = ", ".join(series.label for series in panel.series if series.label)
+    colours = page_palette()
+    heading = {"axes.titlecolor": colours["soft"], "axes.titlesize": 10, "axes.titleweight": "normal"}
+    with styled(colours, **heading, **{"font.size": 10, "axes.titlepad": 5}):
+        figure = Figure(figsize=(width / 72, height / 72), layout="constrained")
+        title_above = replace(panel, title=panel.y.label, y=replace(panel.y, label=""))
+        _draw(figure.subplots(), title_above, colours)
+        return _inline(figure, "; ".join(filter(None, (title, axes, key))))
+
+
+def svg_of_sketch(sketch: Sketch, title: str) -> str:
+    """Draw a sketch as SVG; ``title`` describes it to screen readers."""
+    with styled(page_palette()):
+        figure = Figure(figsize=tuple(sketch.size / 72))
+        _draw_sketch(figure, sketch, page_palette())
+        return _inline(figure, title)
+
+
+def _inline(figure: Figure, label: str) -> str:
+    """Write a figure as compact SVG whose colours and font come from the page around it."""
+    content = StringIO()
+    if (layout := figure.get_layout_engine()) is not None:  # once; while saving it would draw twice
+        layout.execute(figure)
+        figure.set_layout_engine("none")
+    for patch in (figure.patch, *(axes.patch for axes in figure.axes)):
+        patch.set_visible(False)
+    figure.savefig(content, format="svg", metadata={"Date": None})
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", content.getvalue(), flags=re.DOTALL)
+    text = re.sub(r"<[^>]+>", _compact, text[text.index(">", text.index("<svg")) + 1 :])
+    text = re.sub(r"<g/>|<defs></defs>", "", re.sub(r">\s+<", "><", text.strip()))
+    prefix = f"s{sha256(text.encode()).hexdigest()[:8]}"  # no id occurs twice on a page
+    text = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}", text)
+    width, height = 72 * figure.get_size_inches()
+    return f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">{text}'
+
+
+def _compact(tag: re.Match[str]) -> str:
+    """Shorten a tag: one decimal is enough, groups need no ids, and the page gives fonts and colours."""
+    names = list(palette())
+    text = re.sub(r'(?<=<g) id="[^"]*"| font-family: [^;"]*;', "", re.sub(r"\s+", " ", tag[0]))
+    text = re.sub(r'(?<=[ "(])-?\d+\.\d{2,}(?=[ ")])', lambda digits: f"{float(digits[0]):.1f}", text)
+    text = re.sub(r"M ([\d.-]+ [\d.-]+) L \1(?= [M\"])", r"M \1h0", text)  # a dot by the round cap
+    text = re.sub(r" ?([ML]) ", r"\1", text)
+    return re.sub(r"#00fe(\w\w)", lambda code: f"var(--{names[int(code[1], 16)]})", text)
+
+
+# Panels and sketches on axes
+
+
+def _draw(axes: Axes, panel: Panel, colours: Colours, last: bool = True) -> None:
+    """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
+    if panel.matrix is not None:  # correlations by the strength of two colours
+        light = palette()
+        hues = to_rgba_array([light["positive"], light["negative"]])[(panel.matrix < 0).astype(int)]
+        hues[..., 3] = np.abs(panel.matrix)
+        axes.imshow(hues, interpolation="none", aspect="equal")
+        axes.grid(False)
+    if panel.band is not None:
+        axes.axhspan(*panel.band, color=colours["shade"], linewidth=0)
+    for start, stop in () if panel.shaded is None else panel.shaded.reshape(-1, 2):
+        axes.axvspan(start, stop, color=colours["shade"], linewidth=0)
+    _draw_rules(axes, panel, colours)
+    for series in panel.series:
+        _draw_series(axes, series, colours)
+    _draw_axis(axes, panel.x, "x")
+    _draw_axis(axes, panel.y, "y")
+    axes.set(title=panel.title, xlabel=panel.x.label if last else "", ylabel=panel.y.label)
+    if panel.y.names:
+        axes.grid(False, axis="y")
+        axes.spines["left"].set_visible(False)
+    if panel.x.names:
+        axes.grid(False, axis="x")
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+
+
+def _draw_rules(axes: Axes, panel: Panel, colours: Colours) -> None:
+    """Draw dashed lines across a panel; the first label is left of its line, further ones right, so that all show."""
+    dashed: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8, "linestyle": (0, (3, 3))}
+    upright = sorted((rule.x, rule.label) for rule in panel.rules if rule.x is not None)
+    for k, (x, label) in enumerate(upright):
+        axes.axvline(x, **dashed)
+        place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
+        side, offset = ("left", 2.0) if k else ("right", -2.0)
+        axes.annotate(label, (x, 1.0), (offset, -2.0), **place, rotation=90, va="top", ha=side,
+                      fontsize="small", color=colours["soft"])  # fmt: skip
+    for rule in panel.rules:
+        if rule.y is not None:
+            axes.axhline(rule.y, **dashed)
+
+
+def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
+    ticks = axes.xaxis if which == "x" else axes.yaxis
+    if axis.log:
+        axes.set(**{f"{which}scale": "log"})
+        low, high = ticks.get_view_interval()
+        few = LogLocator(subs=(1.0, 2.0, 5.0) if high < 100 * low else (1.0,), numticks=6)
+        ticks.set_major_locator(few if high > 5 * low else MaxNLocator(5, steps=STEPS))
+        ticks.set_minor_locator(NullLocator())
+        ticks.set_major_formatter(lambda value, _: number(value).replace("-", MINUS))
+    else:
+        ticks.set_major_locator(MaxNLocator(5, steps=STEPS))
+    if axis.names:
+        shown = list(axis.names.items())[:: ceil(SMALLEST * len(axis.names) / NAMES)]
+        size = min(rcParams["font.size"], max(SMALLEST, NAMES / len(axis.names)))
+        ticks.set_ticks([place for place, _ in shown], [name for _, name in shown], fontsize=size)
+        long = sum(len(name) + 1 for _, name in shown) > LEVEL
+        ticks.set_tick_params(rotation=90 if which == "x" and long else 0)
+    if any(end is not None for end in axis.limits):
+        axes.set(**{f"{which}lim": axis.limits})
+
+
+def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
+    look: dict[str, Any] = {"color": colours[series.colour], "label": series.label or None}
+    if series.mark == "steps":
+        axes.stairs(series.y, series.x, linewidth=series.width, **look)
+    elif series.mark == "spans":
+        spans = [(start, stop - start) for start, stop in series.x]
+        axes.broken_barh(spans, (float(series.y[0]) - 0.35, 0.7), color=look["color"], linewidth=0)
+    elif series.mark == "line":
+        dashes = (0, series.dashes) if series.dashes else "-"
+        axes.plot(*series.thinned(), linewidth=series.width, linestyle=dashes, **look)
+    elif series.mark == "points":  # one path of dots: very short lines with round caps
+        size, nothing = 2 + series.width, np.full(len(series.x), np.nan)
+        shifted = series.x + 1e-6 * (np.ptp(series.x) or np.abs(series.x[0]) or 1.0)
+        x = np.column_stack([series.x, shifted, nothing]).ravel()
+        y = np.column_stack([series.y, series.y, nothing]).ravel()
+        axes.plot(x, y, linewidth=size, solid_capstyle="round", snap=False, color=look["color"])
+        axes.plot([], [], "o", markersize=size, markeredgewidth=0.0, **look)  # in the key
+        axes.margins(x=0.03)
+    else:
+        half = np.zeros(len(series.x)) if series.half is None else series.half
+        marks: dict[str, dict[str, Any]] = {
+            "disc": {"marker": "o", "elinewidth": 1.2, "capsize": 3},
+            "diamond": {"marker": "D", "markerfacecolor": colours["page"], "elinewidth": 0, "capsize": 0},
+            "thick": {"marker": "", "elinewidth": 4, "capsize": 0},
+        }
+        look |= {"yerr" if series.upright else "xerr": half, "linestyle": "none", "markersize": 4.5}
+        axes.errorbar(series.x, series.y, **marks[series.mark], **look)
+        axes.margins(x=0.06, y=0.1)
+
+
+def _draw_sketch(figure: Figure, sketch: Sketch, colours: Colours, effects: list[Any] | None = None) -> None:
+    """Draw a sketch over a whole figure, its words with ``effects``."""
+    sides = {"start": "left", "middle": "center", "end": "right"}
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    look: dict[str, Any]
+    for order, item in enumerate(sketch.items):
+        if isinstance(item, Word):
+            look = {"fontsize": item.size, "fontweight": "bold" if item.bold else "normal"}
+            look |= {"color": colours[item.colour], "path_effects": effects, "zorder": order}
+            axes.text(item.place[0], item.place[1], item.text, ha=sides[item.side], va="center", **look)
+        elif item.closed:
+            fill = colours[item.fill] if item.fill else "none"
+            axes.fill(*item.points.T, facecolor=fill, edgecolor=colours[item.stroke],
+                      linewidth=item.width, alpha=item.opacity, zorder=order)  # fmt: skip
+        else:
+            look = {"color": colours[item.stroke], "linewidth": item.width, "solid_capstyle": "round"}
+            axes.plot(*item.points.T, **look, zorder=order)
+    ends = np.column_stack([sketch.corner, sketch.corner + sketch.size])
+    axes.set(xlim=ends[0], ylim=ends[1])
+    axes.set_axis_off()

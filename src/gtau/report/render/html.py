@@ -1,4 +1,4 @@
-"""Pages as one self-contained HTML file: styles, scripts and packed arrays inside; it loads nothing from anywhere."""
+"""Pages as one self-contained HTML file with its styles, scripts and data."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from markupsafe import Markup, escape
 
 from gtau.report.chart import MINUS, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section, Table
-from gtau.report.render.svg import svg_of, svg_of_sketch
 from gtau.robots.robot import Robot
 
-BUCKETS = 2000  # of a run, each drawn by its extremes: more than the pixels of a wide screen
-BUDGET = 450_000  # numbers in all series of a page: 2.4 MB once packed
+BUCKETS = 2000  # intervals of a run, drawn by their extremes: more than the pixels of a wide screen
+BUDGET = 450_000  # numbers in all series of a page, packed to 2.4 MB
 INCH = 96  # pixels
 FIT = (
     "new ResizeObserver(() => { try { frameElement.style.height = document.body.getBoundingClientRect().height + 16 + "
@@ -30,7 +29,7 @@ FIT = (
 
 
 def html(page: Page, embedded: bool = False) -> str:
-    """Render a page as the text of one HTML file; an ``embedded`` one is the content of a frame in a notebook."""
+    """Render a page as HTML; an ``embedded`` page goes into a frame of a notebook."""
     arrays = arrays_for(page.sections)
     live = next(live_charts(page.sections), None) is not None
     scripts = [asset("uPlot.iife.min.js")] if live else []
@@ -41,9 +40,6 @@ def html(page: Page, embedded: bool = False) -> str:
     def group() -> str:
         groups.append(f"g{len(groups)}")
         return groups[-1]
-
-    def spec(panel: Any, of: str, last: bool) -> str:
-        return json.dumps(spec_of(panel, arrays, of, last))
 
     return (
         _environment()
@@ -57,18 +53,19 @@ def html(page: Page, embedded: bool = False) -> str:
             licence=asset("uPlot.LICENSE.txt") if live else "",
             arrays=arrays,
             group=group,
-            spec=spec,
+            spec=lambda panel, group, last: json.dumps(spec_of(panel, arrays, group, last)),
         )
     )
 
 
 def frame(page: Page) -> str:
-    """Render a page as a frame of its own in a notebook, so that its styles touch nothing of the notebook's."""
-    return _environment().get_template("frame.html.j2").render(content=html(page, embedded=True))
+    """Render a page as an inline frame, which keeps its styles apart from the notebook's."""
+    content = escape(html(page, embedded=True))
+    return f'<iframe srcdoc="{content}" style="width:100%;height:24em;border:0" title="gtau"></iframe>'
 
 
 def asset(name: str) -> str:
-    """Read a text file that ships with this package."""
+    """Read a text file of this package."""
     return files("gtau.report.render").joinpath("assets", name).read_text(encoding="utf-8")
 
 
@@ -82,7 +79,7 @@ def _environment() -> Any:
     environment = Environment(
         loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=svg_of, robot=_robot)
+    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=_panel, robot=_robot)
     environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, shown=_shown, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
@@ -96,7 +93,7 @@ def _cell(column: Column, cell: Any) -> str:
 
 
 def words(text: str) -> Markup:
-    """Write a text with signs of numbers, and names that break at ``_``; per cent, options and commands do not."""
+    """Set minus signs, keep ``%``, options and commands in one piece, and let names break at ``_``."""
     signed = re.sub(r"(?<![^\s(,])-(?=\d)|(?<=\d[eE])-(?=\d)", MINUS, text.replace("+-", "\N{PLUS-MINUS SIGN}"))
     text = str(escape(signed)).replace(" %", "\N{NO-BREAK SPACE}%").replace("_", "_<wbr>")
     text = re.sub(r"(?<=\()gtau [^()]+(?=\))", r"<code>\g<0></code>", text)
@@ -104,18 +101,25 @@ def words(text: str) -> Markup:
 
 
 def _shown(table: Table) -> list[int]:
-    """List the columns of a table; of findings, those in which something stands."""
+    """List the columns to show; for findings, the columns that are not empty."""
     return [k for k in range(len(table.columns)) if not table.listed or any(row[k] for row in table.rows)]
 
 
+def _panel(panel: Panel, alone: bool, title: str) -> str:
+    from gtau.report.render.charts import svg_of  # imports Matplotlib, which pages without charts do not need
+
+    return svg_of(panel, alone, title)
+
+
 def _robot(robot: Robot) -> str:
+    from gtau.report.render.charts import svg_of_sketch
     from gtau.report.robot_figure import sketch_of
 
     return svg_of_sketch(sketch_of(robot), f"robot {robot.name} at home")
 
 
 def _style() -> str:
-    """Write the style sheet: light colours, dark ones where the system or the switch asks for them, light on paper."""
+    """Write the style sheet: light colours, dark ones if the system or the button asks for them, light on paper."""
     light, dark = asset("light.css"), asset("dark.css")
     return (
         f":root {{ color-scheme: light dark; {light} }}\n"
@@ -129,32 +133,32 @@ def _style() -> str:
 
 
 def _policy(scripts: list[str]) -> str:
-    """Allow the page its own scripts and styles, and nothing else."""
+    """Write the content security policy: only the scripts and styles of the page run."""
     digests = (b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
     allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
     return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
 
 
 def sentence(words: str) -> str:
-    """Make words begin with a capital letter, unless a name comes first, and end with a full stop."""
+    """Capitalise the first word unless it is a name, and end with a full stop."""
     words = words.strip()
     if words and words.split()[0].isalpha():
         words = words[0].upper() + words[1:]
     return words if not words or words.endswith((".", "!", "?")) else words + "."
 
 
-# Time series: packed as base64 float32, thinned to envelopes, drawn by uPlot
+# Time series, thinned and packed as base64 float32, which uPlot draws
 
 
 @dataclass
 class Arrays:
-    """The arrays of a page by the key that charts refer to them with; equal arrays are packed once."""
+    """Arrays of a page by key; equal arrays are stored once."""
 
     buckets: int = BUCKETS
     keys: dict[str, str] = field(default_factory=dict)
 
     def put(self, values: np.ndarray) -> str:
-        """Pack an array (K,) as float32; return the key it can be found by."""
+        """Pack an array (K,) as float32 and return its key."""
         text = b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
         return self.keys.setdefault(text, f"a{len(self.keys)}")
 
@@ -165,7 +169,7 @@ class Arrays:
 
 
 def arrays_for(items: tuple[Item, ...]) -> Arrays:
-    """Divide the budget of a page among its series."""
+    """Divide the budget of a page equally among its series."""
     series = sum(len(panel.series) for chart in live_charts(items) for panel in chart.panels)
     return Arrays(int(np.clip(BUDGET // max(2 * series, 1), 100, BUCKETS)))
 

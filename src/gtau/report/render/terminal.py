@@ -1,4 +1,4 @@
-"""Pages on a terminal: plain text of 80 columns, with colours only where a person looks at it."""
+"""Pages on a terminal: text of 80 columns, coloured only on a screen."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from gtau.report.page import BADGES, NUMERIC, Column, Facts, Kind, Page, Section
 
 WIDTH = 80
 GAP = 2
-LONGEST = 40  # characters of a word that is not broken
+LONGEST = 40  # characters of the longest unbroken word
 COLOURS = {"good": "green", "weak": "yellow", "bad": "bold red"}
 ASCII = str.maketrans({"±": "+-", "\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "×": "x", "²": "2", "‘": "'", "’": "'"})
 
 
 def show(page: Page) -> None:
-    """Print a page on stdout, in colour on a terminal."""
+    """Print a page on stdout, coloured on a terminal."""
     if sys.stdout.isatty():
         Console(width=WIDTH, highlight=False).print(rendered(page), crop=False)
     else:
@@ -33,7 +33,7 @@ def show(page: Page) -> None:
 
 
 def plain(page: Page) -> str:
-    """Write a page as text."""
+    """Write a page as plain text."""
     console = Console(width=WIDTH, file=StringIO(), color_system=None, highlight=False, legacy_windows=False)
     console.print(rendered(page), crop=False)
     return "\n".join(line.rstrip() for line in console.file.getvalue().splitlines())  # type: ignore[attr-defined]
@@ -75,14 +75,14 @@ def _ascii(words: str) -> str:
 
 
 def _kept(words: str) -> str:
-    """Write words in ASCII, with spaces that are not broken between a number and its unit, and within a unit."""
+    """Write words in ASCII, with no-break spaces before and within units."""
     return re.sub(
         r"(?<=\d) (?=%|[A-Za-z]{1,3}\d?\b)|(?<=\bN) (?=m\b)|(?<=\bkg) (?=m)|(?<=\bm) (?=s/)", "\xa0", _ascii(words)
     )
 
 
 def _broken(words: str, width: int = WIDTH, margin: int = 0) -> list[str]:
-    """Break words at spaces into lines, so that paths stay in one piece and no number loses its unit."""
+    """Break words at spaces into lines; paths, and numbers with their units, stay in one piece."""
     lines = textwrap.wrap(
         _kept(words), max(width, 1), subsequent_indent=" " * margin, break_long_words=False, break_on_hyphens=False
     )
@@ -101,19 +101,19 @@ def _facts(facts: Facts) -> Iterator[RichText]:
 
 
 def _list(table: Table) -> Iterator[RichText]:
-    """List the rows below the badge that they share: ``where: what; what to do``."""
+    """List rows as ``where: what; what to do``, grouped by badge."""
     badge = next(k for k, column in enumerate(table.columns) if column.kind == Kind.BADGE)
     shown = [k for k, column in enumerate(table.columns) if k != badge and not column.wide]
     for grade, rows in groupby(table.rows, key=lambda row: row[badge]):
         yield from _lines([f"{str(grade).capitalize()}:"], style=_badge(grade))
         for row in rows:
             where, *sentences = (str(row[k] or "") for k in shown)
-            said = "; ".join(filter(None, sentences))
-            yield from _lines([f"{where}: {said}" if where else said], "- ")
+            text = "; ".join(filter(None, sentences))
+            yield from _lines([f"{where}: {text}" if where else text], "- ")
 
 
 def _table(table: Table) -> Iterator[RichTable]:
-    """Print a table; one too wide is broken into several that repeat its first column."""
+    """Print a table; a wide one is split into blocks that repeat the first column."""
     kept = [k for k, column in enumerate(table.columns) if not column.wide]
     columns = [table.columns[k] for k in kept]
     cells = [[_ascii(columns[i].text(row[k])) for i, k in enumerate(kept)] for row in table.rows]
@@ -124,25 +124,20 @@ def _table(table: Table) -> Iterator[RichTable]:
         widths = {i: most[i] for i in block}
         while sum(widths.values()) + GAP * (len(block) - 1) > WIDTH:
             widths[max(block, key=lambda i: widths[i] - least[i])] -= 1
-        shown = RichTable(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_header=any(titles))
+        block_table = RichTable(box=None, padding=(0, GAP, 0, 0), pad_edge=False, show_header=any(titles))
         for i in block:
             justify: Literal["left", "right"] = "right" if columns[i].kind in NUMERIC else "left"
-            shown.add_column(
-                RichText("\n".join(_broken(titles[i], widths[i]))),
-                justify=justify,
-                width=widths[i],
-                overflow="fold",
-                header_style="",
-            )
+            title = RichText("\n".join(_broken(titles[i], widths[i])))
+            block_table.add_column(title, justify=justify, width=widths[i], overflow="fold", header_style="")
         for k, row in enumerate(cells):
             styles = [_badge(row[i]) if columns[i].kind == Kind.BADGE else "" for i in block]
             texts = ["\n".join(_broken(row[i], widths[i])) for i in block]
-            shown.add_row(*map(RichText, texts, styles), style="dim" if k in table.faint else "")
-        yield shown
+            block_table.add_row(*map(RichText, texts, styles), style="dim" if k in table.faint else "")
+        yield block_table
 
 
 def _narrowest(column: Column, title: str, cells: Sequence[str], first: bool) -> int:
-    """Find the least width of a column: numbers stay on a line, and so do words of texts unless they are very long."""
+    """Return the least width of a column, in which numbers and all but very long words stay on a line."""
     if first or column.kind in NUMERIC:
         words = [*_kept(title).split(" "), *cells]
     else:
@@ -151,7 +146,7 @@ def _narrowest(column: Column, title: str, cells: Sequence[str], first: bool) ->
 
 
 def _blocks(widths: Sequence[int]) -> Iterator[list[int]]:
-    """Divide columns into blocks that fit, each beginning with the first column."""
+    """Divide columns into blocks that fit; every block starts with the first column."""
     block, used = [0], widths[0]
     for k, width in enumerate(widths[1:], 1):
         if used + GAP + width > WIDTH and len(block) > 1:

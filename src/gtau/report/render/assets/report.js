@@ -151,14 +151,14 @@
   const beforePaper = () => {
     theme = root.dataset.theme;
     root.dataset.theme = "light";
-    document.querySelectorAll("details").forEach((each) => { each.dataset.was = each.open; each.open = true; });
+    document.querySelectorAll("details").forEach((part) => { part.dataset.was = part.open; part.open = true; });
     charts.forEach(draw);
     fit();
     repaint();
   };
   const afterPaper = () => {
     if (theme) root.dataset.theme = theme; else delete root.dataset.theme;
-    document.querySelectorAll("details").forEach((each) => { each.open = each.dataset.was === "true"; });
+    document.querySelectorAll("details").forEach((part) => { part.open = part.dataset.was === "true"; });
     repaint();
   };
   addEventListener("beforeprint", beforePaper);
@@ -173,7 +173,7 @@
     };
     const sort = (head, column) => {
       const up = head.getAttribute("aria-sort") !== "ascending";
-      heads.forEach((each) => each.removeAttribute("aria-sort"));
+      heads.forEach((other) => other.removeAttribute("aria-sort"));
       head.setAttribute("aria-sort", up ? "ascending" : "descending");
       const rows = [...body.rows].map((row) => [key(row, column), row]);
       rows.sort(([a], [b]) => (a < b ? -1 : a > b ? 1 : 0) * (up ? 1 : -1));
