@@ -18,7 +18,7 @@ from gtau.report.motion import TIME, distances_panels
 from gtau.report.render.charts import figure_of
 from gtau.report.residuals import residual_panels
 from gtau.report.torques import torques_chart
-from gtau.report.uncertainty import correlation_chart, correlation_of, singular_values_chart
+from gtau.report.uncertainty import correlation_chart, correlation_of, effects_chart, singular_values_chart
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.uses.prediction import predict
@@ -76,6 +76,13 @@ class Plots:
         panels = residual_panels({joint: [(evidence.time, values)]}, {joint: unit})
         along = Panel(TIME, Axis(f"residual, {unit}"), (line,), height=2.0)
         return figure_of(Chart((along, *panels), f"{evidence.run.name}: {joint}", columns=2))
+
+    def effects(self) -> Figure:
+        """Draw the effects that model and description lack, by how much each would move a gain, with intervals."""
+        chart = effects_chart(sorted(self.result.effects, key=lambda effect: -effect.largest_move))
+        if chart is None:
+            raise GtauError("no effect would move a gain, so there is nothing to draw.")
+        return figure_of(chart)
 
     def correlation(self) -> Figure:
         """Draw the correlation matrix of all estimates."""
