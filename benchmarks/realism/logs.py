@@ -9,7 +9,7 @@ import polars as pl
 
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.run import Run, read_run
-from realism.departures import Departure
+from realism.departures import Departure, Drives
 from realism.plants import Plant
 
 LOADED = (False, True, False, True)
@@ -24,7 +24,7 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
     chi, n, rate = plant.parameters(model, rng), len(model.actuated), departure.rate or plant.rate
     gains = rng.uniform(*np.broadcast_to(plant.gains, (n, 2)).T)
     time = np.arange(round(plant.seconds * rate) + 1) / rate
-    runs = []
+    runs, drives = [], None
     for k, loaded in enumerate(LOADED):
         if not (loaded and departure.repeated):
             motion = departure.motion(plant.within(model.robot), plant.seconds, rng)(time)
@@ -33,10 +33,11 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
             carried = {f"{kind}_{model.robot.tool}": value for kind, value in plant.payload().items()}
             now |= {name: now[name] + value for name, value in carried.items() if name in model.parameter_names}
         q, qd, tau, carried = _drive(model, now, chi, motion, departure, rate)
+        drives = drives or Drives(_rms(tau), _rms(qd), np.abs(tau / gains).max(axis=0))
         if departure.torque is not None:
-            tau = tau + departure.torque(time, q, qd, tau, carried)
-        v = (tau + NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)) / gains
-        v = v if departure.current is None else departure.current(v, rate, rng)
+            tau = tau + departure.torque(time, q, qd, tau, carried, drives)
+        v = (tau + NOISE * _rms(tau) * rng.standard_normal(tau.shape)) / gains
+        v = v if departure.current is None else departure.current(v, rate, rng, drives)
         q = q if departure.position is None else departure.position(q, rng)
         stamps = time if departure.stamps is None else departure.stamps(time, rng)
         runs.append(_run(model, f"run {k + 1}", stamps, q, v, _declared(plant, departure) if loaded else None))
@@ -96,3 +97,8 @@ def _run(
         "current": {joint: f"v{j}" for j, joint in enumerate(model.actuated)},
     }
     return replace(read_run(table, signals, payload), name=name)
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    """Root of the mean square, (n,), of signals (N, n)."""
+    return np.sqrt(np.mean(values**2, axis=0))
