@@ -259,6 +259,26 @@ def backlash(gap: float) -> Departure:
     return Departure(deflection=across)
 
 
+def runs_differ(std: float) -> Departure:
+    """Torque constants that differ from run to run."""
+    return Departure(current=lambda v, rate, rng, drives: v * (1 + std * rng.standard_normal(v.shape[1])))
+
+
+def together(*parts: Departure) -> Departure:
+    """Several at once: torques add up, and currents pass from one to the next."""
+
+    def torque(*at: object) -> np.ndarray:
+        return sum(part.torque(*at) for part in parts if part.torque)
+
+    def current(v: np.ndarray, rate: float, rng: np.random.Generator, drives: Drives) -> np.ndarray:
+        for part in parts:
+            v = part.current(v, rate, rng, drives) if part.current else v
+        return v
+
+    bent = [part.deflection for part in parts if part.deflection]
+    return Departure(torque=torque, current=current, deflection=bent[0] if bent else None)
+
+
 # What is said of the robot
 
 
@@ -330,6 +350,20 @@ DEPARTURES: dict[str, Departure] = {
     "joints elastic at 30 Hz": elastic(30.0),
     "joints elastic at 10 Hz": elastic(10.0),
     "backlash of 1 mrad": backlash(1e-3),
+    "torque constants that differ by 0.5 % from run to run": runs_differ(0.005),
+    "ripple of 1 % and Stribeck friction": together(ripple(0.01, 20.0), STRIBECK),
+    "friction of three kinds": together(STRIBECK, cooling(0.2), LOAD_FRICTION),
+    "nine at once": together(
+        ripple(0.005, 20.0),
+        STRIBECK,
+        cooling(0.1),
+        thinning(0.1),
+        LOAD_FRICTION,
+        elastic(30.0),
+        saturating(0.02),
+        low_passed(0.005),
+        runs_differ(0.003),
+    ),
     "encoder zeros off by 1 degree": zeros(1.0),
     "encoder zeros off by 3 degrees": zeros(3.0),
     "base tilted by 3 degrees": tilted(3.0),

@@ -96,7 +96,7 @@ def write_files(records: Sequence[dict], folder: Path) -> None:
     real = [record for record in records if record["departure"] not in DEPARTURES | MOTIONS]
     folder.mkdir(exist_ok=True)
     tables = {"defects": by_departure(made), "defects-by-robot": by_robot(made)}
-    tables |= {"missed": missed(made), "pairs": of_pairs(real)}
+    tables |= {"intervals": widths(made), "missed": missed(made), "pairs": of_pairs(real)}
     for name, lines in tables.items():
         if len(lines) > 1:
             write_csv(folder / f"{name}.csv", lines)
@@ -158,6 +158,19 @@ def by_departure(made: Sequence[dict]) -> list[list[str]]:
         if mine:
             row = pooled(mine).row()
             lines.append([name, *(row[k] for k in shown)])
+    return lines
+
+
+def widths(made: Sequence[dict]) -> list[list[str]]:
+    """One row a departure: do intervals hold, and are they no wider than the errors need."""
+    lines = [["defect", "gains", "hold, %", "rms z", "rms error, %", "median error, %", "half width over need"]]
+    for name in (*DEPARTURES, "all"):
+        mine = pooled([record for record in made if name in (record["departure"], "all")])
+        if len(mine.z):
+            error, std = mine.error, np.abs(mine.error / mine.z)
+            lines.append([name, str(len(error)), f"{100 * mine.holds.mean():.1f}", f"{rms(mine.z):.2f}",
+                          f"{100 * rms(error):.3f}", f"{100 * np.median(np.abs(error)):.3f}",
+                          f"{rms(std) / rms(error):.2f}"])  # fmt: skip
     return lines
 
 
