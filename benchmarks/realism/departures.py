@@ -350,6 +350,27 @@ DEPARTURES: dict[str, Departure] = {
     "joints elastic at 30 Hz": elastic(30.0),
     "joints elastic at 10 Hz": elastic(10.0),
     "backlash of 1 mrad": backlash(1e-3),
+    "encoder zeros off by 1 degree": zeros(1.0),
+    "encoder zeros off by 3 degrees": zeros(3.0),
+    "base tilted by 3 degrees": tilted(3.0),
+    "a link 1 % longer": Departure(robot=lambda robot: stretched(robot, 1.01), wrong=True),
+    "payload declared 30 mm off-centre": Departure(centre_off=0.03, wrong=True),
+    "payload mass declared 5 % too high": Departure(mass=1.05, wrong=True, invisible=SCALE),
+}
+
+# What effects of physics stand for, one at a time and together
+EFFECTS: dict[str, Departure] = {
+    name: DEPARTURES[name]
+    for name in (
+        "none",
+        "joints elastic at 30 Hz",
+        "torque constants falling by 5 %",
+        "friction of 5 % of the links' torque",
+        "current low-passed at 5 ms",
+        "Coulomb friction falling by 20 % along a run",
+        "viscous friction falling by 20 % along a run",
+    )
+} | {
     "torque constants that differ by 0.5 % from run to run": runs_differ(0.005),
     "ripple of 1 % and Stribeck friction": together(ripple(0.01, 20.0), STRIBECK),
     "friction of three kinds": together(STRIBECK, cooling(0.2), LOAD_FRICTION),
@@ -364,12 +385,6 @@ DEPARTURES: dict[str, Departure] = {
         low_passed(0.005),
         runs_differ(0.003),
     ),
-    "encoder zeros off by 1 degree": zeros(1.0),
-    "encoder zeros off by 3 degrees": zeros(3.0),
-    "base tilted by 3 degrees": tilted(3.0),
-    "a link 1 % longer": Departure(robot=lambda robot: stretched(robot, 1.01), wrong=True),
-    "payload declared 30 mm off-centre": Departure(centre_off=0.03, wrong=True),
-    "payload mass declared 5 % too high": Departure(mass=1.05, wrong=True, invisible=SCALE),
 }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from table import write_csv
 
 from gtau.findings import Grade
-from realism.departures import DEPARTURES, MOTIONS
+from realism.departures import DEPARTURES, EFFECTS, MOTIONS
 from realism.plants import PLANTS
 
 ACCURACY = 0.03
@@ -96,7 +96,7 @@ def write_files(records: Sequence[dict], folder: Path) -> None:
     real = [record for record in records if record["departure"] not in DEPARTURES | MOTIONS]
     folder.mkdir(exist_ok=True)
     tables = {"defects": by_departure(made), "defects-by-robot": by_robot(made)}
-    tables |= {"intervals": widths(made), "missed": missed(made), "pairs": of_pairs(real)}
+    tables |= {"missed": missed(made), "pairs": of_pairs(real)}
     for name, lines in tables.items():
         if len(lines) > 1:
             write_csv(folder / f"{name}.csv", lines)
@@ -164,7 +164,7 @@ def by_departure(made: Sequence[dict]) -> list[list[str]]:
 def widths(made: Sequence[dict]) -> list[list[str]]:
     """One row a departure: do intervals hold, and are they no wider than the errors need."""
     lines = [["defect", "gains", "hold, %", "rms z", "rms error, %", "median error, %", "half width over need"]]
-    for name in (*DEPARTURES, "all"):
+    for name in (*EFFECTS, "all"):
         mine = pooled([record for record in made if name in (record["departure"], "all")])
         if len(mine.z):
             error, std = mine.error, np.abs(mine.error / mine.z)
