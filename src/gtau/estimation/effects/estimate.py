@@ -58,10 +58,10 @@ def estimate_effects(fit: Fit, effects: Sequence[Effect] = EFFECTS) -> Mixed | N
     gains = mixed.values[fit.system.problem.gain_rows]
     if not NONLINEAR < float(np.max(np.abs(gains / fit.gains - 1))) < FAR:
         return mixed
-    return _estimate(mixed.applied(fit), effects)
+    return _estimate(mixed.applied(fit), effects, mixed.mixed)
 
 
-def _estimate(fit: Fit, effects: Sequence[Effect]) -> Mixed | None:
+def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None) -> Mixed | None:
     windows = fit.dataset.windows(WINDOWS)
     if not windows:
         return None
@@ -71,7 +71,7 @@ def _estimate(fit: Fit, effects: Sequence[Effect]) -> Mixed | None:
     for step_number in range(STEPS):
         if step_number:
             linear = linear_at(rows, values, linear.model)
-        mixed = fit_mixed(linear.model)
+        mixed = near = fit_mixed(linear.model, near)
         own = [np.zeros((len(values), rows.own))] * len(rows.products)
         step, covariance = mixed.at.move(linear.slopes @ np.diag(_scale(mixed)), own)
         before, values = values, values + step
