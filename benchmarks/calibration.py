@@ -2,6 +2,7 @@
 
     python benchmarks/calibration.py arm five-bar --seeds 3 --clean 20
     python benchmarks/calibration.py delta ur10e --resume --clean 8
+    python benchmarks/calibration.py seven scara 3-rrr --effects docs/evidence/coverage/effects.csv
     python benchmarks/calibration.py real --resume --page docs/evidence/coverage.md
 
 Each experiment has two runs without and two with a payload, friction that differs by 2 % from run to run, and current
@@ -15,18 +16,19 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import process_time
 
 import numpy as np
-from realism.departures import DEPARTURES, MOTIONS
+from realism.departures import DEPARTURES, EFFECTS, MOTIONS
 from realism.logs import make_logs
 from realism.pairs import pairs
 from realism.plants import PLANTS
-from realism.tables import page, write_files
+from realism.tables import page, widths, write_files
 from scipy.special import stdtrit
+from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
@@ -67,7 +69,7 @@ def gain_of(joint: str, gain: Estimate, truth: float, truth_std: float = 0.0) ->
 
 def simulated(robot: str, departure: str, seed: int) -> list[Gain]:
     """Gains found from one experiment."""
-    plant, what = PLANTS[robot], (DEPARTURES | MOTIONS)[departure]
+    plant, what = PLANTS[robot], (DEPARTURES | MOTIONS | EFFECTS)[departure]
     runs, gains = make_logs(plant, what, seed)
     told = plant.model.robot if what.robot is None else what.robot(plant.model.robot)
     with threadpool_limits(1, "blas"):
@@ -75,9 +77,11 @@ def simulated(robot: str, departure: str, seed: int) -> list[Gain]:
     return [gain_of(joint, gain, float(truth)) for (joint, gain), truth in zip(found.items(), gains, strict=True)]
 
 
-def experiments(robots: list[str], seeds: int, clean: int, only: str, motions: bool) -> Iterator[tuple[str, str, int]]:
+def experiments(
+    robots: list[str], seeds: int, clean: int, only: str, departures: Iterable[str]
+) -> Iterator[tuple[str, str, int]]:
     for robot in robots:
-        for name in MOTIONS if motions else DEPARTURES:
+        for name in departures:
             if only in name:
                 yield from ((robot, name, seed) for seed in range(clean if name == "none" else seeds))
 
@@ -89,6 +93,9 @@ def main() -> None:
     parser.add_argument("--clean", type=int, default=1, help="experiments of each robot without a departure")
     parser.add_argument("--only", default="", help="departures whose name contains this")
     parser.add_argument("--motions", action="store_true", help="runs that repeat a motion, and runs that do not")
+    parser.add_argument(
+        "--effects", type=Path, help="effects of physics, one at a time and together: a table of widths"
+    )
     parser.add_argument("--store", type=Path, default=Path("calibration.jsonl"))
     parser.add_argument("--resume", action="store_true", help="keep what stands in the store")
     parser.add_argument(
@@ -99,11 +106,12 @@ def main() -> None:
     if not options.resume:
         options.store.unlink(missing_ok=True)
     done = read(options.store)
+    departures = EFFECTS if options.effects else MOTIONS if options.motions else DEPARTURES
     names = [robot for robot in options.robots if robot != REAL]
     stands = {(each["robot"], each["departure"], each["seed"]) for each in done}
     todo = [
         each
-        for each in experiments(names, options.seeds, options.clean, options.only, options.motions)
+        for each in experiments(names, options.seeds, options.clean, options.only, departures)
         if each not in stands
     ]
     for number, (robot, departure, seed) in enumerate(todo, start=1):
@@ -126,6 +134,9 @@ def main() -> None:
             if (REAL, pair.name, 0) not in stands:
                 add(options.store, record)
             print(f"{pair.name}: {said(record)}", flush=True)
+    if options.effects:
+        write_csv(options.effects, widths(read(options.store)))
+        return
     tables = page(read(options.store))
     if options.page is None:
         print(tables)

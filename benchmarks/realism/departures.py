@@ -18,10 +18,28 @@ from gtau.simulation.trajectories import (
     sines,
 )
 
-Torque = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+Torque = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, "Drives"], np.ndarray]
+Current = Callable[[np.ndarray, float, np.random.Generator, "Drives"], np.ndarray]
 Deflection = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 STRIBECK_SPEED = 0.1  # rad/s
 GEAR = 100.0  # turns of the wave generator in a turn of the joint
+
+
+@dataclass(frozen=True, eq=False)
+class Drives:
+    """What the drives' departures are measured by, (n,) each: rms torque, speed and peak current in the first run.
+
+    They are the same in all runs: a motor does not know which payload it carries.
+    """
+
+    torque: np.ndarray
+    speed: np.ndarray
+    current: np.ndarray
+
+    @property
+    def friction(self) -> np.ndarray:
+        """A friction torque of common size, (n,): a tenth of the rms torque."""
+        return 0.1 * self.torque
 
 
 @dataclass(frozen=True)
@@ -35,12 +53,12 @@ class Departure:
     motion : callable
         Makes a trajectory from an envelope, a duration and random numbers.
     torque : callable, optional
-        Torques (N, n) added to the motors' from (time, q, qd, torques, the part of these that the links take).
+        Torques (N, n) added to the motors' from (time, q, qd, torques, the part of these that the links take, drives).
     deflection : callable, optional
         By how much the motors' positions, which are logged, lead the links', (N, n) in rad, from the torques that the
         transmissions carry (N, n), the inertia about each joint (n,), and the rate.
     current, position, stamps : callable, optional
-        Change what is logged, from (currents, rate, rng), (positions, rng) and (time, rng).
+        Change what is logged, from (currents, rate, rng, drives), (positions, rng) and (time, rng).
     robot : callable, optional
         The robot that identification is told of.
     mass : float
@@ -59,7 +77,7 @@ class Departure:
     motion: Callable[[Envelope, float, np.random.Generator], Trajectory] = sines
     torque: Torque | None = None
     deflection: Deflection | None = None
-    current: Callable[[np.ndarray, float, np.random.Generator], np.ndarray] | None = None
+    current: Current | None = None
     position: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None
     stamps: Callable[[np.ndarray, np.random.Generator], np.ndarray] | None = None
     robot: Callable[[Robot], Robot] | None = None
@@ -79,7 +97,7 @@ def bits(number: int) -> Departure:
 
 
 def low_passed(lag: float) -> Departure:
-    def filtered(v: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
+    def filtered(v: np.ndarray, rate: float, rng: np.random.Generator, drives: Drives) -> np.ndarray:
         from scipy.signal import lfilter, lfilter_zi
 
         a = np.exp(-1 / (lag * rate))
@@ -90,7 +108,7 @@ def low_passed(lag: float) -> Departure:
 
 
 def held(period: float) -> Departure:
-    def steps(v: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
+    def steps(v: np.ndarray, rate: float, rng: np.random.Generator, drives: Drives) -> np.ndarray:
         samples = max(round(period * rate), 2)
         return v[np.arange(len(v)) // samples * samples]
 
@@ -99,16 +117,16 @@ def held(period: float) -> Departure:
 
 def noisy(share: float) -> Departure:
     return Departure(
-        current=lambda v, rate, rng: v + share * np.sqrt(np.mean(v**2, axis=0)) * rng.standard_normal(v.shape)
+        current=lambda v, rate, rng, drives: v + share * np.sqrt(np.mean(v**2, axis=0)) * rng.standard_normal(v.shape)
     )
 
 
 def quantised(share: float) -> Departure:
-    return Departure(current=lambda v, rate, rng: (step := share * np.abs(v).max(axis=0)) * np.round(v / step))
+    return Departure(current=lambda v, rate, rng, drives: (step := share * np.abs(v).max(axis=0)) * np.round(v / step))
 
 
 def saturating(share: float) -> Departure:
-    return Departure(current=lambda v, rate, rng: v * (1 + share * np.abs(v) / np.abs(v).max(axis=0)))
+    return Departure(current=lambda v, rate, rng, drives: v * (1 + share * np.abs(v) / drives.current))
 
 
 def jitter(share: float) -> Departure:
@@ -173,23 +191,22 @@ def pick_and_place(within: Envelope, duration: float, rng: np.random.Generator) 
 # What the drives do beside the model
 
 
-def friction(torques: np.ndarray) -> np.ndarray:
-    """A friction torque of common size (n,): a tenth of the rms torque."""
-    return 0.1 * np.sqrt(np.mean(torques**2, axis=0))
-
-
 def cooling(share: float) -> Departure:
     """Coulomb friction that falls along a run."""
     return Departure(
-        torque=lambda time, q, qd, tau, carried: -share * (time / time[-1])[:, None] * friction(tau) * np.sign(qd)
+        torque=lambda time, q, qd, tau, carried, drives: (
+            -share * (time / time[-1])[:, None] * drives.friction * np.sign(qd)
+        )
     )
 
 
 def thinning(share: float) -> Departure:
     """Viscous friction, of half the torque at the rms speed, that falls along a run."""
 
-    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray) -> np.ndarray:
-        slope = 5.0 * friction(tau) / np.sqrt(np.mean(qd**2, axis=0))
+    def torque(
+        time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray, drives: Drives
+    ) -> np.ndarray:
+        slope = 5.0 * drives.friction / drives.speed
         return -share * (time / time[-1])[:, None] * slope * qd
 
     return Departure(torque=torque)
@@ -197,28 +214,30 @@ def thinning(share: float) -> Departure:
 
 def ripple(share: float, periods: float) -> Departure:
     return Departure(
-        torque=lambda time, q, qd, tau, carried: (
-            share * np.sqrt(2 * np.mean(tau**2, axis=0)) * np.sin(periods * q + 1.0)
-        )
+        torque=lambda time, q, qd, tau, carried, drives: share * np.sqrt(2) * drives.torque * np.sin(periods * q + 1.0)
     )
 
 
 def strain_wave(share: float) -> Departure:
     """Two ripples a turn of the wave generator, and one half as large."""
 
-    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    def torque(
+        time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray, drives: Drives
+    ) -> np.ndarray:
         shape = np.sin(2 * GEAR * q + 1.0) + 0.5 * np.sin(GEAR * q)
-        return share * np.sqrt(2 * np.mean(tau**2, axis=0)) * shape
+        return share * np.sqrt(2) * drives.torque * shape
 
     return Departure(torque=torque)
 
 
 STRIBECK = Departure(
-    torque=lambda time, q, qd, tau, carried: 0.5 * friction(tau) * np.sign(qd) * np.exp(-np.abs(qd) / STRIBECK_SPEED)
+    torque=lambda time, q, qd, tau, carried, drives: (
+        0.5 * drives.friction * np.sign(qd) * np.exp(-np.abs(qd) / STRIBECK_SPEED)
+    )
 )
-LOAD_FRICTION = Departure(torque=lambda time, q, qd, tau, carried: 0.05 * np.abs(carried) * np.sign(qd))
+LOAD_FRICTION = Departure(torque=lambda time, q, qd, tau, carried, drives: 0.05 * np.abs(carried) * np.sign(qd))
 LOSSES = Departure(
-    torque=lambda time, q, qd, tau, carried: 0.05 * np.abs(tau) * np.sign(qd),
+    torque=lambda time, q, qd, tau, carried, drives: 0.05 * np.abs(tau) * np.sign(qd),
     invisible="where friction exceeds what the links take, the motor drives nearly always, and a gear that loses a "
     "share of all that it transmits is the same as a smaller gain",
 )
@@ -238,6 +257,26 @@ def backlash(gap: float) -> Departure:
         return gap / 2 * gaussian_filter1d(np.sign(tau), 0.01 * rate, axis=0)
 
     return Departure(deflection=across)
+
+
+def runs_differ(std: float) -> Departure:
+    """Torque constants that differ from run to run."""
+    return Departure(current=lambda v, rate, rng, drives: v * (1 + std * rng.standard_normal(v.shape[1])))
+
+
+def together(*parts: Departure) -> Departure:
+    """Several at once: torques add up, and currents pass from one to the next."""
+
+    def torque(*at: object) -> np.ndarray:
+        return sum(part.torque(*at) for part in parts if part.torque)
+
+    def current(v: np.ndarray, rate: float, rng: np.random.Generator, drives: Drives) -> np.ndarray:
+        for part in parts:
+            v = part.current(v, rate, rng, drives) if part.current else v
+        return v
+
+    bent = [part.deflection for part in parts if part.deflection]
+    return Departure(torque=torque, current=current, deflection=bent[0] if bent else None)
 
 
 # What is said of the robot
@@ -319,6 +358,35 @@ DEPARTURES: dict[str, Departure] = {
     "payload mass declared 5 % too high": Departure(mass=1.05, wrong=True, invisible=SCALE),
 }
 
+# What effects of physics stand for, one at a time and together
+EFFECTS: dict[str, Departure] = {
+    name: DEPARTURES[name]
+    for name in (
+        "none",
+        "joints elastic at 30 Hz",
+        "torque constants falling by 5 %",
+        "friction of 5 % of the links' torque",
+        "current low-passed at 5 ms",
+        "Coulomb friction falling by 20 % along a run",
+        "viscous friction falling by 20 % along a run",
+    )
+} | {
+    "torque constants that differ by 0.5 % from run to run": runs_differ(0.005),
+    "ripple of 1 % and Stribeck friction": together(ripple(0.01, 20.0), STRIBECK),
+    "friction of three kinds": together(STRIBECK, cooling(0.2), LOAD_FRICTION),
+    "nine at once": together(
+        ripple(0.005, 20.0),
+        STRIBECK,
+        cooling(0.1),
+        thinning(0.1),
+        LOAD_FRICTION,
+        elastic(30.0),
+        saturating(0.02),
+        low_passed(0.005),
+        runs_differ(0.003),
+    ),
+}
+
 
 # What the payload does not change stands in two runs that repeat a motion, and what depends on it in neither or one.
 
@@ -326,7 +394,9 @@ DEPARTURES: dict[str, Departure] = {
 def common(shape: Callable[[np.ndarray], np.ndarray], share: float) -> Departure:
     """A torque of the positions, ``share`` of what rotors and friction take, rms, which is the same with a payload."""
 
-    def torque(time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray) -> np.ndarray:
+    def torque(
+        time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray, drives: Drives
+    ) -> np.ndarray:
         return share * np.sqrt(2 * np.mean((tau - carried) ** 2, axis=0)) * shape(q)
 
     return Departure(torque=torque)
@@ -335,7 +405,7 @@ def common(shape: Callable[[np.ndarray], np.ndarray], share: float) -> Departure
 def coloured(share: float) -> Departure:
     """Noise of a joint's rms current whose correlation decays in 0.1 s."""
 
-    def spoilt(v: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
+    def spoilt(v: np.ndarray, rate: float, rng: np.random.Generator, drives: Drives) -> np.ndarray:
         from scipy.signal import lfilter
 
         decay = np.exp(-1 / (0.1 * rate))

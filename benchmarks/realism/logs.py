@@ -9,7 +9,7 @@ import polars as pl
 
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.run import Run, read_run
-from realism.departures import Departure
+from realism.departures import Departure, Drives
 from realism.plants import Plant
 
 LOADED = (False, True, False, True)
@@ -24,7 +24,7 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
     chi, n, rate = plant.parameters(model, rng), len(model.actuated), departure.rate or plant.rate
     gains = rng.uniform(*np.broadcast_to(plant.gains, (n, 2)).T)
     time = np.arange(round(plant.seconds * rate) + 1) / rate
-    runs = []
+    runs, drives, inertias = [], None, None
     for k, loaded in enumerate(LOADED):
         if not (loaded and departure.repeated):
             motion = departure.motion(plant.within(model.robot), plant.seconds, rng)(time)
@@ -32,11 +32,14 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
         if loaded:
             carried = {f"{kind}_{model.robot.tool}": value for kind, value in plant.payload().items()}
             now |= {name: now[name] + value for name, value in carried.items() if name in model.parameter_names}
-        q, qd, tau, carried = _drive(model, now, chi, motion, departure, rate)
+        if departure.deflection is not None and inertias is None:  # of the empty robot: stiffness knows no payload
+            inertias = _inertias(model, chi, motion[0])
+        q, qd, tau, carried = _drive(model, now, inertias, motion, departure, rate)
+        drives = drives or Drives(_rms(tau), _rms(qd), np.abs(tau / gains).max(axis=0))
         if departure.torque is not None:
-            tau = tau + departure.torque(time, q, qd, tau, carried)
-        v = (tau + NOISE * np.sqrt(np.mean(tau**2, axis=0)) * rng.standard_normal(tau.shape)) / gains
-        v = v if departure.current is None else departure.current(v, rate, rng)
+            tau = tau + departure.torque(time, q, qd, tau, carried, drives)
+        v = (tau + NOISE * _rms(tau) * rng.standard_normal(tau.shape)) / gains
+        v = v if departure.current is None else departure.current(v, rate, rng, drives)
         q = q if departure.position is None else departure.position(q, rng)
         stamps = time if departure.stamps is None else departure.stamps(time, rng)
         runs.append(_run(model, f"run {k + 1}", stamps, q, v, _declared(plant, departure) if loaded else None))
@@ -46,20 +49,20 @@ def make_logs(plant: Plant, departure: Departure, seed: int) -> tuple[list[Run],
 def _drive(
     model: InverseDynamics,
     chi: dict[str, float],
-    empty: dict[str, float],
+    inertias: np.ndarray | None,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     departure: Departure,
     rate: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Positions, velocities and torques of the motors, and the torques that the links take; (N, n) each.
 
-    Where the transmissions give way, the motors lead the links; their stiffness is that for the ``empty`` robot.
+    Where the transmissions give way, the motors lead the links; their stiffness follows from the ``inertias`` (n,).
     """
     of_motors = {f"{kind}_{joint}" for kind in DRIVE for joint in model.actuated}
     carried = model.torques(*motion, {name: value for name, value in chi.items() if name not in of_motors})
     q, qd, qdd = motion
     if departure.deflection is not None:
-        q = q + departure.deflection(carried, _inertias(model, empty, q), rate)
+        q = q + departure.deflection(carried, inertias, rate)
         qd = np.gradient(q, 1 / rate, axis=0)
         qdd = np.gradient(qd, 1 / rate, axis=0)
     ia, fv, fs, off = (np.array([chi.get(f"{kind}_{joint}", 0.0) for joint in model.actuated]) for kind in DRIVE)
@@ -96,3 +99,8 @@ def _run(
         "current": {joint: f"v{j}" for j, joint in enumerate(model.actuated)},
     }
     return replace(read_run(table, signals, payload), name=name)
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    """Root of the mean square, (n,), of signals (N, n)."""
+    return np.sqrt(np.mean(values**2, axis=0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -100,6 +100,55 @@ def of_limits(robot: Robot) -> Envelope:
     return envelope(robot, 0.7)
 
 
+def limited(reach: float, velocity: float, acceleration: float) -> Limits:
+    return Limits(position=(-reach, reach), velocity=velocity, acceleration=acceleration)
+
+
+SCARA = Robot(
+    "scara",
+    (
+        Joint("1", "ground", "revolute", Mdh(), limits=limited(2.2, 4.0, 25.0)),
+        Joint("2", "1", "revolute", Mdh(d=0.225), limits=limited(2.4, 6.0, 35.0)),
+        Joint("3", "2", "revolute", Mdh(d=0.175), limits=limited(3.0, 8.0, 60.0)),
+        Joint("4", "3", "prismatic", Mdh(), limits=limited(0.1, 0.9, 8.0)),
+    ),
+)
+CYLINDRICAL = Robot(
+    "cylindrical",
+    (
+        Joint("1", "ground", "revolute", Mdh(), limits=limited(2.5, 2.5, 12.0)),
+        Joint("2", "1", "prismatic", Mdh(), limits=limited(0.25, 0.8, 5.0)),
+        Joint("3", "2", "prismatic", Mdh(alpha=np.pi / 2, d=0.1, r=0.3), limits=limited(0.25, 0.8, 5.0)),
+    ),
+)
+TURNS = np.pi / 2 * np.array([0, -1, 1, 1, -1, -1, 1])
+SEVEN = Robot(
+    "seven axes",
+    tuple(
+        Joint(
+            str(k + 1),
+            str(k) if k else "ground",
+            "revolute",
+            Mdh(alpha=turn, r=length),
+            limits=limited(2.0, 2.0, 8.0),
+        )
+        for k, (turn, length) in enumerate(zip(TURNS, (0.36, 0, 0.42, 0, 0.4, 0, 0.126), strict=True))
+    ),
+)
+
+
+def puma() -> Robot:
+    """The catalog's, whose file has no limits of speed."""
+    robot = load_robot("puma560")
+
+    def slow(joint: Joint) -> Joint:
+        low, high = joint.limits.position
+        within = Limits(position=(max(low, -2.5), min(high, 2.5)), velocity=1.5, acceleration=6.0)
+        return replace(joint, limits=within)
+
+    return replace(robot, joints=tuple(map(slow, robot.joints)))
+
+
 ANY = np.array([1.0, 5.0])
 PLANTS: dict[str, Plant] = {
     "arm": Plant(lambda: ARM, random_parameters, of_limits, 2.0, (0.3, 0.02, 0.0), ANY),
@@ -114,5 +163,16 @@ PLANTS: dict[str, Plant] = {
         np.stack([0.9 * UR10E_GAINS, 1.1 * UR10E_GAINS], axis=1),
         seconds=40.0,
         rate=125.0,
+    ),
+    "scara": Plant(lambda: SCARA, random_parameters, of_limits, 1.5, (0.05, 0.03, 0.02), ANY),
+    "cylindrical": Plant(lambda: CYLINDRICAL, random_parameters, of_limits, 2.0, (0.1, 0.05, 0.05), ANY),
+    "seven": Plant(lambda: SEVEN, random_parameters, of_limits, 3.0, (0.05, 0.04, 0.1), ANY, 12.0, 200.0),
+    "puma560": Plant(puma, random_parameters, of_limits, 2.5, (0.05, 0.03, 0.1), ANY, 10.0, 250.0),
+    "3-rrr": Plant(lambda: load_robot("3-rrr"), random_parameters, of_limits, 2.0, (0.03, 0.01, 0.0), ANY),
+    "orthoglide": Plant(
+        lambda: load_robot("orthoglide"), random_parameters, of_limits, 2.0, (0.03, 0.01, 0.02), ANY, rate=250.0
+    ),
+    "palletiser": Plant(
+        lambda: load_robot("palletiser"), random_parameters, of_limits, 20.0, (0.1, 0.05, -0.1), ANY, rate=250.0
     ),
 }

@@ -10,7 +10,7 @@ import numpy as np
 from table import write_csv
 
 from gtau.findings import Grade
-from realism.departures import DEPARTURES, MOTIONS
+from realism.departures import DEPARTURES, EFFECTS, MOTIONS
 from realism.plants import PLANTS
 
 ACCURACY = 0.03
@@ -158,6 +158,19 @@ def by_departure(made: Sequence[dict]) -> list[list[str]]:
         if mine:
             row = pooled(mine).row()
             lines.append([name, *(row[k] for k in shown)])
+    return lines
+
+
+def widths(made: Sequence[dict]) -> list[list[str]]:
+    """One row a departure: do intervals hold, and are they no wider than the errors need."""
+    lines = [["defect", "gains", "hold, %", "rms z", "rms error, %", "median error, %", "half width over need"]]
+    for name in (*EFFECTS, "all"):
+        mine = pooled([record for record in made if name in (record["departure"], "all")])
+        if len(mine.z):
+            error, std = mine.error, np.abs(mine.error / mine.z)
+            lines.append([name, str(len(error)), f"{100 * mine.holds.mean():.1f}", f"{rms(mine.z):.2f}",
+                          f"{100 * rms(error):.3f}", f"{100 * np.median(np.abs(error)):.3f}",
+                          f"{rms(std) / rms(error):.2f}"])  # fmt: skip
     return lines
 
 

@@ -41,6 +41,7 @@ def test_logs_that_determine_nothing_are_refused(share: float, value: float, ref
     problem = SimpleNamespace(
         parameters=parameters,
         n_theta=2,
+        gain_rows=slice(2, 2),
         channels=(SimpleNamespace(joint="arm"),),
         balance=lambda theta: np.ones(1),
     )

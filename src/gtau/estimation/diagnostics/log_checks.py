@@ -217,7 +217,11 @@ def require_motion(fit: Fit, estimates: Estimates) -> None:
     than there is.
     """
     problem, dataset = fit.system.problem, fit.dataset
-    values, std = estimates.values[: problem.n_theta], np.sqrt(np.diag(estimates.covariance)[: problem.n_theta])
+    parts, gains = slice(problem.n_theta), problem.gain_rows
+    values, covariance = estimates.values[parts], estimates.covariance
+    # at the gains as estimated: a scale that nothing determines, such as that of noise, is another matter
+    of_gains = covariance[parts, gains] @ np.linalg.pinv(covariance[gains, gains], hermitian=True)
+    std = np.sqrt(np.maximum(np.diag(covariance)[parts] - np.sum(of_gains * covariance[parts, gains], axis=1), 0.0))
     inertial = np.array([name.kind in (*INERTIAL, "ia") for name in problem.parameters])
     worst = int(np.argmax(shares := unexplained_shares(problem, fit.solution)))
     if shares[worst] > 1 and inertial.any() and np.all(np.abs(values) < DETERMINED * std, where=inertial):

@@ -161,6 +161,14 @@ class Levels:
         return np.where(speeds > 0, speeds, 1.0)
 
     @cached_property
+    def accelerations(self) -> np.ndarray:
+        """Rms accelerations over all runs, rad/s2 or m/s2; 1 of a joint that rests."""
+        windows = [window for _, window in self.fit.dataset.windows()]
+        squares = np.sum([np.sum(window.qdd**2, axis=0) for window in windows], axis=0)
+        rms = np.sqrt(squares / sum(len(window.qdd) for window in windows))
+        return np.where(rms > 0, rms, 1.0)
+
+    @cached_property
     def friction_torques(self) -> np.ndarray:
         """Friction at the rms speed, 2 % of the rms torque at least, N m or N."""
         fv, fs = self.friction

@@ -1,27 +1,32 @@
 """Friction that grows with the load of a joint.
 
 The load is the model's, without friction, as in the term ``fl``: the measured current is the friction itself where
-friction exceeds the load, so it would explain the noise of the current and any drive gain.
+friction exceeds the load, so it would explain the noise of the current and any drive gain. The model cannot tell the
+inertia of some links from their rotor's, which the gear does not transmit: a second column takes the rotor out of it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Words
+from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.column_blocks import is_transmitted
 from gtau.robots.parameter import Parameter
 
 PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave gears (UR10e pairs)
+ROTOR = 0.01  # of the rms torque: a fifth of it may speed up the rotor, and PLAUSIBLE of that
 
 
 def _torques(at: FitWindow) -> CandidateColumns:
     joints, terms, qd = at.fit.dataset.model.actuated, at.fit.system.terms, at.window.samples().qd
     missing = np.array([Parameter("fl", joint) not in terms for joint in joints])
     load = at.torques_along(at.motion, at.values * is_transmitted(at.fit.dataset.base.names)).T
-    return at.decimated((np.abs(load) * np.sign(qd) * missing).T[None])
+    turned = (
+        np.sign(load) * np.sign(qd) * at.window.samples().qdd * Levels(at.fit).torques / Levels(at.fit).accelerations
+    )
+    return at.decimated(np.stack([(np.abs(load) * np.sign(qd) * missing).T, turned.T]))
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
@@ -29,4 +34,9 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "add runs at other speeds, or with other loads, to separate it from other effects"
 
 
-LOAD_FRICTION = Effect("load-dependent friction", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "of its load")], _say)
+LOAD_FRICTION = Effect(
+    "load-dependent friction",
+    _torques,
+    lambda fit: [EffectColumn(PLAUSIBLE, "of its load"), EffectColumn(ROTOR, "of its torque")],
+    _say,
+)

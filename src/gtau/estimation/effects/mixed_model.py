@@ -261,9 +261,10 @@ class MixedFit:
         return posterior(self.model, self.grams, others).loss - self.at.loss
 
 
-def fit_mixed(model: MixedModel) -> MixedFit:
-    """Find sizes of all effects and the noise of all channels in turn."""
+def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
+    """Find sizes of all effects and the noise of all channels in turn, from those ``near`` them if given."""
     channels, log_s = range(len(model.rows)), np.full(len(model.largest), START)
+    log_s = log_s if near is None else np.maximum(near.log_s, log_s)  # a small size has no slope to grow by
     noise = model.noise or (Noise(),) * len(model.rows)
     for _ in range(PASSES):
         grams = tuple(of.whitened(rows) for of, rows in zip(noise, model.rows, strict=True))

@@ -7,7 +7,7 @@ import numpy as np
 from gtau.estimation.estimators.estimator import Fit
 
 ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (experience; 1 and 10 change no interval
-# of the experiments in docs/evidence/mixed-model.md by more than a fifth)
+# of the experiments in docs/evidence/coverage.md by more than a fifth)
 MODES = 8  # largest modes that are kept of a longer series
 
 

@@ -12,20 +12,15 @@ import numpy as np
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.rows import Rows
 
 PLAUSIBLE = 0.03  # relative fall up to twice the rms current: 0 to 0.05 (data sheets of servo motors)
 LARGE = 2.0  # rms currents: where the fall is stated
 
 
 def _torques(at: FitWindow) -> CandidateColumns:
-    scale = LARGE * Levels(at.fit).torques[:, None]
-
-    def columns(rows: Rows) -> np.ndarray:
-        tau = at.torques(rows)
-        return (np.abs(tau) * tau / scale)[:, :, None]
-
-    return columns
+    # at every sample: the square of a decimated torque lacks what friction adds where it reverses
+    tau = at.torques_along(at.motion, at.values)
+    return at.decimated((np.abs(tau) * tau / (LARGE * Levels(at.fit).torques[:, None]))[None])
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
