@@ -42,7 +42,7 @@ def warm(
         above = heat.at(joint, run.time) - 30
         friction = slopes.get(f"fvt_{joint}", 0) * qd[:, j] + slopes.get(f"fst_{joint}", 0) * np.sign(qd[:, j])
         command[:, j] += above * friction / GAINS[j]
-    return replace(run, command=command, side={"temperature": heat})
+    return replace(run, command=command, temperature=heat)
 
 
 def loaded(run: Run) -> Run:

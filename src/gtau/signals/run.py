@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import base_rows
-from gtau.signals.channel import BASE, SENSOR, Channel, SideValues, channels_of
+from gtau.signals.channel import BASE, SENSOR, SIDE_SIGNALS, Channel, SideValues, channels_of
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats.columnar import as_log
 from gtau.signals.reading.logs import read_logs
@@ -73,7 +73,8 @@ class Run:
     channels : tuple of Channel
         By default a channel for each joint, and for each of the torque ``sensors`` (names of joints).
     log : Log
-        The origin; its fields, such as ``settings``, ``notes`` and ``side``, may be given in its place.
+        The origin; its fields, such as ``settings`` and ``notes``, and side signals by key, such as
+        ``temperature``, may be given in its place.
 
     The arrays of a long log are memory-mapped from a file.
     """
@@ -107,7 +108,10 @@ class Run:
         if problem := name_problem(name):
             raise GtauError(f"run: {problem}.")
         base = next((rows for joint in joints if set(rows := base_rows(joint)) <= set(joints)), ())
-        log = replace(log or Log(), **origin)
+        log = log or Log()
+        side = {signal.key: origin.pop(signal.key) for signal in SIDE_SIGNALS if signal.key in origin}
+        known = {key: values for key, values in side.items() if values is not None}
+        log = replace(log, **{"side": {**log.side, **known}, **origin})
         channels = tuple(channels or channels_of(joints, base, {SENSOR: sensors}))
         unit = "A" if kind == "current" else "N m"
         channels = tuple(replace(channel, unit=unit) if channel.name in joints else channel for channel in channels)
@@ -138,6 +142,11 @@ class Run:
     def side(self) -> Mapping[str, SideValues]:
         """Side signals by key, as far as they were logged."""
         return self.log.side
+
+    @property
+    def temperature(self) -> SideValues | None:
+        """Temperatures, if they were logged."""
+        return self.side.get("temperature")
 
     @property
     def base(self) -> tuple[str, ...]:
