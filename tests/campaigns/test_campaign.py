@@ -21,13 +21,11 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.campaigns.campaign import CampaignState, _decided, _to_play, campaign
-from gtau.campaigns.candidates import _simulated, beside_the_axis, candidates
-from gtau.campaigns.contacts import check_contacts
+from gtau.campaigns.candidates import _simulated, beside_the_axis, candidates, played_again
 from gtau.campaigns.decision import Decision, decide, refuse_to_go_on, warming, write_experiment
 from gtau.campaigns.folder import Played, Round, read_design_file, read_rounds, read_settings, void, write_json
-from gtau.campaigns.next_motion import played_again
 from gtau.campaigns.page import campaign_page
-from gtau.campaigns.rehearsal import Rehearsal, write_motion
+from gtau.campaigns.rehearsal import Rehearsal, check_contacts, write_motion
 from gtau.cli.commands import app
 from gtau.documents.files import write_table
 from gtau.documents.yaml_document import read_yaml

@@ -94,7 +94,7 @@ def test_all_limits_hold_on_a_grid_ten_times_finer(found: Design) -> None:
     limits = found.task.limits
     assert np.all(joints[0] >= limits.position[:, :1])
     assert np.all(joints[0] <= limits.position[:, 1:])
-    assert np.all(np.abs(np.gradient(joints[0], time, axis=1)) <= limits.velocity[:, None] * 1.001)
+    assert np.all(np.abs(np.gradient(joints[0], time, axis=1)) <= limits.rates[0][:, None] * 1.001)
     assert np.abs(joints[1:3][:, :, [0, -1]]).max() < 1e-9
     home = [found.task.model.robot.joint(name).home for name in found.task.model.actuated]
     assert joints[0][:, 0] == pytest.approx(home)
@@ -272,7 +272,7 @@ def test_progress_counts_iterations(search: tuple[Design, list[tuple[str, int, i
 def test_a_search_stopped_before_it_has_found_anything_does_not_blame_the_limits(tmp_path: Path) -> None:
     low = DESIGN.replace("jerk:", "current: {left: 0.01, right: 0.01}\n  jerk:") + "approach: false\n"
     task, _ = read_design(write(tmp_path, low))
-    with pytest.raises(Stopped, match="the search was stopped before it had found a motion within the limits"):
+    with pytest.raises(Stopped, match="the search was stopped before it found a motion within the limits"):
         excite(task, starts=3, stop=lambda: True)
 
 

@@ -32,9 +32,7 @@ def make_task(robot: Robot, platform: bool = False, one_motion: bool = True) -> 
     rng = np.random.default_rng(3)
     limits = MotionLimits(
         position=np.array([robot.joint(name).limits.position for name in model.actuated]),
-        velocity=np.full(n, 1.0),
-        acceleration=np.full(n, 5.0),
-        jerk=np.full(n, 50.0),
+        rates=np.outer([1.0, 5.0, 50.0], np.ones(n)),
         current=np.full(n, 20.0),
         workspace={"x": (-2.0, 2.0), "z": (-2.0, 2.0)},
         condition=200.0,
@@ -184,7 +182,7 @@ def test_trajectories_begin_at_rest_and_are_their_own_derivatives(rng: np.random
         assert periodic == pytest.approx(rate[:, :-1], abs=1e-6 * np.abs(rate).max())
     limits = np.array([0.7, 0.4]), np.array([2.0, 3.0]), np.array([9.0, 20.0])
     start, end = np.array([0.0, 0.5]), np.array([1.5, -0.4])
-    span = move_duration(end - start, *limits)
+    span = move_duration(end - start, limits)
     moves = quintic(start, end, span, np.linspace(0, span, 2001))
     used = [np.abs(each).max(axis=1) / limit for each, limit in zip(moves[1:], limits, strict=True)]
     assert np.max(used) == pytest.approx(1.0, abs=1e-3)

@@ -111,7 +111,7 @@ def least_distance(found: Design, names: list[str]) -> float:
 
 def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
     task, _ = read_design(written(tmp_path))
-    assert task.limits.velocity == pytest.approx([1.6, 1.6, 2.4, 2.4])  # 80 %
+    assert task.limits.rates[0] == pytest.approx([1.6, 1.6, 2.4, 2.4])  # 80 %
     assert task.limits.torque == pytest.approx([160, 160, 72, 24])
     assert any(FLOOR in pair for pair in task.limits.clearance.pairs)
     found = excite(task, starts=1)
@@ -170,7 +170,7 @@ def test_links_of_closed_loops_keep_off_a_stated_floor(tmp_path: Path) -> None:
     assert task.limits.clearance is not None
     assert all(FLOOR in pair for pair in task.limits.clearance.pairs)
     assert task.model.robot.tool in {body for pair in task.limits.clearance.pairs for body in pair}
-    assert "lines from joint to joint, as without thickness" in task.guards[0]
+    assert "lines from joint to joint without thickness" in task.guards[0]
     path.write_text(path.read_text().replace("-1.2", "-0.5"))
     with pytest.raises(
         GtauError, match=r"m above the floor at rest \(limits.floor: -0.5\), less than limits.clearance"

@@ -330,15 +330,15 @@ def fourier(frequency: float, amplitude: float) -> dict:
                     {"name": "a", "trajectory": {"points": {"through": [dict.fromkeys(FEET, x) for x in (0, 0.2)]}}}
                 ]
             },
-            "joint '11' is to move from 0 to 0.2, beyond its limits",
+            "joint '11' would move from 0 to 0.2, beyond its limits",
         ),
         (
             {"runs": [{"name": "a", "trajectory": fourier(3.0, 0.08)}]},
-            "joint '11' is to reach 1.508 m/s, beyond its limit of 1.2",
+            "joint '11' would reach 1.508 m/s, beyond its limit of 1.2",
         ),
         (
             {"runs": [{"name": "a", "trajectory": fourier(8.0, 0.01)}]},
-            "joint '11' is to reach 25.22 m/s2, beyond its limit of 20 m/s2",
+            "joint '11' would reach 25.22 m/s2, beyond its limit of 20 m/s2",
         ),
         ({"engine": "bullet"}, "write 'gtau' or 'mujoco', not 'bullet'"),
     ],
@@ -353,7 +353,7 @@ def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
 def test_passive_joints_keep_to_their_limits_too(tmp_path):
     narrow = native_text(load_robot("orthoglide")).replace("31: {", "31: {limits: {position: [-0.1, 0.1]}, ", 1)
     (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")
-    with pytest.raises(GtauError, match=r"run 'a': joint '31' is to move from -0\.\d+ to 0\.\d+, beyond its limits"):
+    with pytest.raises(GtauError, match=r"run 'a': joint '31' would move from -0\.\d+ to 0\.\d+, beyond its limits"):
         simulate(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
 
 

@@ -24,7 +24,7 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Robot
 from gtau.simulation import mujoco_plant
 from gtau.simulation.experiment_files import simulate
-from gtau.simulation.joint_friction import WIDTH, JointFriction, of_model
+from gtau.simulation.joint_friction import WIDTH, JointFriction, identified_friction
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant, PlantState
 
@@ -69,7 +69,7 @@ def along(plant: Plant, state: PlantState, samples: int, force) -> list[tuple[Pl
 @needs_gcc
 def test_the_plant_the_law_and_the_c_code_agree_through_reversals(tmp_path: Path) -> None:
     result = five_bar()
-    chi, friction = of_model(result, WIDTH)
+    chi, friction = identified_friction(result, WIDTH)
     plant = Plant(result.idm, chi, friction)
     start = plant.start(np.array([joint.home for joint in result.robot.joints if joint.actuated]))
     weight = -plant.mass_matrix(start.c) @ plant.acceleration(start, np.zeros(2))
@@ -97,7 +97,7 @@ def test_friction_takes_energy(rng: np.random.Generator) -> None:
     """What the motors give less what the robot has grows, but for what presliding may store, height times width / 2."""
     result = five_bar()
     shapes = {name: each for name, each in result.friction.items() if name.kind in ("width", "vs")}
-    chi, friction = of_model(result.replaced(friction=shapes), WIDTH)
+    chi, friction = identified_friction(result.replaced(friction=shapes), WIDTH)
     plant = Plant(result.idm, chi, friction)
     state = plant.start(np.array([joint.home for joint in result.robot.joints if joint.actuated]))
     weight = -plant.mass_matrix(state.c) @ plant.acceleration(state, np.zeros(2))
@@ -179,7 +179,7 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     assert left.relative_all < 3.5  # 3.0, as the path is smoothed against noise: docs/evidence/measured.md
     assert 2 * left.relative_all < of_equations(found).replaced(delays=held).validate(scaled)[0].relative_all
     assert right.relative < 0.5 < right.relative_all
-    with pytest.raises(GtauError, match="identified of another robot than 'ur10e'"):
+    with pytest.raises(GtauError, match="identified with another robot than 'ur10e'"):
         simulate(document | {"robot": "ur10e", "drives": {
             joint: {"gain": 1.0} for joint in load_robot("ur10e").actuated}}, tmp_path / "other")  # fmt: skip
 
@@ -187,7 +187,7 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ({"parameters": {"fb_left": 0.1}}, "'fb_left' falls with no speed"),
+        ({"parameters": {"fb_left": 0.1}}, "'fb_left' needs a speed over which it falls"),
         ({"parameters": {"fl_left": 1.2}}, "'left' moves is 1.2 of the load"),
         ({"parameters": {"fl_left_forearm": 0.1}}, "no single motor"),
         ({"parameters": {"fl_arm": 0.1}}, "no joint 'arm' for the friction"),

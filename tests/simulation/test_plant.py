@@ -168,7 +168,7 @@ def test_mujoco_takes_massless_links():
 @pytest.mark.parametrize(
     ("chi", "sentence"),
     [
-        ({"m_11": 1.0}, "its inertia is not positive"),
+        ({"m_11": 1.0}, "its mass matrix at home is not positive definite"),
         ({"mass_11": 1.0}, "has no standard parameter 'mass_11'"),
     ],
 )

@@ -1,1 +1,1 @@
-"""Campaigns: motion after motion, each decided by what limits the worst gain, until the gains can be trusted."""
+"""Campaigns: rounds of motions, designed to reduce what limits the worst gain, until the gains can be trusted."""

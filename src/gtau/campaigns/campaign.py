@@ -1,4 +1,4 @@
-"""One call of a campaign: read the folder, judge what was played, and design what to play next."""
+"""One call of a campaign: read the folder, evaluate the rounds played, and design the next motion."""
 
 from __future__ import annotations
 
@@ -10,12 +10,20 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaigns.candidates import Candidate, beside_the_axis, best, candidates, expected_width
+from gtau.campaigns.candidates import (
+    Candidate,
+    beside_the_axis,
+    best,
+    candidates,
+    expected_width,
+    next_task,
+    played_again,
+)
 from gtau.campaigns.decision import (
     BLOCKED,
     CONFIRM,
+    MASS_NOTE,
     MODEL,
-    OF_MASS,
     WORTH,
     Decision,
     decide,
@@ -41,19 +49,19 @@ from gtau.campaigns.folder import (
     void,
     write_json,
 )
-from gtau.campaigns.next_motion import next_task, played_again
 from gtau.campaigns.rehearsal import Rehearsal, rehearse, write_motion
 from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import save
+from gtau.estimation.results.result import Result
 from gtau.excitation.design import Design, excite, never
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.progress import Progress, silent
 
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
-REDUCED = 0.25  # m/s, which a dry run does not exceed
+REDUCED = 0.25  # m/s, largest speed of the tool in a dry run
 
 
 def _unstoppable() -> AbstractContextManager[Callable[[], bool]]:
@@ -62,9 +70,9 @@ def _unstoppable() -> AbstractContextManager[Callable[[], bool]]:
 
 @dataclass(frozen=True)
 class CampaignState:
-    """The state of a campaign: what to do next, its rounds, and the decision after the last that was played.
+    """The state of a campaign: the next step, all rounds, and the decision after the last round played.
 
-    ``next`` is ``play``, ``done``, ``stopped`` or ``blocked``, and ``say`` says it in a sentence.
+    ``next`` is ``play``, ``done``, ``stopped`` or ``blocked``; ``say`` is a sentence on it.
     """
 
     folder: Path
@@ -112,29 +120,29 @@ def campaign(
     progress: Progress = silent,
     searching: Callable[[], Any] = _unstoppable,
 ) -> CampaignState:
-    """Identify what was played, and decide: done, the next motion, or why another motion cannot help.
+    """Identify from the rounds played, and decide: done, the next motion, or why another motion cannot help.
 
-    The folder is the only state: the same call again does nothing again, and one that was interrupted is made up for.
+    The folder is the only state: repeating a call is a no-op, and an interrupted call is resumed.
 
     Parameters
     ----------
     folder : path
-        Of the campaign; it holds ``design.yaml`` as of ``gtau excite``, or gets one.
+        Campaign folder; ``design.yaml``, a design file of ``gtau excite``, is created if missing.
     robot : path or str, optional
-        Robot file or name of the catalog, of a new campaign.
+        Robot file or name in the catalog, for a new campaign.
     payload : float, optional
-        Mass of the payload, kg, of a new campaign.
+        Mass of the payload, kg, for a new campaign.
     accuracy : float, optional
-        Half the 95 % interval of every gain that is wanted, per cent; 3 if it was never given.
+        Required half-width of every gain's 95 % interval, per cent; 3 by default.
     progress : callable, optional
-        Called as the work goes on.
+        Called as the work proceeds.
     searching : callable, optional
-        Makes the context of each search for a motion, which yields what is asked in every iteration: whether to stop.
+        Returns a context manager for a search, whose value is called in every iteration and returns whether to stop.
 
     Returns
     -------
     CampaignState
-        What to do next, with all rounds.
+        The next step, and all rounds.
 
     Raises
     ------
@@ -145,10 +153,10 @@ def campaign(
     settings = read_settings(folder, robot, payload, accuracy)
     file, rounds = read_design_file(folder), read_rounds(folder)
     used = [round_ for round_ in rounds if round_.played is not None and not round_.aside]
-    waiting = rounds[-1] if rounds and rounds[-1].played is None else None
-    if waiting is not None and waiting.aside:
-        raise GtauError(f"{waiting.folder} was not played, so there is nothing to set aside; remove its {ASIDE}.")
-    if waiting is not None and not void(waiting) and _current(folder, file, waiting, used):
+    pending = rounds[-1] if rounds and rounds[-1].played is None else None
+    if pending is not None and pending.aside:
+        raise GtauError(f"{pending.folder} was not played, so there is nothing to set aside; remove its {ASIDE}.")
+    if pending is not None and not void(pending) and _current(folder, file, pending, used):
         return _to_play(folder, settings.accuracy, rounds)
     if problem := next(filter(None, map(_unusable, used)), ""):
         return CampaignState(folder, settings.accuracy, BLOCKED, problem, tuple(rounds), None)
@@ -161,8 +169,9 @@ def campaign(
         raise GtauError(f"{folder / DESIGN}: {refusal}") from None
     with searching() as stop:
         designed = excite(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
-    rehearsal = rehearsed(designed, file, None, progress)
-    write_motion(folder_of(place), file, *rehearsal, {"purpose": "first", "after": "", "warm_up": False})
+    design, rehearsal = rehearsed(designed, file, None, progress)
+    purpose = {"purpose": "first", "after": "", "warm_up": False}
+    write_motion(folder_of(place), file, design, rehearsal, purpose)
     return _to_play(folder, settings.accuracy, read_rounds(folder))
 
 
@@ -179,7 +188,7 @@ def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignStat
 
 
 def _unusable(last: Round) -> str:
-    """Say why the logs of a round that was played cannot be used, empty if they can."""
+    """Say why the logs of a round cannot be used; empty if they can."""
     assert last.played is not None
     if last.played.hash != last.motion["hash"]:
         return f"round {last.folder} was played with another motion; play it again, or set it aside ({ASIDE})"
@@ -190,45 +199,41 @@ def _unusable(last: Round) -> str:
         )
     missing = [run["name"] for run in last.motion["runs"] if run["name"] not in {r.name for r in last.played.runs}]
     missing += [run.log for run in last.played.runs if not (last.folder / run.log).exists()]
-    lacks = f"round {last.folder} lacks {', '.join(missing)}"
-    return f"{lacks}; play it again, or set it aside ({ASIDE})" if missing else ""
+    if not missing:
+        return ""
+    return f"round {last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})"
 
 
 def _inputs(folder: Path, file: DesignFile, used: list[Round]) -> dict[str, str]:
-    """Hash all that a decision rests on."""
+    """Hash all files on which a decision depends."""
     logs = [round_.folder / run.log for round_ in used if round_.played for run in round_.played.runs]
-    return digest(
-        [folder / SETTINGS, *scene(folder, file), *(round_.folder / PLAYED for round_ in used), *logs], folder
-    )
+    played = [round_.folder / PLAYED for round_ in used]
+    return digest([folder / SETTINGS, *scene(folder, file), *played, *logs], folder)
 
 
-def _current(folder: Path, file: DesignFile, waiting: Round, used: list[Round]) -> bool:
-    """Whether a motion that waits was designed after the decision that now stands."""
+def _current(folder: Path, file: DesignFile, pending: Round, used: list[Round]) -> bool:
+    """Whether the pending motion follows from the current decision."""
     if not used:
-        return bool(waiting.motion["purpose"] == "first")
-    decision, after = used[-1].decision, used[-1].folder.name
-    return (
-        decision is not None and decision["inputs"] == _inputs(folder, file, used) and waiting.motion["after"] == after
-    )
+        return bool(pending.motion["purpose"] == "first")
+    decision, after = used[-1].decision, pending.motion["after"]
+    return decision is not None and decision["inputs"] == _inputs(folder, file, used) and after == used[-1].folder.name
 
 
 def _judge(
     place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress, searching: Callable[[], Any]
 ) -> CampaignState:
-    """Decide from the rounds used, and write the next motion at ``place`` before the decision that asks for it."""
+    """Decide from the rounds used, and write the next motion at ``place`` before the decision on it."""
     folder, last = place.parent, used[-1]
-    known, inputs = last.decision, _inputs(folder, file, used)
-    if known is None or known["inputs"] != inputs or known["next"] is not None:
+    stored, inputs = last.decision, _inputs(folder, file, used)
+    if stored is None or stored["inputs"] != inputs or stored["next"] is not None:
         decision = _decided(place, accuracy, file, used, progress, searching)
-        next_one = place.name if decision.goes_on else None
-        write_json(
-            last.folder / DECISION, {"schema": "gtau-decision/1", **vars(decision), "next": next_one, "inputs": inputs}
-        )
+        following = {"next": place.name if decision.goes_on else None, "inputs": inputs}
+        write_json(last.folder / DECISION, {"schema": "gtau-decision/1", **vars(decision), **following})
         if decision.goes_on:
             return _to_play(folder, accuracy, read_rounds(folder))
-    known = last.decision or {}
-    say = f"{known['kind']}: {known['say']}"
-    return CampaignState(folder, accuracy, known["kind"], say, tuple(read_rounds(folder)), known)
+        stored = last.decision or {}
+    say = f"{stored['kind']}: {stored['say']}"
+    return CampaignState(folder, accuracy, stored["kind"], say, tuple(read_rounds(folder)), stored)
 
 
 def _decided(
@@ -239,24 +244,18 @@ def _decided(
     progress: Progress,
     searching: Callable[[], Any] = _unstoppable,
 ) -> Decision:
-    """Identify, decide, and where it goes on write the next motion at ``place``."""
+    """Identify and decide, and write the next motion at ``place`` if the campaign goes on."""
     last = used[-1]
     result = identified(write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
     if isinstance(result, Decision):
         return result
-    save(result, last.folder / MODEL_FILE)
-    alone = known = None
-    if last.motion["purpose"] == CONFIRM and len(used) > 1:  # those before may be set aside
-        alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
-        known = used[-2].decision
-        if known is None or not known["inputs"].items() <= _inputs(place.parent, file, used).items():
-            before = identified(write_experiment(last.folder / "before.yaml", file, used[:-1]), accuracy, progress)
-            known = {"gains": before.gains if isinstance(before, Decision) else listed(before)}
-    decision = decide(result, accuracy, used, alone, known)
-    decision = replace(decision, notes=(*decision.notes, *slower(result, used), OF_MASS))
+    model = last.folder / MODEL_FILE
+    save(result, model)
+    alone, before = _confirmation(place.parent, accuracy, file, used, progress)
+    decision = decide(result, accuracy, used, alone, before)
+    decision = replace(decision, notes=(*decision.notes, *slower(result, used), MASS_NOTE))
     if not decision.goes_on:
         return decision
-    model = last.folder / MODEL_FILE
     task = next_task(file, result, model)
     try:
         with searching() as stop:
@@ -265,21 +264,7 @@ def _decided(
         designed, note = played_again(task, used, refusal, progress)
         decision = replace(decision, notes=(*decision.notes, note))
     if decision.kind != CONFIRM:
-        offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
-        offered += beside_the_axis(designed, result)
-
-        def width_of(candidate: Candidate) -> float:
-            progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
-            return expected_width(candidate, result, last.number)
-
-        chosen, widths = best(offered, width_of)
-        *usual, other = (float(entry["half_width"] or np.inf) for entry in widths)
-        if any(offered[-1].beside) and other <= WORTH * min(usual):
-            advice = (
-                f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{other:.3g} %"
-            )
-            decision = replace(decision, notes=(advice, *decision.notes))
-        designed, decision = chosen.design, refuse_to_go_on(result, decision, widths, expected_width(None, result, 0))
+        designed, decision = _best_candidate(designed, decision, result, last.number, progress)
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
         warm_up = warming(result, last)
@@ -289,8 +274,42 @@ def _decided(
     return decision
 
 
+def _confirmation(
+    folder: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress
+) -> tuple[Result | Decision | None, Mapping[str, Any] | None]:
+    """Identify a confirming round by itself, and return it with the decision or gains of the rounds before it."""
+    last = used[-1]
+    if last.motion["purpose"] != CONFIRM or len(used) == 1:  # earlier rounds may be set aside
+        return None, None
+    alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
+    stored = used[-2].decision
+    if stored is not None and stored["inputs"].items() <= _inputs(folder, file, used).items():
+        return alone, stored
+    before = identified(write_experiment(last.folder / "before.yaml", file, used[:-1]), accuracy, progress)
+    return alone, {"gains": before.gains if isinstance(before, Decision) else listed(before)}
+
+
+def _best_candidate(
+    designed: Design, decision: Decision, result: Result, seed: int, progress: Progress
+) -> tuple[Design, Decision]:
+    """Simulate candidates for the next motion; return the best one, and the decision with what they would reach."""
+    offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
+    offered += beside_the_axis(designed, result)
+
+    def simulated_width(candidate: Candidate) -> float:
+        progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
+        return expected_width(candidate, result, seed)
+
+    chosen, widths = best(offered, simulated_width)
+    *usual, beside = (float(entry["half_width"] or np.inf) for entry in widths)
+    if any(offered[-1].beside) and beside <= WORTH * min(usual):
+        advice = f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{beside:.3g} %"
+        decision = replace(decision, notes=(advice, *decision.notes))
+    return chosen.design, refuse_to_go_on(result, decision, widths, expected_width(None, result, 0))
+
+
 def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: Progress) -> tuple[Design, Rehearsal]:
-    """Rehearse a motion, or where that is refused a slower one."""
+    """Rehearse a motion, or a slower motion if the rehearsal refuses it."""
     refusals: list[GtauError] = []
     for candidate in candidates(designed):
         try:

@@ -1,12 +1,15 @@
-"""Motions for the next round, each rehearsed whole: simulated with the identified model, then identified."""
+"""Motions for the next round, compared by simulating and identifying them, and motions played before."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from gtau.campaigns.folder import Round
+from gtau.campaigns.rehearsal import CSV
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.effects.estimate import estimate_effects
@@ -15,28 +18,33 @@ from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.excitation.design import Design, check
-from gtau.excitation.forecast import Outlook
+from gtau.excitation.design import Design, check, redesign
+from gtau.excitation.design_file import DesignFile, make_task
+from gtau.excitation.evaluation import Point, along
+from gtau.excitation.forecast import sampled_motions
+from gtau.excitation.prior import DesignPrior
 from gtau.excitation.task import DesignProblem
 from gtau.model.interpreter.program import single_threaded_blas
-from gtau.progress import silent
+from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import INERTIAL
+from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.signals.run import Run
 from gtau.uses.prediction import torques
 
-# of 23 choices between eight motions of five-bars and Orthoglides fourteen were of the longer and six of a slower one,
-# none of one with 70 or 50 % of the amplitude or with the other load first, which are not tried any more
+# of 23 choices between eight motions of five-bars and Orthoglides, 14 fell on the longer and six on a slower motion,
+# none on 70 or 50 % of the amplitude or the reverse order of loads, which are no longer tried
 SPEEDS = (0.7, 0.5)
-HEAVIER = 2.0  # times the mass, of a payload that is not at hand
-BESIDE = 0.08  # m from the axis of the last joint to the centre of a payload that is mounted beside it
+HEAVIER = 2.0  # mass of a payload that is not at hand over the mass of the heaviest payload
+BESIDE = 0.08  # m from the axis of the last joint to the centre of a payload mounted beside it
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A motion that could be played next, or with ``at_hand`` False a payload that would have to be found first.
+    """A motion to play next; with ``at_hand`` False, its payload or mount must be obtained first.
 
-    ``beside`` (3,) is by how much payloads are mounted further off, m in the frame of the body that carries them.
+    ``beside`` (3,) is the displacement of all payloads, m in the frame of the body that carries them.
     """
 
     label: str
@@ -46,7 +54,7 @@ class Candidate:
 
 
 def candidates(design: Design) -> Iterator[Candidate]:
-    """Vary speed, length and payload of a design, within the limits."""
+    """Vary the speed, length and payload of a design within the limits."""
     task, x = design.task, design.x
     yield Candidate("as designed", design)
     for part in SPEEDS:
@@ -59,7 +67,7 @@ def candidates(design: Design) -> Iterator[Candidate]:
 
 
 def beside_the_axis(design: Design, result: Result) -> Iterator[Candidate]:
-    """Mount the payload beside the axis of the last joint, where it is near and the gain there is the least known."""
+    """Mount the payload beside the axis of the last joint if it is near and the gain there is the widest."""
     robot, wide = result.robot, widths(result)
     worst, last = max(wide, key=lambda joint: wide[joint]), robot.tool
     driven = worst == last or any({worst, last} <= coupling.terms.keys() for coupling in robot.couplings)
@@ -85,7 +93,7 @@ def beside_the_axis(design: Design, result: Result) -> Iterator[Candidate]:
 def _within(
     label: str, design: Design, task: DesignProblem, x: np.ndarray, at_hand: bool = True
 ) -> Iterator[Candidate]:
-    """Make a candidate if it is within all limits."""
+    """Yield a candidate if it is within all limits."""
     try:
         usages = check(task, x)
     except GtauError:  # not reachable
@@ -95,7 +103,7 @@ def _within(
 
 
 def widths(result: Result) -> dict[str, float]:
-    """Half the 95 % interval of each gain, per cent, infinite where it is not identifiable."""
+    """Half-widths of the 95 % intervals of all gains, per cent; infinite if not identifiable."""
     return {
         joint: np.inf if gain.half_width is None or gain.value is None else gain.half_width
         for joint, gain in result.drive_gains.items()
@@ -103,9 +111,9 @@ def widths(result: Result) -> dict[str, float]:
 
 
 def expected_width(candidate: Candidate | None, result: Result, seed: int) -> float:
-    """Expect half the widest interval of a gain, per cent, after a candidate too; infinite where none is found.
+    """Predict the widest half-interval of a gain, per cent, once the candidate is played as well; infinite if it fails.
 
-    The noise is the same for all candidates.
+    All candidates have the same noise.
     """
     estimator = estimator_of("ml")
     try:
@@ -125,9 +133,9 @@ def expected_width(candidate: Candidate | None, result: Result, seed: int) -> fl
 
 
 def _simulated(candidate: Candidate, result: Result, seed: int) -> Iterator[Run]:
-    """Make logs of a candidate as the identified robot with its friction would, with the same white noise for all."""
+    """Simulate logs of a candidate with the identified model, friction included, and white noise."""
     design = candidate.design
-    ((time, joints),) = Outlook(design, {}).motions
+    ((time, joints),) = sampled_motions(design.task, design.x)
     q, qd, qdd = (rows.T for rows in joints[:3])
     for k, payload in enumerate(design.task.payloads):
         carried = _carried(payload, result)
@@ -135,8 +143,8 @@ def _simulated(candidate: Candidate, result: Result, seed: int) -> Iterator[Run]
             moments = carried.parameters
             moved = np.array([moments.get(kind, 0.0) for kind in FIRST_MOMENTS])
             moved += (carried.mass or 0.0) * np.array(candidate.beside)
-            of_mount = dict(zip(FIRST_MOMENTS, moved.tolist(), strict=True))
-            carried = carried.model_copy(update={"parameters": moments | of_mount})
+            mounted = dict(zip(FIRST_MOMENTS, moved.tolist(), strict=True))
+            carried = carried.model_copy(update={"parameters": moments | mounted})
             unknown = {kind: value for kind, value in payload.parameters.items() if kind not in FIRST_MOMENTS}
             payload = payload.model_copy(update={"parameters": unknown})
         current = torques(result, q, qd, qdd, carried) / result.gains
@@ -146,7 +154,7 @@ def _simulated(candidate: Candidate, result: Result, seed: int) -> Iterator[Run]
 
 
 def _carried(payload: Payload | None, result: Result) -> Payload | None:
-    """Give a payload the centre that was identified, at its mass."""
+    """Give a payload its identified centre, scaled to its mass."""
     if payload is None or payload.mass is None:
         return payload
     known = result.payload(payload.name)
@@ -156,13 +164,71 @@ def _carried(payload: Payload | None, result: Result) -> Payload | None:
 
 
 def best(
-    offered: Sequence[Candidate], width_of: Callable[[Candidate], float]
+    offered: Sequence[Candidate], simulated_width: Callable[[Candidate], float]
 ) -> tuple[Candidate, list[dict[str, float | str | bool | None]]]:
-    """Find the candidate at hand with the narrowest interval, and list all."""
-    halfwidths = [(candidate, width_of(candidate)) for candidate in offered]
+    """Find the candidate at hand with the narrowest interval, and list all candidates."""
+    halfwidths = [(candidate, simulated_width(candidate)) for candidate in offered]
     chosen, _ = min((pair for pair in halfwidths if pair[0].at_hand), key=lambda pair: pair[1])
     listed: list[dict[str, float | str | bool | None]] = [
         {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
         for candidate, width in halfwidths
     ]
     return chosen, listed
+
+
+def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
+    """Make the task of the next motion with the result as prior, or with the file's prior if a gain is not trusted."""
+    try:
+        task, _ = make_task(file.model_copy(update={"prior": DesignPrior(model=model)}))
+    except GtauError:  # a gain that may be zero, or is not identifiable
+        return make_task(file)[0]
+    return replace(task, prior=replace(task.prior, covariance=_shared(result)))
+
+
+def _shared(result: Result) -> tuple[tuple[Parameter, ...], np.ndarray]:
+    """Compute the covariance of the parameters shared with later rounds, with only the random part of the gains."""
+    bodies = result.robot.bodies  # the mount of a payload may change between rounds, and friction drifts
+    kept = [
+        k
+        for k, name in enumerate(result.covariance_names)
+        if name.kind == "gain" or (name.kind in INERTIAL and name.body in bodies)
+    ]
+    names = tuple(result.covariance_names[k] for k in kept)
+    part = np.ones(len(kept))
+    for k, name in enumerate(names):
+        gain = result.drive_gains.get(name.body) if name.kind == "gain" else None
+        if gain is not None and gain.std and gain.random_std:
+            part[k] = gain.random_std / gain.std
+    return names, result.covariance[np.ix_(kept, kept)] * np.outer(part, part)
+
+
+def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, progress: Progress) -> tuple[Design, str]:
+    """Improve a motion that was played, after the search from random motions failed; raise its ``refusal`` otherwise.
+
+    The drives can repeat the torques of that motion, so they count as within the limits whatever is identified. Gains
+    count with their values, not with the worst ends of their intervals.
+    """
+    known = tuple(replace(gain, interval=(gain.value, gain.value)) for gain in task.prior.known)
+    task = replace(task, prior=replace(task.prior, known=known))
+    for round_ in reversed(used):
+        x = np.array(round_.motion.get("series", {}).get("x", ()))
+        if round_.played is None or x.size != task.size:
+            continue
+        series, played = round_.motion["series"], _as_played(task, round_.folder, round_.played.speed)
+        torques = [np.abs(played.W @ load).max(axis=1) for load in task.information.cautious]
+        torque = np.maximum(task.limits.torque, (1 + 1e-3) * np.max(torques, axis=0))
+        slowed = replace(task.series, base_frequency=round_.played.speed / series["period"])
+        limits = replace(task.limits, torque=torque)
+        again = replace(task, series=slowed, repetitions=series["repetitions"], limits=limits)
+        if improved := redesign(again, x, progress):
+            return improved, f"the next motion repeats round {round_.folder.name} with other parts, because {refusal}"
+    raise refusal
+
+
+def _as_played(task: DesignProblem, folder: Path, speed: float) -> Point:
+    """Evaluate the motion of a round at the ``speed`` at which it was played."""
+    columns = [f"{kind}_{joint}" for kind in ("q", "qd", "qdd") for joint in task.model.actuated]
+    log = read_log(folder / CSV, ("t", *columns)).arrays()
+    table = np.array([log[name] for name in columns]).reshape(3, -1, len(log["t"]))
+    joints = np.stack([table[0], speed * table[1], speed**2 * table[2], 0 * table[0]])
+    return along(task, joints, (log["t"][1] - log["t"][0]) / speed, task.motions[0])

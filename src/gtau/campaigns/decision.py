@@ -1,4 +1,4 @@
-"""What a campaign decides after each round, by the part of the interval that limits the worst gain."""
+"""Decisions of a campaign, by the part of the interval that limits the worst gain."""
 
 from __future__ import annotations
 
@@ -31,24 +31,23 @@ from gtau.progress import Progress
 from gtau.signals.reading.logs import read_log
 from gtau.uses.identify import identify
 
-ROUNDS = 5  # at which a campaign ends
-WORTH = 0.9  # of the widest interval: a motion is to bring it below this part, or the campaign ends
-SHOWN = 0.05  # of the residual variance: nine results of three healthy five-bars 0.00, a falling torque constant 0.41
-STRETCHED = 0.9  # of its speed, below which a motion was not played as it was designed
-# which a warm-up lessens: none of 87 results of healthy robots in MuJoCo shows one, all four do whose friction fell by
-# 10 or 30 % with time constants of 30 to 300 s
+ROUNDS = 5  # after which a campaign ends
+WORTH = 0.9  # share of the widest interval that a motion must reach, or the campaign ends
+SHOWN = 0.05  # share of the residual variance: 0.00 in nine results of healthy five-bars, 0.41 with a falling gain
+STRETCHED = 0.9  # share of the speed below which a motion was not played as designed
+# effects that a warm-up reduces: shown by none of 87 results of healthy robots in MuJoCo, and by all four with friction
+# falling by 10 or 30 % with time constants of 30 to 300 s
 DRIFTS = {FRICTION_DRIFT.name, GAIN_DRIFT.name}
-OF_MASS = "gains are proportional to the payload's mass: they are as exact as it was weighed"  # which no motion shows
+MASS_NOTE = "gains are proportional to the payload's mass: they are as exact as its weighing"  # no motion shows it
 RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What limits the worst gain, and what follows: another motion to ``RANDOM``, ``MODEL`` or ``CONFIRM``, or an end.
+    """What limits the worst gain, and the consequence: another motion (``RANDOM``, ``MODEL``, ``CONFIRM``), or an end.
 
-    ``say`` is a sentence with figures, ``gains`` the gains of all rounds by joint, ``candidates`` the motions
-    rehearsed, ``notes`` say why, what to do about it, and what was not as designed, and ``suspect`` is the effect that
-    the data show.
+    ``say`` is a sentence with figures, ``gains`` are the gains of all rounds by joint, ``candidates`` are the motions
+    rehearsed. ``notes`` say why, what to do, and what was not as designed; ``suspect`` is the effect the data show.
     """
 
     kind: str
@@ -65,7 +64,7 @@ class Decision:
 
 
 def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> Path:
-    """Write the experiment file of some rounds; payloads are those that the design file states now."""
+    """Write the experiment file of some rounds, with the payloads that the design file states now."""
     loads = {load.name: load for load in file.payloads if load is not None}
     names = [joint["name"] for joint in rounds[0].motion["joints"]]
     signals: Mapping[str, Any] = {
@@ -90,7 +89,7 @@ def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> P
 
 
 def identified(path: Path, accuracy: float, progress: Progress) -> Result | Decision:
-    """Identify the rounds of an experiment file; where no result can be believed, say why and what to do."""
+    """Identify the rounds of an experiment file; if the result is not believable, say why and what to do."""
     try:
         result = identify(path, options=options_of(accuracy=accuracy / 100), progress=progress)
     except GtauError as refusal:
@@ -102,12 +101,12 @@ def identified(path: Path, accuracy: float, progress: Progress) -> Result | Deci
     verdicts += [(load.name, load.verdict) for load in result.payloads]
     verdicts += [(name, estimate.verdict) for name, estimate in result.parameters.items()]
     name, worst = max(verdicts, key=lambda pair: pair[1].outcome.rank)
-    said = ": ".join(filter(None, (f"'{name}' is {worst.outcome.value}", worst.why)))
-    return Decision(BLOCKED, said, listed(result), notes=(worst.advice,) if worst.advice else ())
+    say = ": ".join(filter(None, (f"'{name}' is {worst.outcome.value}", worst.why)))
+    return Decision(BLOCKED, say, listed(result), notes=(worst.advice,) if worst.advice else ())
 
 
 def listed(result: Result) -> dict[str, dict[str, Any]]:
-    """List gains with half their 95 % intervals and the standard deviations of both parts, per cent."""
+    """List gains with the half-widths of their 95 % intervals and the standard deviations of both parts, per cent."""
     return {joint: _entry(gain) for joint, gain in result.drive_gains.items()}
 
 
@@ -128,11 +127,11 @@ def decide(
     accuracy: float,
     rounds: Sequence[Round],
     alone: Result | Decision | None,
-    known: Mapping[str, Any] | None = None,
+    before: Mapping[str, Any] | None = None,
 ) -> Decision:
-    """Decide after the last of the ``rounds``, from the result of all.
+    """Decide after the last of the ``rounds``, from the result of all rounds.
 
-    ``alone`` is the result of a confirming round, and ``known`` has the ``gains`` of the rounds before it.
+    ``alone`` is the result of a confirming round by itself, and ``before`` holds the ``gains`` of the earlier rounds.
     """
     wide, gains = widths(result), listed(result)
     joint = max(wide, key=lambda name: wide[name])
@@ -144,27 +143,27 @@ def decide(
         return Decision(CONFIRM, f"{within}; one more round must agree", gains)
     if isinstance(alone, Decision):
         return replace(alone, say=f"the confirming round by itself: {alone.say}")
-    if alone is not None and (apart := _apart(alone, known)):
+    if alone is not None and (apart := _apart(alone, before)):
         advice = "check payload, tool and temperature of the last round, or set a round aside"
         return Decision(BLOCKED, apart, gains, notes=(advice,))
     if reached:
         return Decision(DONE, f"{within}, and the last round agrees", gains)
     limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
     size = f"known to {width}" if np.isfinite(wide[joint]) else "not identifiable"
-    said = f"'{joint}' is {size}, {accuracy:g} % is asked for; the {limited} of its interval is the larger one"
+    say = f"'{joint}' is {size}, {accuracy:g} % is asked for; the {limited} of its interval is the larger one"
     if len(rounds) >= ROUNDS:
-        return Decision(STOPPED, f"five rounds are over: {said}", gains, notes=_cause(result, joint))
+        return Decision(STOPPED, f"five rounds are over: {say}", gains, notes=_cause(result, joint))
     if limited == RANDOM:
-        return Decision(limited, said, gains)
-    why, suspect, before = _cause(result, joint), _suspect(result), rounds[-2:-1]
-    previous = (before[0].decision or {}).get("suspect") if before else None
+        return Decision(limited, say, gains)
+    why, suspect = _cause(result, joint), _suspect(result)
+    previous = (rounds[-2].decision or {}).get("suspect") if len(rounds) > 1 else None
     if _stalled(rounds, wide[joint]) or (suspect is not None and suspect.subject == previous):
-        return Decision(STOPPED, f"another motion does not help: {said}", gains, notes=why)
-    return Decision(MODEL, said, gains, notes=why, suspect="" if suspect is None else suspect.subject)
+        return Decision(STOPPED, f"another motion does not help: {say}", gains, notes=why)
+    return Decision(MODEL, say, gains, notes=why, suspect="" if suspect is None else suspect.subject)
 
 
 def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
-    """Note the rounds that a controller stretched; their logs are used as they were played."""
+    """Note the rounds that a controller played slower; their logs are used as they are."""
     runs, notes = iter(result.data), []
     for round_ in rounds:
         names = [f"q_{joint['name']}" for joint in round_.motion["joints"]]
@@ -179,7 +178,7 @@ def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
 
 
 def _moving(time: np.ndarray, q: np.ndarray) -> float:
-    """Find the time, s, between leaving and reaching the ends of a motion (N, n), by a hundredth of its ranges."""
+    """Compute the time, s, in which a motion (N, n) is further than a hundredth of its range from its start."""
     away = (np.abs(q - q[0]) > 0.01 * np.ptp(q, axis=0)).any(axis=1)
     return float(np.ptp(time[away])) if away.any() else 0.0
 
@@ -189,24 +188,22 @@ def _random(gain: Estimate) -> bool:
 
 
 def _stalled(rounds: Sequence[Round], now: float) -> bool:
-    """Whether neither of the last two rounds, motions for the model part, narrowed the widest interval by a tenth.
+    """Whether neither of the last two rounds, both for the model part, narrowed the widest interval by a tenth.
 
-    One may fail to by chance: of five-bars in MuJoCo one went from +-8 to 6, 3 and 2.5 %, one from +-14 to 8, 8 and on.
+    One may fail by chance: a five-bar in MuJoCo went from +-8 to 6, 3 and 2.5 %, another from +-14 to 8, 8 and less.
     """
-    widths_then = [_widest(round_) for round_ in rounds[-3:-1]]
-    of_model = all(round_.motion["purpose"] == MODEL for round_ in rounds[-2:])
-    known = [width for width in (*widths_then, now) if width is not None]
-    return of_model and len(known) == 3 and all(after > WORTH * before for before, after in pairwise(known))
+    both = all(round_.motion["purpose"] == MODEL for round_ in rounds[-2:])
+    widest = [width for width in (*map(_widest, rounds[-3:-1]), now) if width is not None]
+    return both and len(widest) == 3 and all(after > WORTH * before for before, after in pairwise(widest))
 
 
 def _widest(round_: Round) -> float | None:
-    decision = round_.decision
-    known = [gain["half_width"] for gain in decision["gains"].values()] if decision else []
-    return max(known) if known and None not in known else None
+    halves = [gain["half_width"] for gain in (round_.decision or {"gains": {}})["gains"].values()]
+    return max(halves) if halves and None not in halves else None
 
 
 def _cause(result: Result, joint: str) -> tuple[str, ...]:
-    """Say what may be wrong with the model of the worst gain, and what to do about it."""
+    """Say what may be wrong with the model for the worst gain, and what to do."""
     if (suspect := _suspect(result)) is None:
         verdict = result.drive_gains[joint].verdict
         return tuple(filter(None, (verdict.why, verdict.advice)))
@@ -215,13 +212,15 @@ def _cause(result: Result, joint: str) -> tuple[str, ...]:
 
 
 def _suspect(result: Result) -> EstimatedEffect | None:
-    """Find the effect that the data show most clearly and no warm-up lessens, None where none is shown."""
+    """Find the effect with the largest share that no warm-up reduces; None if the data show none."""
     shown = [effect for effect in result.effects if effect.likelihood > CONTRADICTED and effect.share >= SHOWN]
-    return max((effect for effect in shown if effect.effect not in DRIFTS), key=lambda one: one.share, default=None)
+    return max(
+        (effect for effect in shown if effect.effect not in DRIFTS), key=lambda effect: effect.share, default=None
+    )
 
 
 def warming(result: Result, last: Round) -> str:
-    """Say why the next round begins with a warm-up run, empty if it needs none."""
+    """Say why the next round begins with a warm-up run; empty if it does not."""
     drifts = (effect for effect in result.effects if effect.effect in DRIFTS and effect.likelihood > CONTRADICTED)
     drift = max(drifts, key=lambda effect: effect.share, default=None)
     if drift is not None:
@@ -231,17 +230,16 @@ def warming(result: Result, last: Round) -> str:
 
 
 def _apart(alone: Result, before: Mapping[str, Any] | None) -> str:
-    """Say which gain of the confirming round differs from the gain of the rounds before; empty if none does."""
+    """Say which gain of the confirming round differs from the earlier rounds; empty if none does."""
     if before is None:
         return ""
     for joint, gain in alone.drive_gains.items():
-        known = before["gains"].get(joint, {})
-        if gain.value is None or gain.std is None or known.get("value") is None or known["half_width"] is None:
+        value, width = (before["gains"].get(joint, {}).get(key) for key in ("value", "half_width"))
+        if gain.value is None or gain.std is None or value is None or width is None:
             continue
-        std = np.hypot(gain.std, known["half_width"] / 196 * abs(known["value"]))
-        if abs(gain.value - known["value"]) > APART * std:
-            half = known["half_width"] / 100 * abs(known["value"])
-            then = f"{to_width(known['value'], half)} +- {to_width(half, half)} {gain.unit}"
+        half = width / 100 * abs(value)
+        if abs(gain.value - value) > APART * np.hypot(gain.std, half / 1.96):
+            then = f"{to_width(value, half)} +- {to_width(half, half)} {gain.unit}"
             return f"the last round contradicts those before: '{joint}' is {gain} by itself, and was {then}"
     return ""
 
@@ -249,18 +247,16 @@ def _apart(alone: Result, before: Mapping[str, Any] | None) -> str:
 def refuse_to_go_on(
     result: Result, decision: Decision, candidates: Sequence[Mapping[str, Any]], usual: float
 ) -> Decision:
-    """End the campaign where no motion at hand narrows the widest interval by a tenth, and say what else may.
+    """End the campaign if no motion at hand narrows the widest interval by a tenth, and say what else would.
 
-    That is as it is, or as such data usually leave it (``usual``, per cent) where they happened to leave it narrower: a
-    five-bar gave up at 3.12 %, as its best motion would usually lead to 3.22 %.
+    The reference is the interval, or the ``usual`` interval from such data, per cent, if it is wider: with the interval
+    alone, a five-bar stopped at 3.12 % because its best motion usually leads to 3.22 %.
     """
     now = max(*widths(result).values(), usual)
-    by_motion = {bool(at_hand): [c["half_width"] for c in candidates if c["at_hand"] is at_hand and c["half_width"]]
-                 for at_hand in (True, False)}  # fmt: skip
     decision = replace(decision, candidates=tuple(candidates))
-    if not np.isfinite(now) or min(by_motion[True], default=np.inf) <= WORTH * now:
+    helpful = [c for c in candidates if c["half_width"] and c["half_width"] <= WORTH * now]
+    if not np.isfinite(now) or any(c["at_hand"] for c in helpful):
         return decision
-    heavier = [c for c in candidates if not c["at_hand"] and c["half_width"] and c["half_width"] <= WORTH * now]
-    instead = "".join(f", but {c['motion']} it would be +-{c['half_width']:.3g} %" for c in heavier)
-    said = f"no motion narrows the widest interval by a tenth{instead}: {decision.say}"
-    return replace(decision, kind=STOPPED, say=said)
+    instead = "".join(f", but {c['motion']} it would be +-{c['half_width']:.3g} %" for c in helpful)
+    say = f"no motion narrows the widest interval by a tenth{instead}: {decision.say}"
+    return replace(decision, kind=STOPPED, say=say)

@@ -1,4 +1,4 @@
-"""The folder of a campaign, its only state: design file, settings, and rounds of motion, logs and decision."""
+"""The folder of a campaign, its only state: design file, settings, and rounds with motion, logs and decision."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from gtau.model.home import load_robot
 
 DESIGN, SETTINGS, MOTION = "design.yaml", "campaign.yaml", "motion.json"
 PLAYED, DECISION, ASIDE = "played.json", "decision.json", "set-aside.txt"
-WARM_UP = "warm-up"  # name of a run that is played and not evaluated
-RATE = 250.0  # Hz, which common controllers take
+WARM_UP = "warm-up"  # name of a run that is played but not evaluated
+RATE = 250.0  # Hz, accepted by common controllers
 PAYLOAD = "payload"
-ORDER = (False, True, True, False)  # of loaded runs: drift is in both loads alike, and the payload is mounted once
+ORDER = (False, True, True, False)  # loaded runs: drift affects both loads alike, and the payload is mounted once
 
 
 class Settings(Keys):
-    """What a campaign aims at: half the 95 % interval of every gain, per cent of its value."""
+    """Aim of a campaign: half-width of every gain's 95 % interval, per cent of its value."""
 
     accuracy: Annotated[FiniteFloat, Field(gt=0, le=50)] = 3.0
 
 
 class PlayedRun(Keys):
-    """A run as it was played: its log in the round's folder, and how it ended."""
+    """A run played: its log in the round's folder, and how it ended."""
 
     name: str
     log: str
@@ -43,7 +43,7 @@ class PlayedRun(Keys):
 
 
 class Played(Keys):
-    """What a player wrote of a round: the motion by its hash, the speed, how it ended, and columns of other logs."""
+    """Record of a player: hash of the motion, speed, how it ended, runs, and the columns of its logs if not usual."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
@@ -57,7 +57,7 @@ class Played(Keys):
 
 @dataclass(frozen=True)
 class Round:
-    """A round: its folder, the motion to be played, what was played, and why its logs are set aside, if they are."""
+    """A round: its folder, its motion, the record of the player, and why its logs are set ``aside`` (empty if not)."""
 
     folder: Path
     motion: Mapping[str, Any]
@@ -66,12 +66,12 @@ class Round:
 
     @property
     def number(self) -> int:
-        """Number of the round, from 1."""
+        """Number of the round, starting with 1."""
         return int(self.folder.name)
 
     @property
     def runs(self) -> tuple[PlayedRun, ...]:
-        """The runs played, without the warm-up."""
+        """Runs played, without the warm-up."""
         return tuple(run for run in self.played.runs if run.name != WARM_UP) if self.played else ()
 
     @property
@@ -81,12 +81,12 @@ class Round:
 
     @property
     def decision(self) -> Mapping[str, Any] | None:
-        """What was decided from this round and those before, if anything was."""
+        """Decision from the rounds up to this one, if there is one."""
         return _json(self.folder / DECISION, "kind say next gains candidates notes suspect inputs")
 
 
 def read_settings(folder: Path, robot: str | Path | None, payload: float | None, accuracy: float | None) -> Settings:
-    """Read what a campaign aims at, or begin it with a robot and a payload's mass, kg."""
+    """Read the aim of a campaign, or begin the campaign with a robot and a payload's mass, kg."""
     path = folder / SETTINGS
     given = None if accuracy is None else validate(Settings, Document(path, {"accuracy": accuracy}))
     begin(folder, robot, payload)
@@ -96,7 +96,7 @@ def read_settings(folder: Path, robot: str | Path | None, payload: float | None,
 
 
 def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None:
-    """Write the design file of a new campaign; where there is one, refuse another robot or payload than it states."""
+    """Write the design file of a new campaign; refuse a robot or payload that an existing one does not state."""
     path = folder / DESIGN
     robot = urdf if robot and (urdf := Path(robot) / "robot.urdf").is_file() else robot  # a folder may name a robot
     if not path.exists():
@@ -114,16 +114,16 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
         return
     file = read_design_file(folder)
     masses = {f"{load.mass:g}" for load in file.payloads if load is not None and load.mass}
-    other = robot is not None and str(robot) != file.robot and not _same(Path(robot), Path(file.robot))
-    if other or (payload is not None and f"{payload:g}" not in masses):
+    differs = robot is not None and str(robot) != file.robot and not _same(Path(robot), Path(file.robot))
+    if differs or (payload is not None and f"{payload:g}" not in masses):
         raise GtauError(
             f"{path} states robot {normpath(file.robot)} and payloads of {', '.join(masses)} kg, other than the "
             "command; change the file, or begin another folder."
         )
 
 
-def _same(one: Path, other: Path) -> bool:
-    return one.exists() and other.exists() and one.samefile(other)
+def _same(a: Path, b: Path) -> bool:
+    return a.exists() and b.exists() and a.samefile(b)
 
 
 def read_design_file(folder: Path) -> DesignFile:
@@ -136,21 +136,21 @@ def read_design_file(folder: Path) -> DesignFile:
 
 
 def read_rounds(folder: Path) -> list[Round]:
-    """Read the rounds that have a motion; a folder without one was interrupted, and is made again."""
+    """Read the rounds with a motion; a folder without one was interrupted and is made again."""
     rounds = []
     for path in sorted(path for path in folder.iterdir() if re.fullmatch(r"\d\d", path.name)):
         motion = _json(path / MOTION, "hash files joints runs guards rehearsal purpose after")
         played, aside = _json(path / PLAYED, "hash"), path / ASIDE
         if motion is None:
             continue
-        read = None if played is None else validate(Played, Document(path / PLAYED, played))
+        record = None if played is None else validate(Played, Document(path / PLAYED, played))
         reason = aside.read_text(encoding="utf-8").strip() or "without a reason" if aside.exists() else ""
-        rounds.append(Round(path, motion, read, reason))
+        rounds.append(Round(path, motion, record, reason))
     return rounds
 
 
 def _json(path: Path, keys: str) -> Mapping[str, Any] | None:
-    """Read a JSON document with these keys, None where there is no file."""
+    """Read a JSON document with these keys; None if there is no file."""
     if not path.exists():
         return None
     try:
@@ -169,7 +169,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 
 def digest(paths: Iterable[Path], base: Path) -> dict[str, str]:
-    """Hash files (SHA-256), by their paths from ``base``; missing ones are empty."""
+    """Hash files (SHA-256) by their paths relative to ``base``; the hash of a missing file is empty."""
     return {
         Path(relpath(path, base)).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
         for path in paths
@@ -177,13 +177,13 @@ def digest(paths: Iterable[Path], base: Path) -> dict[str, str]:
 
 
 def seal(motion: Mapping[str, Any]) -> str:
-    """Hash a motion.json, with the hashes of its files (SHA-256 of all but its ``hash``, keys sorted)."""
+    """Hash a motion.json with the hashes of its files (SHA-256 of everything but its ``hash``, keys sorted)."""
     content = {key: value for key, value in motion.items() if key != "hash"}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def scene(folder: Path, file: DesignFile) -> list[Path]:
-    """List the files on which a rehearsal rests beside its motion: design file, robot, meshes of shapes."""
+    """List the files on which a rehearsal depends, apart from the motion: design file, robot, meshes of shapes."""
     shapes = {} if file.limits.shapes == "none" else file.limits.shapes
     meshes = [shape.mesh for entries in shapes.values() for shape in entries if shape.mesh is not None]
     robot = Path(file.robot)
@@ -191,9 +191,9 @@ def scene(folder: Path, file: DesignFile) -> list[Path]:
 
 
 def void(this: Round) -> str:
-    """Name the first file that has changed since a round's motion was rehearsed, empty if none has."""
+    """Name the first file that has changed since the motion of a round was rehearsed; empty if none has."""
     if seal(this.motion) != this.motion["hash"]:
         return MOTION
     files: Mapping[str, str] = this.motion["files"]
     now = digest((this.folder / name for name in files), this.folder)
-    return next((name for name, known in files.items() if now[name] != known), "")
+    return next((name for name, hashed in files.items() if now[name] != hashed), "")

@@ -1,8 +1,8 @@
-"""The page of a campaign: what to do next, gains round by round with both parts of their intervals, and rehearsals."""
+"""The page of a campaign: the next step, gains by round with both parts of their intervals, and rehearsals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal
 
 from gtau.campaigns.campaign import MODEL_FILE, CampaignState
@@ -10,6 +10,8 @@ from gtau.campaigns.folder import DESIGN, Round
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, Kind, Page, Section, Text, joint_label, page, section, table
 
+Judged = tuple[Round, Mapping[str, Any]]
+"""A round and its decision."""
 GRADES: Mapping[str, Literal["good", "neutral", "weak", "bad"]] = {
     "done": "good",
     "play": "neutral",
@@ -20,16 +22,15 @@ GRADES: Mapping[str, Literal["good", "neutral", "weak", "bad"]] = {
 
 def campaign_page(state: CampaignState) -> Page:
     """Show the state of a campaign."""
-    judged = [round_ for round_ in state.rounds if round_.decision and round_.decision["gains"] and not round_.aside]
-    known = state.decision or {"say": "", "notes": ()}
-    points: tuple[str, ...] = (known["say"],) if state.next == "play" and known["say"] else ()
-    points += tuple(known["notes"])
+    judged = [(round_, round_.decision) for round_ in state.rounds if round_.decision and not round_.aside]
+    judged = [(round_, decision) for round_, decision in judged if decision["gains"]]
+    decision = state.decision or {"say": "", "notes": ()}
+    points = [decision["say"]] if state.next == "play" and decision["say"] else []
+    points += decision["notes"]
     if state.next in ("done", "stopped"):
-        points += (f"the model is {judged[-1].folder / MODEL_FILE}; 'gtau validate' tests it on other logs",)
-    points += tuple(
-        f"round {round_.folder.name} is set aside: {round_.aside}" for round_ in state.rounds if round_.aside
-    )
-    verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", points, GRADES[state.next])
+        points.append(f"the model is {judged[-1][0].folder / MODEL_FILE}; 'gtau validate' tests it on other logs")
+    points += [f"round {round_.folder.name} is set aside: {round_.aside}" for round_ in state.rounds if round_.aside]
+    verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", tuple(points), GRADES[state.next])
     return page(
         f"Campaign in {state.folder}",
         section("Next", verdict, id="next"),
@@ -40,8 +41,8 @@ def campaign_page(state: CampaignState) -> Page:
     )
 
 
-def _gains(judged: list[Round]) -> Section | None:
-    """Tabulate and draw the gains of each round, from the logs of all rounds until then."""
+def _gains(judged: list[Judged]) -> Section | None:
+    """Tabulate and draw the gains after every round, from the logs of all rounds up to it."""
     if not judged:
         return None
     columns = (
@@ -57,26 +58,22 @@ def _gains(judged: list[Round]) -> Section | None:
     keys = ("value", "unit", "half_width", "random", "model", "verdict")
     rows = [
         (joint, round_.folder.name, *(gain[key] for key in keys))
-        for joint in _decision(judged[-1])["gains"]
-        for round_ in judged
-        if (gain := _decision(round_)["gains"].get(joint))
+        for joint in judged[-1][1]["gains"]
+        for round_, decision in judged
+        if (gain := decision["gains"].get(joint))
     ]
-    now, changed = _decision(judged[-1])["inputs"].items(), f"{DESIGN}, the accuracy, a log or the rounds set aside"
-    earlier = [round_.folder.name for round_ in judged if not _decision(round_)["inputs"].items() <= now]
+    now, changed = judged[-1][1]["inputs"].items(), f"{DESIGN}, the accuracy, a log or the rounds set aside"
+    earlier = [round_.folder.name for round_, decision in judged if not decision["inputs"].items() <= now]
     notes = tuple(f"round {name} was judged before a change of {changed}" for name in earlier)
     words = "+-: half the 95 % interval; random, model: standard deviations; % of the gain"
     return section("Gains round by round", table(columns, rows), Text(words, notes, "soft"), _chart(judged), id="gains")
 
 
-def _decision(round_: Round) -> dict[str, Any]:
-    return dict(round_.decision or {})
-
-
-def _chart(judged: list[Round]) -> Chart | None:
+def _chart(judged: list[Judged]) -> Chart | None:
     names, values, halves, inner = [], [], [], []
-    for joint, final in _decision(judged[-1])["gains"].items():
-        for round_ in judged:
-            gain = _decision(round_)["gains"].get(joint)
+    for joint, final in judged[-1][1]["gains"].items():
+        for round_, decision in judged:
+            gain = decision["gains"].get(joint)
             if gain is None or not gain["value"] or not final["value"] or gain["half_width"] is None:
                 continue
             names.append(f"{joint_label(joint)}, round {round_.number}")
@@ -87,13 +84,13 @@ def _chart(judged: list[Round]) -> Chart | None:
     return Chart((intervals(names, values, halves, axis, inner, zero=True),)) if names else None
 
 
-def _candidates(judged: list[Round]) -> Section | None:
-    """Tabulate the motions rehearsed after the last round."""
-    offered = _decision(judged[-1])["candidates"] if judged else []
+def _candidates(judged: list[Judged]) -> Section | None:
+    """Tabulate the motions simulated after the last round."""
+    offered = judged[-1][1]["candidates"] if judged else []
     if not offered:
         return None
     columns = (Column("motion"), Column("widest interval then, +- %", Kind.NUMBER, 3), Column("payload at hand"))
-    rows = [(one["motion"], one["half_width"], "yes" if one["at_hand"] else "no") for one in offered]
+    rows = [(motion["motion"], motion["half_width"], "yes" if motion["at_hand"] else "no") for motion in offered]
     return section("Motions rehearsed", table(columns, rows), id="candidates")
 
 
@@ -107,11 +104,9 @@ def _rehearsals(rounds: tuple[Round, ...]) -> Section:
         Column("largest use of a limit, %", Kind.SHARE, decimals=0),
         Column("of"),
     )
-    return section("Rehearsals", table(columns, _rehearsed(rounds)), id="rehearsals")
-
-
-def _rehearsed(rounds: tuple[Round, ...]) -> Iterator[tuple[object, ...]]:
+    rows = []
     for round_ in rounds:
-        done = round_.motion["rehearsal"]
-        ended, speed = "not yet" if round_.played is None else round_.played.end, done["speed"]
-        yield round_.folder.name, round_.motion["purpose"], ended, speed, speed / 10, done["used"], done["limit"]
+        rehearsal, end = round_.motion["rehearsal"], "not yet" if round_.played is None else round_.played.end
+        speed, usage = rehearsal["speed"], (rehearsal["used"], rehearsal["limit"])
+        rows.append((round_.folder.name, round_.motion["purpose"], end, speed, speed / 10, *usage))
+    return section("Rehearsals", table(columns, rows), id="rehearsals")

@@ -1,4 +1,4 @@
-"""The rehearsal of a motion before a robot plays it: limits, tool speed, and a run under control in the simulator."""
+"""Rehearsal of a motion before a robot plays it: limits, contacts, and a run under control in the simulator."""
 
 from __future__ import annotations
 
@@ -10,34 +10,36 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaigns.contacts import check_contacts
 from gtau.campaigns.folder import MOTION, WARM_UP, digest, scene, seal, write_json
 from gtau.documents.files import folder_of, write_table
 from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import DesignFile
-from gtau.excitation.forecast import Outlook
+from gtau.excitation.forecast import Outlook, sampled_motions
 from gtau.excitation.prior import PriorModel, file_parameters, rough_parameters, with_drives
 from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.report.design import trajectory_table
 from gtau.robots.parameter import torque_unit
+from gtau.robots.readers.mujoco_process import refuse_deadly
 from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 from gtau.simulation.experiment_files import simulate
 from gtau.simulation.trajectories import log_column
 
-NEAR = {True: 0.02, False: 0.002}  # rad and m, within which the robot stands at the start
-STRAY = {True: 0.03, False: 0.003}  # rad and m, by which it may stray from the motion at least
-PART = 0.05  # and this part of the joint's range in the motion
+NEAR = {True: 0.02, False: 0.002}  # rad and m, tolerance of the pose at the start
+STRAY = {True: 0.03, False: 0.003}  # rad and m, smallest tolerance of tracking
+PART = 0.05  # tolerance of tracking over the joint's range in the motion
+EVERY = 0.01  # s between the poses checked for contacts: 1 cm at a tool speed of 1 m/s
 CSV = "motion.csv"
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What a rehearsal found: greatest use of a limit, tool speed (m/s), and of the run under control each joint's.
+    """Result of a rehearsal: largest usage of a limit (``used``), tool ``speed`` (m/s), and a run under control.
 
-    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint; ``notes``
+    ``errors`` and ``torques`` are the largest tracking errors, rad or m, and torques, N m or N, by joint. ``notes``
     say what was not rehearsed as usual.
     """
 
@@ -50,11 +52,11 @@ class Rehearsal:
 
 
 def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Progress) -> Rehearsal:
-    """Check every limit along the whole motion, and play it in the simulator with the heaviest payload.
+    """Check all limits along the motion, and play it in the simulator with the heaviest payload.
 
-    The robot is the identified ``model``, or one with the inertias of the robot's file: without a model, and where it
-    is none that moves, as parameters that the data hardly determine may belong to no body that exists. Raises GtauError
-    where a limit is exceeded or the robot strays.
+    The robot has the identified ``model``, or the inertias of the robot's file if there is no model or the model does
+    not move (poorly determined parameters may be unphysical). Raises GtauError if a limit or the tracking tolerance is
+    exceeded.
     """
     task, notes = design.task, list[str]()
     worst = max(check(task, design.x), key=lambda usage: usage.excess)
@@ -67,47 +69,47 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
             raise
         errors, torques = _under_control(design, file, None, progress)
         notes.append("rehearsal: with the inertias of the robot's file, as the identified parameters do not move")
-    allowed = tolerances(design)
+    outlook, allowed = Outlook(design, {}), tolerances(design)
     for joint, error in errors.items():
         if error > allowed[joint]:
             raise GtauError(
                 f"in the rehearsal joint '{joint}' strays by {error:.3g} from the motion, {allowed[joint]:.3g} is "
                 f"allowed; limit its acceleration or jerk in the design file."
             )
-    ((time, joints),) = Outlook(design, {}).motions
+    ((time, joints),) = outlook.motions
     if unseen := check_contacts(Path(file.robot), task.model, time, joints):
         notes.append(f"contacts in MuJoCo: not checked, {unseen}")
     robot = load_robot(file.robot)
     for joint, torque in torques.items():
-        most = robot.joint(joint).limits.effort  # the file's own: the design's share is for what happens on the way
+        most = robot.joint(joint).limits.effort  # of the file, as the design's share leaves a reserve for control
         if most is not None and torque > most:
             raise GtauError(
                 f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(robot, joint)}, "
                 f"{most:.3g} is allowed; limit its acceleration in the design file."
             )
-    return Rehearsal(worst.excess, worst.what, Outlook(design, {}).tool[0], errors, torques, tuple(notes))
+    return Rehearsal(worst.excess, worst.what, outlook.tool[0], errors, torques, tuple(notes))
 
 
 def _under_control(
     design: Design, file: DesignFile, model: Path | None, progress: Progress
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Play the motion in the simulator: largest tracking errors and torques by joint."""
+    """Play the motion in the simulator; return the largest tracking errors and torques by joint."""
     task = design.task
     loads = [payload for payload in task.payloads if payload is not None]
     heaviest = max(loads, key=lambda payload: payload.mass or 0.0)
-    ((time, joints),) = Outlook(design, {}).motions
+    ((time, joints),) = sampled_motions(task, design.x)
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         write_table(trajectory_table(task, time, joints), out / CSV)
         run = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}, "payload": _known(heaviest, task.prior)}
-        known = {"model": str(model)} if model else {"parameters": _stated(design, heaviest.mass or 1.0)}
+        truth = {"model": str(model)} if model else {"parameters": _stated(design, heaviest.mass or 1.0)}
         drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
         rate = max(task.rate, 500.0)
-        simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **known}
+        simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **truth}
         try:
             simulate(simulated, out / "logs", lambda _, done, total: progress("rehearsing", done, total))
         except KeyboardInterrupt:
-            raise KeyboardInterrupt from None  # its words are of a folder that goes
+            raise KeyboardInterrupt from None  # its text names a folder that is removed
         columns = ("t", *(log_column(kind, joint) for kind in "qv" for joint in task.model.actuated))
         log = read_log(out / "logs" / "loaded.csv", columns).arrays()
     errors, torques = {}, {}
@@ -123,14 +125,14 @@ def _known(payload: Payload, prior: PriorModel) -> dict[str, Any]:
 
 
 def _stated(design: Design, mass: float) -> dict[str, float]:
-    """Parameters of the robot before it is identified: of the file where it states them, without the margin."""
+    """Parameters of the robot before it is identified, from its file without the margin where stated."""
     model, base = design.task.model, design.task.base
     return with_drives(model, file_parameters(model, rough_parameters(model, base, mass)[0]))
 
 
 def tolerances(design: Design) -> dict[str, float]:
-    """Distances that each joint may stray from the motion, rad or m."""
-    ((_, joints),) = Outlook(design, {}).motions
+    """Tracking tolerances of all joints, rad or m."""
+    ((_, joints),) = sampled_motions(design.task, design.x)
     robot = design.task.model.robot
     return {
         name: max(PART * float(np.ptp(row)), STRAY[robot.joint(name).turns])
@@ -141,12 +143,13 @@ def tolerances(design: Design) -> dict[str, float]:
 def write_motion(
     folder: Path, file: DesignFile, design: Design, rehearsal: Rehearsal, decided: Mapping[str, Any]
 ) -> None:
-    """Write ``motion.csv``, then ``motion.json``, without which the round does not exist; see docs/lookup/players.md.
+    """Write ``motion.csv``, then ``motion.json``, which completes the round; see docs/lookup/players.md.
 
-    ``decided`` says after which decision and for what the motion was designed, and whether a warm-up run comes first.
+    ``decided`` holds the ``purpose`` of the motion, the round ``after`` which it was designed, and ``warm_up``, whether
+    a warm-up run comes first.
     """
     task, robot = design.task, design.task.model.robot
-    ((time, joints),) = Outlook(design, {}).motions
+    ((time, joints),) = sampled_motions(task, design.x)
     write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
     allowed = tolerances(design)
     names = [*([WARM_UP] if decided["warm_up"] else []), *(f"run{k + 1}" for k in range(len(task.payloads)))]
@@ -178,3 +181,45 @@ def write_motion(
         **decided,
     }
     write_json(folder / MOTION, motion | {"hash": seal(motion)})
+
+
+def check_contacts(file: Path, model: InverseDynamics, time: np.ndarray, joints: np.ndarray) -> str:
+    """Check a motion (q, qd, qdd of the actuated joints, (3, n, N)) at ``time`` (N,) for contacts in MuJoCo.
+
+    Shapes that overlap at the start are taken as drawn that way and ignored. Returns why contacts cannot be checked,
+    empty if they can; raises GtauError if bodies touch.
+    """
+    try:
+        import mujoco  # type: ignore[import-untyped, unused-ignore]
+    except ImportError:
+        return "MuJoCo is not installed"
+    if file.suffix.lower() not in (".xml", ".urdf"):
+        return "the robot's file holds no shapes"
+    try:
+        refuse_deadly(file)
+        compiled = mujoco.MjModel.from_xml_path(str(file))
+        places = [compiled.joint(joint.name).qposadr[0] for joint in model.robot.joints]
+    except (ValueError, KeyError) as error:
+        return f"MuJoCo cannot load the robot's file: {str(error).splitlines()[0].removeprefix('Error: ').rstrip('.')}"
+    data, drawn = mujoco.MjData(compiled), None
+    step = max(1, round(EVERY / (time[1] - time[0])))
+    for t, c in zip(time[::step], model.motion(*joints[:3, :, ::step]).c.T, strict=True):
+        data.qpos[places] = c[: len(places)]
+        mujoco.mj_kinematics(compiled, data)
+        mujoco.mj_comPos(compiled, data)
+        mujoco.mj_collision(compiled, data)
+        touching = {_pair(compiled, contact.geom) for contact in data.contact if contact.dist < 0}
+        drawn = touching if drawn is None else drawn
+        if new := sorted(touching - drawn):
+            first, second = new[0]
+            raise GtauError(
+                f"in the rehearsal '{first}' touches '{second}' at {t:.3g} s, as MuJoCo sees the robot's file; "
+                "limit its joints or give its surroundings in the design file."
+            )
+    return ""
+
+
+def _pair(compiled: Any, geoms: np.ndarray) -> tuple[str, str]:
+    bodies = (compiled.body(compiled.geom_bodyid[geom]).name for geom in geoms)
+    first, second = sorted(compiled.geom(geom).name or body for geom, body in zip(geoms, bodies, strict=True))
+    return first, second

@@ -1,6 +1,6 @@
-"""Distances between bodies and from a floor, and their derivatives with respect to the configuration.
+"""Distances between bodies and from a floor, with gradients by the configuration.
 
-Capsules and the floor need no library; convex hulls of meshes need coal.
+Convex hulls of meshes need coal; capsules and the floor do not.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from gtau.model.kinematics import Coordinates, frames
 from gtau.robots.robot import GROUND, Pose
 
 FLOOR = "the floor"
-"""Place of a :class:`Floor` among the bodies; no body has a name with a blank."""
+"""Name of the :class:`Floor` among the bodies; no body has a name with a blank."""
 
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
-    """All points within ``radius`` m of the line between two points (3,) in the body's frame."""
+    """All points within ``radius`` m of a segment between two points (3,) of the body's frame."""
 
     start: np.ndarray
     end: np.ndarray
@@ -35,14 +35,14 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Floor:
-    """All points of the base's frame below ``height`` m along its z axis."""
+    """All points below ``height`` m along z of the base."""
 
     height: float
 
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """A convex shape of coal with its orientation (3, 3) and position (3,) in the body's frame."""
+    """A convex coal shape with its orientation (3, 3) and position (3,) in the body's frame."""
 
     convex: Any
     rotation: np.ndarray
@@ -52,14 +52,14 @@ class Hull:
 FIXED = (GROUND, FLOOR)
 Shape = Capsule | Floor | Hull
 Placed = tuple[str, Shape]
-"""A shape of a body."""
+"""A body and its shape."""
 Poses = tuple[np.ndarray, np.ndarray]
 """Orientations (3, 3, N) and positions (3, N) in the base."""
 
 
 @dataclass(frozen=True, eq=False)
 class Nearest:
-    """Signed distance (N,), m, of two bodies, nearest points and the normal from a to b (3, N), in the base."""
+    """Signed distance (N,), m, of two bodies, nearest points a and b, and normal from a to b (3, N), in the base."""
 
     distance: np.ndarray
     normal: np.ndarray
@@ -69,7 +69,7 @@ class Nearest:
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Bodies with a required distance of ``least`` m; see :func:`clearance`."""
+    """Pairs of bodies to keep ``least`` m apart; see :func:`clearance`."""
 
     layout: Coordinates
     least: float
@@ -81,7 +81,7 @@ class Clearance:
         return self.all_nearest(c, [pair])[0]
 
     def all_nearest(self, c: np.ndarray, pairs: Sequence[tuple[str, str]]) -> list[Nearest]:
-        """Find the nearest points of some pairs of bodies, all capsules in one go."""
+        """Find the nearest points of some pairs of bodies, with one call for all capsules."""
         poses = {body: self.poses(body, c) for body in dict.fromkeys(chain(*pairs))}
         placed = {body: [(body, shape) for shape in self.shapes[body]] for body in poses}
         lines: dict[Placed, tuple[np.ndarray, np.ndarray, float]] = {
@@ -89,27 +89,27 @@ class Clearance:
             for body, shape in chain(*placed.values())
             if isinstance(shape, Capsule)
         }
-        couples = [list(product(placed[one], placed[other])) for one, other in pairs]
-        between = _between_capsules([couple for couple in chain(*couples) if {*couple} <= lines.keys()], lines)
-        every, samples = [], np.arange(c.shape[1])
-        for pair, of_pair in zip(pairs, couples, strict=True):
+        couples_by_pair = [list(product(placed[a], placed[b])) for a, b in pairs]
+        between = _between_capsules([couple for couple in chain(*couples_by_pair) if {*couple} <= lines.keys()], lines)
+        nearest, samples = [], np.arange(c.shape[1])
+        for pair, couples in zip(pairs, couples_by_pair, strict=True):
             first, second = (poses[body] for body in pair)
-            contacts = [between.get((a, b)) or _contacts(a[1], first, b[1], second) for a, b in of_pair]
+            contacts = [between.get((a, b)) or _contacts(a[1], first, b[1], second) for a, b in couples]
             distances = np.array([contact.distance for contact in contacts])
             which = np.argmin(distances, axis=0)
             normal, a, b = (
                 np.array([getattr(contact, name) for contact in contacts])[which, :, samples].T
                 for name in ("normal", "a", "b")
             )
-            every.append(Nearest(distances[which, samples], normal, a, b))
-        return every
+            nearest.append(Nearest(distances[which, samples], normal, a, b))
+        return nearest
 
     def holds(self, c: np.ndarray) -> bool:
-        """Decide whether all bodies keep their distance at configurations (n_c, N)."""
+        """Whether all pairs keep their distance at configurations (n_c, N)."""
         return all(near.distance.min(initial=np.inf) >= self.least for near in self.all_nearest(c, self.pairs))
 
     def slopes(self, c: np.ndarray, pair: tuple[str, str], nearest: Nearest) -> np.ndarray:
-        """Compute the derivatives (n_c, N) of the distance by c: the nearest points move with their bodies."""
+        """Compute the gradient (n_c, N) of the distance by c; the nearest points move with their bodies."""
         total = np.zeros_like(c)
         for body, point, sign in zip(pair, (nearest.a, nearest.b), (-1.0, 1.0), strict=True):
             if body not in FIXED:
@@ -127,7 +127,7 @@ class Clearance:
 
     @cached_property
     def _programs(self) -> dict[str, tuple[Program, Program]]:
-        """Pose of each body by c, orientation by columns first, and slopes by c of a point's weighted coordinates."""
+        """Pose of every body (orientation in column order), and the gradient by c of a point's weighted coordinates."""
         c, point, weights = ca.SX.sym("c", self.layout.n_c), ca.SX.sym("point", 3), ca.SX.sym("weights", 3)
         programs = {}
         for body, frame in frames(self.layout, c).items():
@@ -139,16 +139,16 @@ class Clearance:
 
 
 def clearance(layout: Coordinates, least: float, shapes: Mapping[str, Sequence[Shape]]) -> Clearance:
-    """Build the clearance of the bodies with shapes, for pairs that no joint or closure joins."""
+    """Build the clearance of bodies with shapes, for all pairs without a common joint or closure."""
     robot = layout.robot
-    known = (GROUND, *robot.bodies)
+    bodies = (GROUND, *robot.bodies)
     for body in shapes:
-        if body not in (FLOOR, *known):
-            raise GtauError(f"limits.shapes names '{body}', which is no body; choose from {', '.join(known)}.")
+        if body not in (FLOOR, *bodies):
+            raise GtauError(f"limits.shapes names '{body}', which is no body; choose from {', '.join(bodies)}.")
     joined = {frozenset((joint.name, joint.antecedent)) for joint in robot.joints} | {frozenset(FIXED)}
     joined |= {frozenset((closure.a.body, closure.b.body)) for closure in robot.closures}
-    order = [body for body in (GROUND, FLOOR, *robot.bodies) if shapes.get(body)]
-    pairs = tuple(pair for pair in combinations(order, 2) if frozenset(pair) not in joined)
+    shaped = [body for body in (GROUND, FLOOR, *robot.bodies) if shapes.get(body)]
+    pairs = tuple(pair for pair in combinations(shaped, 2) if frozenset(pair) not in joined)
     return Clearance(layout, least, shapes, pairs)
 
 
@@ -161,42 +161,42 @@ def _ends(poses: Poses, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
     return _placed(poses, capsule.start), _placed(poses, capsule.end)
 
 
-def _contacts(one: Shape, first: Poses, other: Shape, second: Poses) -> Nearest:
-    if isinstance(one, Hull) or isinstance(other, Hull):
-        return _between_hulls(one, first, other, second)
-    if isinstance(one, Floor):
-        turned = _contacts(other, second, one, first)
+def _contacts(a: Shape, first: Poses, b: Shape, second: Poses) -> Nearest:
+    """Compute the contacts of two shapes of which at most one is a capsule."""
+    if isinstance(a, Hull) or isinstance(b, Hull):
+        return _between_hulls(a, first, b, second)
+    if isinstance(a, Floor):
+        turned = _contacts(b, second, a, first)
         return Nearest(turned.distance, -turned.normal, turned.b, turned.a)
-    assert isinstance(one, Capsule)
-    assert isinstance(other, Floor)
-    ends = _ends(first, one)
+    assert isinstance(b, Floor)
+    ends = _ends(first, a)
     lowest = np.where(ends[0][2] < ends[1][2], *ends)
     down = np.broadcast_to([[0.0], [0.0], [-1.0]], lowest.shape)
-    below = np.vstack([lowest[:2], np.full((1, lowest.shape[1]), other.height)])
-    return Nearest(lowest[2] - one.radius - other.height, down, lowest + one.radius * down, below)
+    below = np.vstack([lowest[:2], np.full((1, lowest.shape[1]), b.height)])
+    return Nearest(lowest[2] - a.radius - b.height, down, lowest + a.radius * down, below)
 
 
 def _between_capsules(
     pairs: Sequence[tuple[Placed, Placed]], lines: Mapping[Placed, tuple[np.ndarray, np.ndarray, float]]
 ) -> dict[tuple[Placed, Placed], Nearest]:
-    """Compute the contacts of pairs of capsules side by side; ``lines`` are their ends (3, N) and radii."""
+    """Compute the contacts of all pairs of capsules at once; ``lines`` are their ends (3, N) and radii."""
     if not pairs:
         return {}
     points = (np.concatenate([lines[pair[k]][end] for pair in pairs], axis=1) for k in (0, 1) for end in (0, 1))
-    on_one, on_other = (point.reshape(3, len(pairs), -1).swapaxes(0, 1) for point in nearest_points(*points))
-    apart = np.linalg.norm(on_other - on_one, axis=1)
-    normal = (on_other - on_one) / np.maximum(apart, 1e-12)[:, None]
+    on_a, on_b = (point.reshape(3, len(pairs), -1).swapaxes(0, 1) for point in nearest_points(*points))
+    apart = np.linalg.norm(on_b - on_a, axis=1)
+    normal = (on_b - on_a) / np.maximum(apart, 1e-12)[:, None]
     return {
-        (one, other): Nearest(gap - r - s, along, a + r * along, b - s * along)
-        for (one, other), gap, along, a, b in zip(pairs, apart, normal, on_one, on_other, strict=True)
-        for r, s in [(lines[one][2], lines[other][2])]
+        pair: Nearest(gap - r - s, along, a + r * along, b - s * along)
+        for pair, gap, along, a, b in zip(pairs, apart, normal, on_a, on_b, strict=True)
+        for r, s in [(lines[pair[0]][2], lines[pair[1]][2])]
     }
 
 
 def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Find the nearest points (3, N) of segments from ``a`` to ``b`` and from ``c`` to ``d``, (3, N) each.
+    """Find the nearest points (3, N) of the segments from ``a`` to ``b`` and from ``c`` to ``d``, (3, N) each.
 
-    They are on the common perpendicular, if its feet are on both, or an end and its foot on the other segment.
+    They are the feet of the common perpendicular if both are inside, or else an end and its foot on the other segment.
     """
     along, across, between = b - a, d - c, c - a
     uu, vv, uv = np.sum(along**2, 0), np.sum(across**2, 0), np.sum(along * across, 0)
@@ -204,7 +204,7 @@ def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -
     determinant = uu * vv - uv**2
     crossing = determinant > 1e-12 * uu * vv
     safe = np.where(crossing, determinant, 1.0)
-    one, none = np.ones_like(uu), np.zeros_like(uu)
+    one, zero = np.ones_like(uu), np.zeros_like(uu)
 
     def foot(numerator: np.ndarray, square: np.ndarray) -> np.ndarray:
         return np.clip(numerator / np.maximum(square, 1e-300), 0.0, 1.0)
@@ -213,9 +213,9 @@ def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -
     inside = crossing & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
     candidates = np.array([
         (np.where(inside, s, 0.0), np.where(inside, t, foot(-at_v, vv))),
-        (none, foot(-at_v, vv)),
+        (zero, foot(-at_v, vv)),
         (one, foot(uv - at_v, vv)),
-        (foot(at_u, uu), none),
+        (foot(at_u, uu), zero),
         (foot(at_u + uv, uu), one),
     ])  # fmt: skip
     on_first = a + candidates[:, 0, None] * along
@@ -225,25 +225,25 @@ def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -
     return on_first[best, :, samples].T, on_second[best, :, samples].T
 
 
-def _between_hulls(one: Shape, first: Poses, other: Shape, second: Poses) -> Nearest:
-    """Compute the contacts of two shapes of which one is a hull, sample by sample."""
+def _between_hulls(a: Shape, first: Poses, b: Shape, second: Poses) -> Nearest:
+    """Compute the contacts of two shapes of which at least one is a hull, sample by sample."""
     coal = _coal()
-    (mine, R_1, p_1), (theirs, R_2, p_2) = _of_coal(one), _of_coal(other)
+    (shape_1, R_1, p_1), (shape_2, R_2, p_2) = _coal_shape(a), _coal_shape(b)
     samples = first[1].shape[1]
-    distance, (normal, a, b) = np.empty(samples), (np.empty((3, samples)) for _ in range(3))
+    distance, (normal, on_a, on_b) = np.empty(samples), (np.empty((3, samples)) for _ in range(3))
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     for k in range(samples):
         (R_a, p_a), (R_b, p_b) = ((R[:, :, k], p[:, k]) for R, p in (first, second))
         result.clear()
         distance[k] = coal.distance(
-            mine, coal.Transform3s(R_a @ R_1, p_a + R_a @ p_1),
-            theirs, coal.Transform3s(R_b @ R_2, p_b + R_b @ p_2), request, result,
+            shape_1, coal.Transform3s(R_a @ R_1, p_a + R_a @ p_1),
+            shape_2, coal.Transform3s(R_b @ R_2, p_b + R_b @ p_2), request, result,
         )  # fmt: skip
-        normal[:, k], a[:, k], b[:, k] = result.normal, result.getNearestPoint1(), result.getNearestPoint2()
-    return Nearest(distance, normal, a, b)
+        normal[:, k], on_a[:, k], on_b[:, k] = result.normal, result.getNearestPoint1(), result.getNearestPoint2()
+    return Nearest(distance, normal, on_a, on_b)
 
 
-def _of_coal(shape: Shape) -> tuple[Any, np.ndarray, np.ndarray]:
+def _coal_shape(shape: Shape) -> tuple[Any, np.ndarray, np.ndarray]:
     coal = _coal()
     if isinstance(shape, Hull):
         return shape.convex, shape.rotation, shape.position
@@ -260,12 +260,12 @@ def _of_coal(shape: Shape) -> tuple[Any, np.ndarray, np.ndarray]:
 
 
 def capsule(start: Iterable[float], end: Iterable[float], radius: float) -> Capsule:
-    """Make a cylinder with round ends about the line between two points, or a sphere where they coincide."""
+    """Make a cylinder with round ends about a segment, or a sphere if its ends coincide."""
     return Capsule(np.array([*start], dtype=float), np.array([*end], dtype=float), radius)
 
 
 def bounding_capsule(points: np.ndarray) -> Capsule:
-    """Enclose points (K, 3) in a capsule along one of their principal axes, the smallest of the three."""
+    """Enclose points (K, 3) in the smallest capsule along one of their principal axes."""
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
     fits = [_along(points - middle, axis) for axis in axes]
@@ -284,7 +284,7 @@ def _along(points: np.ndarray, axis: np.ndarray) -> tuple[float, float, float, n
 
 
 def hull(path: Path, scale: float, pose: Pose) -> Hull:
-    """Build the convex hull of a mesh; raises GtauError where its file cannot be read."""
+    """Build the convex hull of a mesh; raises GtauError if its file cannot be read."""
     coal = _coal()
     if not path.is_file():
         raise GtauError(f"there is no mesh '{path}'; correct the path under limits.shapes.")

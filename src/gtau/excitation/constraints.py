@@ -1,4 +1,4 @@
-"""Limits as normalised usages of a motion: a usage of at most 1 satisfies its limit."""
+"""Usage of limits by a motion, normalised: at most 1 within the limit."""
 
 from __future__ import annotations
 
@@ -17,21 +17,31 @@ from gtau.excitation.trajectory import approach_duration, quintic
 from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
-APPROACH = 12  # poses between rest and the motion's beginning in which distances are kept while searching
-MARGIN = 0.97  # part of every limit that a first design may use: between instants speeds exceed it by up to 2 %
-TOOL_SPEED = "speed of the tool's frame"
-SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # approaches; at four times the duration a sixteenth of the acceleration is left
+APPROACH = 12  # poses between rest and the beginning of the motion, in which the search checks distances
+MARGIN = 0.97  # share of every limit for a first design: between instants speeds exceed it by up to 2 %
+CONDITION, TOOL_SPEED = "condition", "tool speed"
+SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # durations of an approach to try; four times takes 1/16 of the acceleration
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintUsage:
-    """Usage of a limit: ``values`` (N,), within -1 and 1 if satisfied, or at least 1 for a lower (``least``) limit.
+    """Usage of a limit along a motion.
 
-    ``what`` names the limit, ``limit`` is its value in ``unit``, counted from ``middle`` where it is an interval;
-    ``rows`` is the Jacobian by x, one row per value. ``logarithmic`` values are divided by the limit before the
-    logarithm is taken.
+    Attributes
+    ----------
+    kind, what : str
+        Kind of the limit, and the limit in words.
+    limit, unit : float, str
+        Value of the limit, counted from ``middle`` where it is an interval.
+    values : (N,)
+        Within -1 and 1 if the limit holds; at least 1 for a lower limit (``least``).
+    rows : callable
+        Jacobian of the values by x.
+    logarithmic : bool
+        Whether values are ratios of logarithms.
     """
 
+    kind: str
     what: str
     limit: float
     unit: str
@@ -43,7 +53,7 @@ class ConstraintUsage:
 
     @property
     def allowed(self) -> str:
-        """Required condition, in words."""
+        """The limit in words."""
         if self.middle is not None:
             low, high = self.middle - self.limit, self.middle + self.limit
             return f"between {low:.4g} and {high:.4g} {self.unit}"
@@ -51,7 +61,7 @@ class ConstraintUsage:
 
     @property
     def excess(self) -> float:
-        """Ratio of used to allowed: above 1 the limit is violated."""
+        """Ratio of used to allowed; above 1 the limit is violated."""
         if self.least:
             return float(1.0 / max(self.values.min(), 1e-9))
         return float(np.abs(self.values).max(initial=0.0))
@@ -63,7 +73,7 @@ class ConstraintUsage:
 
     @property
     def reached(self) -> float:
-        """Extreme value in ``unit``."""
+        """Extreme value of the motion, in ``unit``."""
         if self.middle is not None:
             return float(self.middle + self.limit * self.values[np.argmax(np.abs(self.values))])
         if self.logarithmic:
@@ -72,27 +82,27 @@ class ConstraintUsage:
 
 
 def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits along all motions, with gradients (N, task.size) as :func:`usages_of_motion`."""
+    """Compute the usage of all limits by all motions, with Jacobians (N, task.size)."""
     for k, point in enumerate(points):
         usages = usages_of_motion(point, shares[k] if shares else None)
         if len(points) == 1:
             yield from usages
             continue
         size = point.task.series.size
-        others = (0, 0), (k * size, (len(points) - 1 - k) * size)
+        around = (0, 0), (k * size, (len(points) - 1 - k) * size)
         for usage in usages:
-            rows = partial(_padded, usage.rows, others)
+            rows = partial(_padded, usage.rows, around)
             yield replace(usage, what=f"{usage.what} in run {k + 1}", rows=rows)
 
 
-def _padded(rows: Callable[[], np.ndarray], others: tuple[tuple[int, int], tuple[int, int]]) -> np.ndarray:
-    return np.pad(rows(), others)
+def _padded(rows: Callable[[], np.ndarray], around: tuple[tuple[int, int], tuple[int, int]]) -> np.ndarray:
+    return np.pad(rows(), around)
 
 
 def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits along one motion, with gradients (N, series.size).
+    """Compute the usage of all limits by one motion, with Jacobians (N, series.size).
 
-    ``share`` (n,) of the samples away from reversals, where counted, replaces the smooth estimate of a design grid.
+    ``share`` (n,), the counted share of samples away from reversals, replaces the smooth estimate if given.
     """
     task = point.task
     yield from _kinematic(point)
@@ -106,7 +116,7 @@ def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[
         largest = np.log(task.limits.condition)
         values, slopes = task.pullback.condition(point.motion)
         yield ConstraintUsage(
-            "condition number of the closures", task.limits.condition, "", values / largest,
+            CONDITION, "condition number of the closures", task.limits.condition, "", values / largest,
             lambda: point.to_rows(point.to_joints(slopes)) / largest, logarithmic=True,
         )  # fmt: skip
     if task.limits.away > 0:
@@ -119,7 +129,7 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
         unit = task.model.robot.joint(joint).unit
         low, high = limits.position[j]
         middle, half = ((low + high) / 2, (high - low) / 2) if np.isfinite(high - low) else (0.0, np.inf)
-        scales = [(middle, half), *((0.0, float(getattr(limits, order)[j])) for order in ORDERS[1:])]
+        scales = [(middle, half), *((0.0, float(rate)) for rate in limits.rates[:, j])]
         for order, (offset, scale) in enumerate(scales):
             if not np.isfinite(scale):
                 continue
@@ -132,14 +142,13 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
                 return point.to_rows(seed)
 
             values = (point.joints[order, j] - offset) / scale
-            per = unit + ("", "/s", "/s2", "/s3")[order]
-            yield ConstraintUsage(
-                f"{ORDERS[order]} of joint '{joint}'", scale, per, values, rows, middle=None if order else middle
-            )
+            kind, per = ORDERS[order], unit + ("", "/s", "/s2", "/s3")[order]
+            what = f"{kind} of joint '{joint}'"
+            yield ConstraintUsage(kind, what, scale, per, values, rows, middle=None if order else middle)
 
 
 def _drives(point: Point) -> Iterator[ConstraintUsage]:
-    """Compute the usage of limits of torque, or of current where the file states one, at the worst end of the gain."""
+    """Compute the usage of torque limits, and of stated current limits, at the worst end of the gain's interval."""
     task, n = point.task, len(point.task.model.actuated)
     torques, currents = (np.broadcast_to(limit, n) for limit in (task.limits.torque, task.limits.current))
     payloads = [task.payloads[run] for run in point.runs]
@@ -161,7 +170,7 @@ def _drives(point: Point) -> Iterator[ConstraintUsage]:
                     return point.to_rows(point.to_joints(task.regressor.slopes(point.motion, weights)))
 
                 what = f"{kind} of joint '{joint}'{carried}"
-                yield ConstraintUsage(what, float(limit), unit, point.W[j] @ load, rows)
+                yield ConstraintUsage(kind, what, float(limit), unit, point.W[j] @ load, rows)
 
 
 def _workspace(point: Point) -> Iterator[ConstraintUsage]:
@@ -176,11 +185,11 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
             return point.rows_by_configuration(task.tool[1](motion.c, weights))
 
         values = (position[k] - middle) / half
-        yield ConstraintUsage(f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
+        yield ConstraintUsage("workspace", f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
 
 
 def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
-    """Compute the usage of the limit of the tool's speed."""
+    """Compute the usage of the limit of the tool's speed, if there is one."""
     task, motion, limit = point.task, point.motion, point.task.limits.tool_speed
     if not np.isfinite(limit):
         return
@@ -191,33 +200,32 @@ def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
         return point.to_rows(point.to_joints(replace(slopes, c=by_c, yd=by_yd)))
 
     values = task.tool_speed[0](motion.c, motion.yd)[0] / limit
-    yield ConstraintUsage(TOOL_SPEED, limit, "m/s", values, rows)
+    yield ConstraintUsage(TOOL_SPEED, "speed of the tool's frame", limit, "m/s", values, rows)
 
 
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
-    """Compute the distances between bodies, on the way from rest to the motion's first pose too."""
+    """Compute distances between bodies along the motion and the approach to it."""
     parts = [point] if (way := _approach(point)) is None else [point, way]
-    every = [
-        dict(zip(clearance.pairs, clearance.all_nearest(part.motion.c, clearance.pairs), strict=True)) for part in parts
-    ]
+    by_part = [clearance.all_nearest(part.motion.c, clearance.pairs) for part in parts]
     for body in dict.fromkeys(second for _, second in clearance.pairs):
-        pairs = [pair for pair in clearance.pairs if pair[1] == body]
-        nearest = [[contacts[pair] for pair in pairs] for contacts in every]
+        places = [k for k, (_, second) in enumerate(clearance.pairs) if second == body]
+        pairs = [clearance.pairs[k] for k in places]
+        nearest = [[contacts[k] for k in places] for contacts in by_part]
 
         def rows(pairs: list[tuple[str, str]] = pairs, nearest: list[list[Nearest]] = nearest) -> np.ndarray:
             ways = zip(parts, nearest, strict=True)
             return np.vstack([_nearing(part, clearance, pairs, near) for part, near in ways])
 
-        others = [first if first == FLOOR else f"'{first}'" for first, _ in pairs]
-        distance = np.concatenate([np.min([near.distance for near in of_part], axis=0) for of_part in nearest])
-        what = f"distance of '{body}' from {', '.join(others)}"
-        yield ConstraintUsage(what, clearance.least, "m", distance / clearance.least, rows, True)
+        obstacles = [first if first == FLOOR else f"'{first}'" for first, _ in pairs]
+        distance = np.concatenate([np.min([near.distance for near in contacts], axis=0) for contacts in nearest])
+        what = f"distance of '{body}' from {', '.join(obstacles)}"
+        yield ConstraintUsage("distance", what, clearance.least, "m", distance / clearance.least, rows, True)
 
 
 def _nearing(
     point: Point, clearance: Clearance, pairs: Sequence[tuple[str, str]], nearest: Sequence[Nearest]
 ) -> np.ndarray:
-    """Compute the gradients (N, series.size) of the least distance of several pairs."""
+    """Compute the Jacobian (N, series.size) of the smallest distance of several pairs."""
     motion = point.motion
     which = np.argmin([near.distance for near in nearest], axis=0)
     by_c = np.zeros_like(motion.c)
@@ -228,7 +236,7 @@ def _nearing(
 
 
 def _approach(point: Point) -> Point | None:
-    """Return poses on the way from rest to where a motion on a design grid begins; None where it has no way."""
+    """Return poses between rest and the beginning of a motion on a design grid; None without an approach."""
     task, basis = point.task, point.grid.basis
     if task.rest is None or point.platform is not None or not basis.size:
         return None
@@ -239,7 +247,7 @@ def _approach(point: Point) -> Point | None:
     joints[0] = task.rest[:, None] + np.outer(point.joints[0, :, 0] - task.rest, part)
     try:
         motion = close(task.model, joints)
-    except GtauError:  # which the whole run is checked for
+    except GtauError:  # the check of the whole run reports it
         return None
     return Point(task, Grid(point.grid.step, way), point.runs, joints, motion, None, point.W[:, :APPROACH])
 
@@ -257,11 +265,11 @@ def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[C
             return point.to_rows(seed).sum(axis=0, keepdims=True)
 
         what = f"time of joint '{joint}' away from its reversals"
-        yield ConstraintUsage(what, task.limits.away, "of the time", share[[j]] / task.limits.away, rows, True)
+        yield ConstraintUsage("away", what, task.limits.away, "of the time", share[[j]] / task.limits.away, rows, True)
 
 
 def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
-    """Sample a run at ``rate``, Hz, (4, n, N): approach, all periods of a motion on a grid, and return."""
+    """Sample a run at ``rate``, Hz, (4, n, N): approach, all periods of a motion, and return."""
     joints = period.joints
     periods = np.concatenate([np.tile(joints, task.repetitions), joints[:, :, :1]], axis=2)
     if task.rest is None:
@@ -275,8 +283,8 @@ def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
 
 
 def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray, runs: tuple[int, ...]) -> float:
-    """Compute the duration, s, of an approach: slower for the tool's speed, and where its torques ask and it helps."""
-    span = approach_duration(start - home, task.limits.velocity, task.limits.acceleration, task.limits.jerk)
+    """Compute the duration, s, of an approach within the limits of tool speed and, if slowing down helps, torque."""
+    span = approach_duration(start - home, task.limits.rates)
 
     def lasting(duration: float) -> Point:
         joints = np.stack(quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH)))

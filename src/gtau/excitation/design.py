@@ -1,4 +1,4 @@
-"""Multi-start design of an exciting motion, within its limits between the grid instants as well."""
+"""Multi-start design of an exciting motion that satisfies its limits between grid instants as well."""
 
 from __future__ import annotations
 
@@ -10,30 +10,38 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.excitation.constraints import MARGIN, TOOL_SPEED, ConstraintUsage, constraint_usages, whole_run
+from gtau.excitation.constraints import (
+    CONDITION,
+    MARGIN,
+    ORDERS,
+    TOOL_SPEED,
+    ConstraintUsage,
+    constraint_usages,
+    whole_run,
+)
 from gtau.excitation.evaluation import along, design_grid, evaluate
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
 
-START = 0.6  # part of the limits that a start uses, so that it is feasible
+START = 0.6  # share of the limits that a start uses, so that it is feasible
 FINER = 10
 STAGE = "searching"
-CLOSER = 0.8  # by which the limits that keep loops closed are tightened where loops cannot be closed
-REACH = ("position", "condition")
-IDLE = 0.3  # part of the tool's speed at a start, below which it counts only once exceeded: a five-bar's is 0.1
-TIGHTER = 3.0  # by which a limit is tightened at most between two rounds
+CLOSER = 0.8  # factor on the limits of kinds REACH after a round in which loops could not be closed
+REACH = (ORDERS[0], CONDITION)
+IDLE = 0.3  # usage of the tool's speed at a start below which the search ignores it until exceeded (five-bar: 0.1)
+TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
-WORTH = 0.97  # another round from where the last one ended has paid if it comes below this part of the criterion
-STALLED = 25  # iterations that together must improve the logarithm of the criterion by
+WORTH = 0.97  # another round follows if the last one reduced the criterion below this share
+STALLED = 25  # iterations that must improve the logarithm of the criterion by WORTHLESS, or the round ends
 WORTHLESS = 3e-3
-SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # parts of an interrupted motion, of which the first within all limits is kept
+SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # scales tried for an interrupted motion; the first within all limits is kept
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Design:
-    """A designed motion x with its criterion and usages of limits, ``cut_short`` if the search was stopped."""
+    """A designed motion x with its criterion and its usages of limits; ``cut_short`` if the search was stopped."""
 
     task: DesignProblem
     criterion: str
@@ -60,7 +68,7 @@ def never() -> bool:
 
 
 class Stopped(GtauError):
-    """Search stopped before a motion within the limits was found."""
+    """The search was stopped before it found a motion within the limits."""
 
 
 @takes(
@@ -82,7 +90,7 @@ def excite(
     keep: Callable[[Design], None] = keep_nothing,
     stop: Callable[[], bool] = never,
 ) -> Design:
-    """Search for the motion that minimises a criterion, from ``starts`` random motions.
+    """Search for the motion that minimises a criterion, starting from ``starts`` random motions.
 
     Parameters
     ----------
@@ -91,24 +99,24 @@ def excite(
     criterion : str
         See :func:`gtau.excitation.information.criterion`.
     starts, seed : int
-        Number of random motions to start from, and the seed of their generator.
+        Number of random starts, and the seed of their generator.
     progress : callable, optional
-        Called with the stage, the iterations done and their largest number.
+        Called with the stage, the number of iterations done, and their maximum.
     keep : callable, optional
-        Called with every design that is better than those before.
+        Called with every design that improves on the best one so far.
     stop : callable, optional
-        Asked in every iteration; where it returns True, the search ends with the best design so far.
+        Called in every iteration; the search ends with the best design so far once it returns True.
 
     Returns
     -------
     Design
-        Within all limits; its ``cut_short`` is True where the search was stopped.
+        Best design within all limits.
 
     Raises
     ------
     GtauError
-        Where no motion within the limits is found, with the limit that is exceeded;
-        :class:`gtau.excitation.design.Stopped` where it was stopped before one was found.
+        If no motion within the limits is found, with the limit that is exceeded;
+        :class:`gtau.excitation.design.Stopped` if the search was stopped before it found a motion.
     """
     require_rest(task)
     rng = np.random.default_rng(seed)
@@ -139,15 +147,15 @@ def excite(
         return replace(best, cut_short=stop())
     if stop():
         raise Stopped(
-            "the search was stopped before it had found a motion within the limits, so nothing is written; let it run "
+            "the search was stopped before it found a motion within the limits, so nothing is written; let it run "
             "longer."
         )
     robot = task.model.robot.name
     if failure is not None:
         raise GtauError(
             f"robot '{robot}': no motion within the limits was found: the {failure.what} must be {failure.allowed}, "
-            f"and the nearest motion reaches {failure.reached:.4g}; relax it or those that conflict with it, or "
-            "start from another pose ('rest')."
+            f"and the nearest motion reaches {failure.reached:.4g}; relax this limit or the limits that conflict with "
+            "it, or start from another pose ('rest')."
         )
     raise GtauError(
         f"robot '{robot}': the loops cannot be closed along any motion that was tried, from rest to the middle of the "
@@ -158,7 +166,7 @@ def excite(
 
 @single_threaded_blas()
 def redesign(task: DesignProblem, x: np.ndarray, progress: Progress = silent) -> Design | None:
-    """Improve a motion ``x``, or one like it but smaller; None where none of them is within the limits."""
+    """Improve the motion ``x``, scaled down if needed; None if no scale is within the limits."""
     kept: list[Design] = []
     begin = next(filter(None, (_feasible(task, "gains", part * x, 0) for part in SMALLER)), None)
     if begin is not None:
@@ -176,17 +184,18 @@ def _from_one(
     stop: Callable[[], bool],
     progress: Callable[[int], None],
 ) -> ConstraintUsage | None:
-    """Design from one start, and ``keep`` feasible designs; return the most exceeded limit if there are none."""
+    """Design from one start and ``keep`` feasible designs; return the most exceeded limit if there is none."""
     if x is None:
         return None
     at_start = Programme(task, criterion, {}).constraint_usages(x)
-    idle = {usage.what for usage in at_start if usage.what.startswith(TOOL_SPEED) and usage.excess < IDLE}
+    idle = {usage.what for usage in at_start if usage.kind == TOOL_SPEED and usage.excess < IDLE}
+    reach = {usage.what for usage in at_start if usage.kind in REACH}
     tightness = {usage.what: MARGIN for usage in at_start if usage.what not in idle}
     if not tightness:  # not reachable from home
         return None
     begin, kept, worst = x, None, None
     if (guess := _feasible(task, criterion, x, start)) is not None:
-        keep(guess)  # the motion that an early interruption leaves
+        keep(guess)  # the result of an early interruption
     for number in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
         ended = solve(programme, x, _stalled(programme, stop, progress, number * ITERATIONS))
@@ -201,7 +210,7 @@ def _from_one(
                 keep(within)
             break
         if (usages := _usages(task, x)) is None:
-            tightness = tightness | {what: CLOSER * part for what, part in tightness.items() if what.startswith(REACH)}
+            tightness = tightness | {what: CLOSER * part for what, part in tightness.items() if what in reach}
             x = begin
             continue
         if exceeded := {usage.what: usage.excess for usage in usages if usage.excess > 1.0}:
@@ -221,7 +230,7 @@ def _from_one(
 def _stalled(
     programme: Programme, stop: Callable[[], bool], progress: Callable[[int], None], done: int
 ) -> Callable[[], bool]:
-    """Make what is asked in every iteration: whether to stop, or the criterion no longer improves."""
+    """Make the function called in every iteration: True to stop, or if the criterion no longer improves."""
     iterations, values = itertools.count(done), [np.inf] * STALLED
 
     def ended() -> bool:
@@ -233,13 +242,13 @@ def _stalled(
 
 
 def _most_exceeded(usages: Iterable[ConstraintUsage], least: float) -> ConstraintUsage | None:
-    """Find the limit that is exceeded most, by more than the share ``least``."""
+    """Find the limit that is exceeded most, by more than the share ``least``; None if there is none."""
     worst = max(usages, key=lambda usage: usage.shortfall, default=None)
     return worst if worst is not None and worst.shortfall > least else None
 
 
 def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
-    """Return the design of x if it is within all limits, also between the design grid's instants, else None."""
+    """Return the design of x; None if it exceeds a limit, between the grid instants included."""
     usages = _usages(task, x)
     if usages is None or any(usage.excess > 1.0 for usage in usages):
         return None
@@ -247,7 +256,7 @@ def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) ->
 
 
 def _usages(task: DesignProblem, x: np.ndarray) -> tuple[ConstraintUsage, ...] | None:
-    """Check x; None where the loops cannot be closed on the way from rest, or between the design grid's instants."""
+    """Check x; None if the loops cannot be closed on the way from rest or between the grid instants."""
     try:
         return check(task, x)
     except GtauError:
@@ -255,13 +264,13 @@ def _usages(task: DesignProblem, x: np.ndarray) -> tuple[ConstraintUsage, ...] |
 
 
 def require_rest(task: DesignProblem) -> None:
-    """Refuse a pose at rest, in which every run begins and ends, that exceeds a limit whatever the motion."""
+    """Refuse a pose at rest that exceeds a limit whatever the motion."""
     if task.rest is None:
         return
     joints = np.zeros((4, len(task.rest), 2))
     joints[0] = task.rest[:, None]
     points = [along(task, joints, 1.0, runs) for runs in task.motions]
-    moving = [np.full(len(task.rest), np.inf)] * len(points)  # reversals are a matter of the motion
+    moving = [np.full(len(task.rest), np.inf)] * len(points)  # reversals depend on the motion
     if worst := _most_exceeded(constraint_usages(points, moving), 1e-6):
         raise GtauError(
             f"robot '{task.model.robot.name}': no motion can begin or end at rest there: the {worst.what} must be "
@@ -270,7 +279,7 @@ def require_rest(task: DesignProblem) -> None:
 
 
 def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:
-    """Compute the usage of limits of whole runs, approach and return included, on a grid ``finer`` times finer."""
+    """Compute the usage of limits by whole runs, with approach and return, on a grid ``finer`` times finer."""
     grid = design_grid(task, finer)
     points, shares = [], []
     for period in evaluate(task, x, grid):
@@ -282,7 +291,7 @@ def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[Const
 
 
 def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:
-    """Compute the share (n,) of instants whose rows are kept, by the rms speeds (n,) of the whole run."""
+    """Compute the share (n,) of instants whose rows identification keeps, from the rms speeds (n,) of the run."""
     slow = np.abs(qd) < SPEED_FRACTION * rms[:, None]
     slow |= np.sign(qd) != np.sign(np.roll(qd, 1, axis=1))
     reach = round(task.decimator.guard / task.rate / step)

@@ -1,4 +1,4 @@
-"""The design file: robot to be identified, payloads and limits; and the design problem it states."""
+"""The design file, with the robot to identify, payloads and limits, and the design problem that it states."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.gradients import in_platform_space
-from gtau.excitation.guards import Guarded, guard, speed_of_tool
+from gtau.excitation.guards import guard, speed_of_tool
 from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
 from gtau.excitation.trajectory import FourierSeries
@@ -30,8 +30,8 @@ from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
 Interval = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
-CONDITION = 100.0  # default of the largest condition number of the closures
-SHARE = 0.8  # default part of the limits of the robot's file that a motion may use
+CONDITION = 100.0  # default limit of the condition number of the closures
+SHARE = 0.8  # default share of the limits of the robot's file that a motion may use
 
 
 class PlannedRun(Keys):
@@ -41,7 +41,7 @@ class PlannedRun(Keys):
 
 
 class ShapeEntry(Keys):
-    """Shape of a body, in its frame: a capsule about the line between two points, or the convex hull of a mesh."""
+    """Shape of a body, in its frame: a capsule about a segment, or the convex hull of a mesh."""
 
     capsule: tuple[Triple, Triple] | None = None
     radius: Positive | None = None
@@ -57,12 +57,12 @@ class ShapeEntry(Keys):
         if (self.capsule is None) != (self.radius is None):
             raise ValueError("a capsule has a 'radius', m, and a mesh has none; write or remove it")
         if self.capsule is not None and not self.model_fields_set.isdisjoint({"scale", "xyz", "rpy"}):
-            raise ValueError("'scale', 'xyz' and 'rpy' place a mesh; a capsule stands where its points are")
+            raise ValueError("'scale', 'xyz' and 'rpy' place a mesh; the two points place a capsule")
         return self
 
     @property
     def shape(self) -> Shape:
-        """The shape itself; raises GtauError where its mesh cannot be read."""
+        """Capsule or hull; raises GtauError if the mesh cannot be read."""
         if self.capsule is not None and self.radius is not None:
             return capsule(*self.capsule, self.radius)
         assert self.mesh is not None
@@ -70,7 +70,7 @@ class ShapeEntry(Keys):
 
 
 class LimitsEntry(Keys):
-    """Limits that replace the robot's, by joint, and limits of the whole motion."""
+    """Limits by joint that replace the robot's limits, and limits of the whole motion."""
 
     position: dict[str, Interval] = Field(default_factory=dict)
     velocity: dict[str, Positive] = Field(default_factory=dict)
@@ -91,7 +91,7 @@ class LimitsEntry(Keys):
     def _in_order(cls, intervals: dict[str, Interval]) -> dict[str, Interval]:
         for name, (low, high) in intervals.items():
             if not low < high:
-                raise ValueError(f"the limits of '{name}' are {low:g} to {high:g}; write the lower one first")
+                raise ValueError(f"the limits of '{name}' are {low:g} to {high:g}; write the lower limit first")
         return intervals
 
 
@@ -127,28 +127,28 @@ class DesignFile(Keys):
         return self
 
 
-RISE = 0.3  # s, in which a joint without a limit of acceleration reaches its speed limit
+RISE = 0.3  # s, assumed time to the speed limit for a joint without a limit of acceleration
 TURN = np.pi  # rad, reach of a joint without position limits
-TURNING = 0.3  # rad, reach of a platform's turns
+TURNING = 0.3  # rad, reach of a platform's rotations
 
 
 @takes(path=PATH)
 def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
-    """Read a design file: the design problem, and assumptions where it states nothing; raises GtauError.
+    """Read a design file; return the design problem, and sentences on what the file leaves to assume.
 
-    Assumptions are a sentence each on ``parameters``, ``gains`` and ``noise``.
+    The keys of the sentences are ``parameters``, ``massless``, ``gains`` and ``noise``. Raises GtauError.
     """
     refuse_other_kind(path, DESIGN)
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))
 
 
 def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
-    """Make the task of a design file, and list the assumptions."""
+    """Make the design problem of a design file; see :func:`read_design`."""
     robot = load_robot(file.robot)
     refuse_floating(robot, "exciting trajectories are")
     _require_actuated(file, robot)
     rest = np.array([file.rest.get(name, robot.joint(name).home) for name in robot.actuated])
-    robot, said = _with_limits(robot, file.limits, dict(zip(robot.actuated, rest, strict=True)))
+    robot, notes = _with_limits(robot, file.limits, dict(zip(robot.actuated, rest, strict=True)))
     model = InverseDynamics(robot)
     base = base_parameters(model)
     assumed: dict[str, str] = {}
@@ -166,19 +166,9 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
             "positions that the robot can reach from home under 'rest'."
         ) from None
     guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
-    poses_of = zip(robot.actuated, rest, strict=True)
-    begin = ", ".join(f"'{name}' {pose:.4g} {robot.joint(name).unit}" for name, pose in poses_of)
-    where = (f"rest: runs begin and end at {begin}; state rest",) if file.approach else ()
-    said = (*said, *_torques(model, file, prior, assumed), *where)
-    fastest, of_tool = speed_of_tool(robot, file.limits.tool_speed)
-    guarded = Guarded(guarded.clearance, (*guarded.said, of_tool, *said))
-    limits = replace(limits, guarded=guarded, tool_speed=fastest)
-    for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
-        if file.approach and not low <= pose <= high:
-            raise GtauError(
-                f"a run would begin and end with joint '{name}' at {pose:.4g}, outside its limits {low:.4g} to "
-                f"{high:.4g}; give its position under 'rest', or write 'approach: false'."
-            )
+    fastest, tool = speed_of_tool(robot, file.limits.tool_speed)
+    notes = (*guarded.notes, tool, *notes, *_torques(model, file, prior, assumed), *_rest(robot, rest, file, limits))
+    limits = replace(limits, guarded=replace(guarded, notes=notes), tool_speed=fastest)
     period = round(file.period * file.rate) / file.rate  # a whole number of samples
     if file.space == "platform":
         series = _platform_series(robot, file.limits, period, file.harmonics)
@@ -188,17 +178,32 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
             np.isfinite(limits.position).all(axis=1)[:, None], limits.position, np.add(home, (-TURN, TURN))
         )
         series = FourierSeries(reach.mean(axis=1), np.ptp(reach, axis=1) / 2, 1 / period, file.harmonics)
-    start, one = rest if file.approach else None, file.motions == "one"
-    problem = DesignProblem(model, base, series, file.rate, file.repetitions, start, file.payloads, one, limits, prior)
-    return problem, assumed
+    start, one_motion = rest if file.approach else None, file.motions == "one"
+    return DesignProblem(
+        model, base, series, file.rate, file.repetitions, start, file.payloads, one_motion, limits, prior
+    ), assumed
+
+
+def _rest(robot: Robot, rest: np.ndarray, file: DesignFile, limits: MotionLimits) -> Iterator[str]:
+    """Say where runs begin and end, and refuse a place outside the position limits."""
+    if not file.approach:
+        return
+    for name, pose, (low, high) in zip(robot.actuated, rest, limits.position, strict=True):
+        if not low <= pose <= high:
+            raise GtauError(
+                f"a run would begin and end with joint '{name}' at {pose:.4g}, outside its limits {low:.4g} to "
+                f"{high:.4g}; give its position under 'rest', or write 'approach: false'."
+            )
+    poses = (f"'{name}' {q:.4g} {robot.joint(name).unit}" for name, q in zip(robot.actuated, rest, strict=True))
+    yield f"rest: runs begin and end at {', '.join(poses)}; state rest"
 
 
 def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assumed: Mapping[str, str]) -> Iterator[str]:
-    """Say what limits of torque rest on: inertias of links, and the centre of each payload."""
+    """Say on what torque limits depend: inertias of links, and the centres of payloads."""
     stated, state = stated_bodies(model), "state prior.parameters or prior.model"
     rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in model.parameter_names]
     if "parameters" in assumed and not stated:
-        yield f"torque: guessed for links that are rods, real ones may take more; {state}"
+        yield f"torque: guessed for links that are rods, real links may need more; {state}"
     elif "parameters" in assumed:
         guessed = f", rods for {some_of(rods, 4)}" if rods else ""
         yield (
@@ -206,14 +211,14 @@ def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assume
             f"friction and rotors guessed from the limits of effort; {state}"
         )
     loads = {payload.name: payload for payload in file.payloads if payload is not None}
-    known = {name for name, load in loads.items() if {*FIRST_MOMENTS} & {*load.parameters}} | {*prior.centers}
-    if central := [f"'{name}'" for name in loads if name not in known]:
+    located = {name for name, load in loads.items() if {*FIRST_MOMENTS} & {*load.parameters}} | {*prior.centers}
+    if central := [f"'{name}'" for name in loads if name not in located]:
         off = f"{ARM:g} m off along each axis of '{model.robot.tool}'"
         yield f"payload: the centre of {some_of(central, 4)} is taken {off}; state its parameters (mx, my, mz)"
 
 
 def _require_actuated(file: DesignFile, robot: Robot) -> None:
-    """Refuse limits, rest and prior knowledge of what is no actuated joint."""
+    """Refuse limits, rest and prior knowledge for names that are no actuated joints."""
     limits, prior = ("position", "velocity", "acceleration", "jerk", "current"), ("gains", "noise")
     named = {f"limits.{key}": getattr(file.limits, key) for key in limits} | {"rest": file.rest}
     named |= {f"prior.{key}": getattr(file.prior, key) for key in prior}
@@ -227,7 +232,7 @@ def _require_actuated(file: DesignFile, robot: Robot) -> None:
 
 
 def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) -> tuple[Robot, tuple[str, ...]]:
-    """Take the design file's limits, or else a share of the robot's; say which, and which are missing."""
+    """Take the limits of the design file, or a share of the robot's; say which are taken and which are missing."""
     joints, free, weak, slow, near = [], [], [], [], []
     for joint in robot.joints:
         if not joint.actuated:
@@ -238,7 +243,7 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
             middle, half = (position[0] + position[1]) / 2, entry.share * (position[1] - position[0]) / 2
             start = rest[joint.name] if position[0] <= rest[joint.name] <= position[1] else middle
             near += [f"'{joint.name}'"] * bool(abs(start - middle) > half)
-            position = min(middle - half, start), max(middle + half, start)  # runs begin within them
+            position = min(middle - half, start), max(middle + half, start)  # runs begin within the limits
         limits = replace(
             limits,
             position=entry.position.get(joint.name, position),
@@ -251,19 +256,19 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
         slow += [f"'{joint.name}'"] * (limits.acceleration is None)
         joints.append(replace(joint, limits=limits))
     beyond = f" (but for {some_of(near, 4)} out to where it rests)" if near else ""
-    said = [f"limits: {100 * entry.share:.3g} % of the robot file's{beyond}, in full where stated; state limits.share"]
+    notes = [f"limits: {100 * entry.share:.3g} % of the robot file's{beyond}, in full where stated; state limits.share"]
     if free:
-        said.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
+        notes.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
     if weak:
-        said.append(
+        notes.append(
             f"torque: no limit in the file for {some_of(weak, 4)}; state its effort, or prior.gains and limits.current"
         )
     if slow:
         reached = f"guessed for {some_of(slow, 4)}: the speed limit is reached in {RISE:g} s"
-        said.append(f"acceleration: {reached}; state limits.acceleration")
+        notes.append(f"acceleration: {reached}; state limits.acceleration")
     if not entry.jerk:
-        said.append("jerk: not limited; state limits.jerk")
-    return replace(robot, joints=tuple(joints)), tuple(said)
+        notes.append("jerk: not limited; state limits.jerk")
+    return replace(robot, joints=tuple(joints)), tuple(notes)
 
 
 def _limits(entry: LimitsEntry, robot: Robot) -> MotionLimits:
@@ -279,9 +284,7 @@ def _limits(entry: LimitsEntry, robot: Robot) -> MotionLimits:
     )
     return MotionLimits(
         position=np.array([limit.position or (-np.inf, np.inf) for limit in limits]),
-        velocity=velocity,
-        acceleration=np.where(np.isinf(acceleration), velocity / RISE, acceleration),
-        jerk=jerk,
+        rates=np.array([velocity, np.where(np.isinf(acceleration), velocity / RISE, acceleration), jerk]),
         current=current,
         torque=np.where(np.isfinite(current), np.inf, effort),
         workspace={str(axis): interval for axis, interval in entry.workspace.items()},
@@ -291,8 +294,8 @@ def _limits(entry: LimitsEntry, robot: Robot) -> MotionLimits:
 
 
 def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics: int) -> FourierSeries:
-    """Make a series of the platform's coordinates about its home, spanning the workspace."""
-    in_platform_space(robot)  # refuses a robot without one
+    """Make a series of the platform's coordinates relative to its home, over the workspace."""
+    in_platform_space(robot)  # refuses a robot without a platform
     platform = robot.platforms[0]
     dofs = [dof for dof in ("x", "y", "z", "rz", "ry", "rx") if dof in platform.dof]
     center, half = np.zeros(len(dofs)), np.full(len(dofs), TURNING)
@@ -302,4 +305,4 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
                 raise GtauError(f"a motion in platform space needs limits.workspace.{dof}, an interval in m; add it.")
             low, high = entry.workspace[dof]
             center[k], half[k] = (low + high) / 2 - platform.home.xyz["xyz".index(dof)], (high - low) / 2
-    return FourierSeries(center, half, 1 / period, harmonics, of_platform=True)
+    return FourierSeries(center, half, 1 / period, harmonics, in_platform_space=True)

@@ -1,9 +1,10 @@
-"""Trajectory on a grid: the resulting robot motion, and gradients of functions of it."""
+"""Robot motion on a grid of instants, and gradients of functions of the motion."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 
 import numpy as np
 
@@ -13,19 +14,19 @@ from gtau.excitation.information import Criterion, derivative
 from gtau.excitation.task import DesignProblem, close
 from gtau.model.loops import Motion
 
-PER_HARMONIC = 12  # instants of the design grid in a period of the highest harmonic
+PER_HARMONIC = 12  # instants of the design grid per period of the highest harmonic
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Instants ``step`` s apart, of one period or a whole run, and the series' basis there, (4, N, free), if any."""
+    """Instants ``step`` s apart, of one period or a whole run, with the series' basis (4, N, free) for a period."""
 
     step: float
     basis: np.ndarray = field(default_factory=lambda: np.empty((4, 0, 0)))
 
 
 def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
-    """Make the grid on which motions are designed, or one ``finer`` times finer."""
+    """Make the grid of a period on which motions are designed, or a grid ``finer`` times finer."""
     samples = PER_HARMONIC * task.series.harmonics * finer
     step = task.series.period / samples
     return Grid(step, task.series.basis(step * np.arange(samples)))
@@ -33,9 +34,9 @@ def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """One motion of some ``runs``: joints (4, n, N), the whole robot, the base regressor (n, N, n_b).
+    """The motion of some ``runs``: joints (4, n, N), the whole robot, and the base regressor W (n, N, n_b).
 
-    In platform space ``platform`` is the motion of the robot driven by its platform.
+    In platform space, ``platform`` is the motion of the robot driven by its platform.
     """
 
     task: DesignProblem
@@ -47,13 +48,13 @@ class Point:
     W: np.ndarray
 
     def to_joints(self, slopes: Slopes) -> np.ndarray:
-        """Pull derivatives of the whole robot's motion back to q, qd and qdd, (3, n, N)."""
+        """Convert derivatives by the whole robot's motion into derivatives by q, qd and qdd, (3, n, N)."""
         if self.task.pullback is None:
             return np.stack([slopes.c, slopes.yd, slopes.ydd])
         return np.stack(self.task.pullback(self.motion, slopes))
 
     def to_rows(self, by_joints: np.ndarray) -> np.ndarray:
-        """Pull derivatives (3, n, N) of q, qd, qdd back to the series' coefficients, per sample, (N, series.size)."""
+        """Convert derivatives by q, qd, qdd (3, n, N) into the gradient of every sample by x, (N, series.size)."""
         series, by = self.task.series, by_joints
         if self.platform is not None:
             assert self.task.platform_pullback is not None
@@ -67,11 +68,11 @@ class Point:
         return np.asarray(rows.reshape(len(rows), series.size))
 
     def rows_by_configuration(self, by_c: np.ndarray) -> np.ndarray:
-        """Pull derivatives (n_c, N) by c alone back to the series' coefficients, (N, series.size)."""
+        """Convert derivatives by c (n_c, N) into the gradient of every sample by x, (N, series.size)."""
         return self.to_rows(self.to_joints(Slopes.by_configuration(by_c, self.motion, self.task.model.layout)))
 
     def jerk_rows(self, joint: int) -> np.ndarray:
-        """Compute the gradient (N, series.size) of a joint's jerk with respect to the series' numbers."""
+        """Compute the gradient (N, series.size) of a joint's jerk by x."""
         series = self.task.series
         if self.platform is None:
             rows = np.zeros((self.joints.shape[2], len(series.center), series.free))
@@ -83,19 +84,15 @@ class Point:
 
 
 def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
-    """Evaluate all motions for ``x`` (task.size,); loops are closed from the configurations of ``near`` if given."""
-    before: Sequence[Point | None] = near or [None] * len(task.motions)
-    parts = np.split(x, len(task.motions))
-    return tuple(
-        evaluate_one(task, part, grid, runs, closed)
-        for part, runs, closed in zip(parts, task.motions, before, strict=True)
-    )
+    """Evaluate all motions for x (task.size,), closing loops from the configurations of ``near`` if given."""
+    parts = zip_longest(np.split(x, len(task.motions)), task.motions, near)
+    return tuple(evaluate_one(task, part, grid, runs, closed) for part, runs, closed in parts)
 
 
 def evaluate_one(
     task: DesignProblem, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None
 ) -> Point:
-    """Evaluate the motion of the ``runs`` for the numbers x (series.size,) of its series; see :func:`evaluate`."""
+    """Evaluate the motion of some ``runs`` for x (series.size,); see :func:`evaluate`."""
     table, platform = task.series.along(x, grid.basis), None
     if task.platform_model is not None:
         before = near.platform.c if near is not None and near.platform is not None else None
@@ -108,7 +105,7 @@ def evaluate_one(
 
 
 def along(task: DesignProblem, joints: np.ndarray, step: float, runs: tuple[int, ...]) -> Point:
-    """Evaluate a motion of joints (4, n, N), ``step`` s apart, that is more than a period of the series, or another."""
+    """Evaluate any motion of the joints (4, n, N), ``step`` s apart."""
     motion = close(task.model, joints)
     return Point(task, Grid(step), runs, joints, motion, None, task.regressor(motion))
 
@@ -119,15 +116,15 @@ def information(points: Sequence[Point]) -> np.ndarray:
 
 
 def _weighted_rows(point: Point) -> tuple[list[np.ndarray], np.ndarray]:
-    """Compute the rows of a motion's runs, (n, N, P) each, and their weights (n, N)."""
+    """Compute the Jacobian rows (n, N, P) of every run of a motion, and their weights (n, N)."""
     info, step = point.task.information, point.grid.step
     counts = info.counts(point.task.window(step).weights(point.joints[1]), step)
     return [info.jacobians(point.W, run, step) for run in point.runs], counts
 
 
-def objective(points: Sequence[Point], criterion: Criterion, of_regressor: bool) -> tuple[float, np.ndarray]:
-    """Compute the logarithm of a criterion, of the information or the regressor, and its gradient (task.size,) by x."""
-    if of_regressor:
+def objective(points: Sequence[Point], criterion: Criterion, on_regressor: bool) -> tuple[float, np.ndarray]:
+    """Compute the logarithm of a criterion of the information or the regressor, and its gradient (task.size,) by x."""
+    if on_regressor:
         value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
         slopes = [_by_columns(point, 2 * (point.W @ F * f) @ F.T) for point in points]
     else:
@@ -146,7 +143,7 @@ def _by_columns(point: Point, by_W: np.ndarray) -> np.ndarray:
 def _by_information(
     point: Point, rows: list[np.ndarray], counts: np.ndarray, F: np.ndarray, f: np.ndarray
 ) -> np.ndarray:
-    """Differentiate a criterion by q, qd and qdd, (3, n, N)."""
+    """Differentiate a criterion of the information by q, qd and qdd, (3, n, N)."""
     info, step = point.task.information, point.grid.step
     by_W, by_counts = np.zeros_like(point.W), np.zeros_like(counts)
     for run, A in zip(point.runs, rows, strict=True):

@@ -1,4 +1,4 @@
-"""Forecast of the standard deviations that identification will reach, with its own filters and rows."""
+"""Forecast of the standard deviations of identification, computed with identification's filters and rows."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from gtau.signals.run import Run
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """An unknown, its prior value and expected standard deviation, SI units; nan if not identifiable."""
+    """An unknown with its prior value and expected standard deviation, SI units; nan if not identifiable."""
 
     name: str
     value: float
@@ -36,13 +36,13 @@ class Expected:
 
     @property
     def relative(self) -> float:
-        """Standard deviation over value, per cent; infinite for a value of zero."""
+        """Standard deviation, per cent of the value; infinite for a value of zero."""
         return 100 * self.std / abs(self.value) if self.value else float("inf")
 
 
 @dataclass(frozen=True, eq=False)
 class Forecast:
-    """Expected gains and parameters, shares of rows kept (n,), and ``std`` of all unknowns, relative for gains."""
+    """Expected gains and parameters, shares of rows ``kept`` (n,), and ``std`` of all unknowns (relative for gains)."""
 
     gains: tuple[Expected, ...]
     parameters: tuple[Expected, ...]
@@ -51,16 +51,16 @@ class Forecast:
 
 
 def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Sample a whole run of every motion at the controller's rate: instants (N,), s; q, qd, qdd and jerk, (4, n, N)."""
+    """Sample a run of every motion at the controller's rate: instants (N,), s; q, qd, qdd and jerk (4, n, N)."""
     samples = round(task.series.period * task.rate)
     time = np.arange(samples) / task.rate
     periods = evaluate(task, x, Grid(1 / task.rate, task.series.basis(time)))
-    wholes = [whole_run(task, period, task.rate) for period in periods]
-    return tuple((np.arange(joints.shape[2]) / task.rate, joints) for joints in wholes)
+    runs = [whole_run(task, period, task.rate) for period in periods]
+    return tuple((np.arange(joints.shape[2]) / task.rate, joints) for joints in runs)
 
 
 def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
-    """Simulate the runs as they would be logged without noise, at the prior values."""
+    """Simulate noise-free logs of the runs at the prior values."""
     regressor, runs = task.model.columns(task.base.standard), []
     for (time, joints), followed in zip(sampled_motions(task, x), task.motions, strict=True):
         motion = task.model.motion(*joints[:3])
@@ -74,11 +74,11 @@ def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
 
 @single_threaded_blas()
 def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
-    """Predict the standard deviations that identification will reach with the motion ``x``.
+    """Predict the standard deviations of identification with the motion ``x``.
 
-    The noise-free logs are filtered, decimated and reduced as identification does it, and the covariance is by maximum
-    likelihood, for white noise of the prior's ``sigma`` and the uncertain masses of payloads. Model errors and coloured
-    noise are not included.
+    Noise-free logs are filtered, decimated and reduced as in identification. The covariance is the covariance of
+    maximum likelihood for white noise of the prior's ``sigma`` and uncertain masses of payloads; it includes neither
+    model errors nor coloured noise.
     """
     runs = expected_runs(task, x)
     preparation = choose_preparation(runs)
@@ -92,26 +92,26 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     )
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
     theta = task.prior.values(problem.parameters, task.model.robot, task.payloads, prior)
-    # a row is a mean over its filter, whose gain is one where the motion is: white noise is divided by the factor
+    # a row is a mean over the filter, which divides the variance of white noise by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
     std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma, heavier)))
     joints, names = task.model.actuated, problem.parameters
-    of_gains = std[problem.unknowns.gains]
+    relative = std[problem.unknowns.gains]
     expected: dict[str, float] = dict(zip(names, map(float, std[: len(names)]), strict=True))
     rows = sum(len(preparation.decimator.instants(len(run.time))) for run in prepared)
     return Forecast(
         tuple(
-            Expected(joint, float(gain), float(gain * relative))
-            for joint, gain, relative in zip(joints, task.prior.gains, of_gains, strict=True)
+            Expected(joint, float(gain), float(gain * share))
+            for joint, gain, share in zip(joints, task.prior.gains, relative, strict=True)
         ),
         tuple(Expected(name, float(value), expected.get(name, np.nan)) for name, value in prior.items()),
         problem.total_rows / rows * np.ones(len(joints)),
-        expected | {Parameter("gain", joint): float(value) for joint, value in zip(joints, of_gains, strict=True)},
+        expected | {Parameter("gain", joint): float(value) for joint, value in zip(joints, relative, strict=True)},
     )
 
 
 def _heavier(payloads: Sequence[Payload | None], name: str) -> list[Payload | None]:
-    """Make the payload called ``name`` heavier by the standard deviation of its mass."""
+    """Increase the mass of the payload called ``name`` by its standard deviation."""
     return [
         load.model_copy(update={"mass": (load.mass or 0.0) + load.mass_std}) if load and load.name == name else load
         for load in payloads
@@ -119,15 +119,15 @@ def _heavier(payloads: Sequence[Payload | None], name: str) -> list[Payload | No
 
 
 def ml_covariance(
-    problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray, others: Sequence[Problem] = ()
+    problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray, shifted: Sequence[Problem] = ()
 ) -> np.ndarray:
-    """Compute the covariance of (theta, log g, d) by maximum likelihood; ``sigma`` (n,) A of a row.
+    """Compute the maximum-likelihood covariance of (theta, log g, d) for the noise ``sigma`` (n,) of a row, A.
 
-    Each of the ``others`` is the problem with a stated constant that is larger by its standard deviation.
+    A ``shifted`` problem has one stated constant increased by its standard deviation.
     """
     unknowns, blocks, sides = problem.unknowns, [], []
     for j in range(len(gains)):
-        R, *changed = (one.blocks[:, j].reshape(-1, one.blocks.shape[-1]) for one in (problem, *others))
+        R, *changed = (p.blocks[:, j].reshape(-1, p.blocks.shape[-1]) for p in (problem, *shifted))
         change = [(modelled(rows, theta) - modelled(R, theta)) / gains[j] / sigma[j] for rows in changed]
         sides.append(np.reshape(change, (-1, len(R))))
         block = np.zeros((len(R), len(unknowns)))
@@ -142,17 +142,17 @@ def ml_covariance(
     return np.asarray(half @ half.T + moved @ moved.T)
 
 
-WEAK = 0.3  # relative standard deviation from which an unknown counts as unidentified
-WORTH = 0.7  # a motion is named if it reduces a standard deviation below this share
+WEAK = 0.3  # relative standard deviation above which an unknown counts as unidentified
+WORTH = 0.7  # a motion is proposed if it reduces a standard deviation below this share
 SPANS = {"over its whole range, slowly": (0.9, 0.2), "at its speed limit": (0.5, 0.9)}
-"""What one joint alone does: the part of its range, and of its speed limit."""
+"""Motions of one joint alone: shares of its range and of its speed limit."""
 
 
 @dataclass(frozen=True)
 class Weak:
-    """Unidentified unknown, its relative standard deviation, and that with the best single-joint motion added.
+    """Unidentified unknown, its relative standard deviation, and ``then`` with the best single-joint motion added.
 
-    ``joint`` is None where none helps; both are infinite for an unknown that is not separable from others.
+    ``joint`` is None if no motion helps. Both deviations are infinite for an inseparable unknown.
     """
 
     name: str
@@ -163,11 +163,11 @@ class Weak:
 
 
 def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
-    """List unknowns that a design leaves unidentified, with the best single-joint motion to add for each.
+    """List the unknowns that a design leaves unidentified, with the best single-joint motion to add.
 
-    Relative are the ``expected`` standard deviations to the prior value, or a typical one where that is zero; what a
-    motion adds is a ratio on the coarser grid of the design. Candidates are every joint alone, slowly over its range or
-    fast in the middle of it, for as long as a run, with every payload.
+    The ``expected`` standard deviations are relative to the prior value, or to a typical value if it is zero. The gain
+    of a motion is estimated on the coarser design grid. Candidates move one joint, slowly over its range or fast in the
+    middle of it, for the duration of a run, with all payloads.
     """
     task = design.task
     points = evaluate(task, design.x, design_grid(task))
@@ -203,24 +203,25 @@ def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
 
 def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
     """Compute the information factor of joint j moving alone about the pose ``middle`` (n,); None if it cannot."""
-    limits, every = task.limits, tuple(range(len(task.payloads)))
+    limits, (speed_limit, acceleration_limit, _) = task.limits, task.limits.rates[:, j]
+    runs = tuple(range(len(task.payloads)))
     low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])
     center, samples = (low + high) / 2, 8 * PER_HARMONIC
     angle = 2 * np.pi / samples * np.arange(samples)
     for _ in range(4):
         amplitude = span * (high - low) / 2
-        omega = min(speed * limits.velocity[j] / amplitude, np.sqrt(speed * limits.acceleration[j] / amplitude))
+        omega = min(speed * speed_limit / amplitude, np.sqrt(speed * acceleration_limit / amplitude))
         period, sine = 2 * np.pi / omega, amplitude * np.sin(angle)
         joints = np.zeros((4, len(middle), samples))
         joints[0] = middle[:, None]
         joints[:3, j] = center + sine, omega * amplitude * np.cos(angle), -(omega**2) * sine
         try:
-            alone = along(task, joints, period / samples, every)
+            alone = along(task, joints, period / samples, runs)
         except GtauError:  # not reachable
             alone = None
         within = alone is not None and all(usage.excess <= 1 for usage in tool_speed(alone))
         if alone is not None and within and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
-            # as long as a run: the rows of one cycle count for all of its cycles
+            # the rows of one cycle count for all cycles in the duration of a run
             return information([alone]) * np.sqrt(task.series.period / period)
         span /= 2
         center = (center + middle[j]) / 2
@@ -229,7 +230,7 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """A design with what it promises, what its file left out (``assumed``), and ``masses``, kg, to be tried with it."""
+    """A design, its predictions, the assumptions of its file (``assumed``), and payload ``masses``, kg, to try."""
 
     design: Design
     assumed: Mapping[str, str]
@@ -237,7 +238,7 @@ class Outlook:
 
     @property
     def task(self) -> DesignProblem:
-        """The data of the design."""
+        """The design problem."""
         return self.design.task
 
     @property
@@ -247,49 +248,47 @@ class Outlook:
 
     @cached_property
     def motions(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Whole runs at the controller's rate, see :func:`sampled_motions`."""
+        """Runs at the controller's rate, see :func:`sampled_motions`."""
         return sampled_motions(self.task, self.design.x)
 
     @cached_property
     def forecast(self) -> Forecast:
-        """Standard deviations to expect."""
+        """Expected standard deviations."""
         return forecast(self.task, self.design.x)
 
     @cached_property
     def weak(self) -> tuple[Weak, ...]:
-        """What this design leaves unidentified."""
+        """Unknowns that the design leaves unidentified."""
         return weak_unknowns(self.design, self.forecast)
 
     @cached_property
     def tool(self) -> tuple[float, np.ndarray]:
-        """Greatest speed, m/s, and least and greatest coordinates (2, 3), m, of the tool's frame in the base."""
-        path = self.task.tool[0]
-        places = [path(close(self.task.model, joints).c) for _, joints in self.motions]
+        """Largest speed, m/s, and smallest and largest coordinates (2, 3), m, of the tool's frame in the base."""
+        places = [self.task.tool[0](close(self.task.model, joints).c) for _, joints in self.motions]
         speeds = [np.gradient(place, time, axis=1) for (time, _), place in zip(self.motions, places, strict=True)]
-        every = np.concatenate(places, axis=1)
-        greatest = max(float(np.linalg.norm(speed, axis=0).max()) for speed in speeds)
-        return greatest, np.array([every.min(axis=1), every.max(axis=1)])
+        path, largest = np.concatenate(places, axis=1), max(np.linalg.norm(speed, axis=0).max() for speed in speeds)
+        return float(largest), np.array([path.min(axis=1), path.max(axis=1)])
 
     @cached_property
     def variants(self) -> tuple[Outlook, ...]:
-        """The same motion with all known payloads of each other mass."""
+        """The same motion with the other payload masses."""
         x, tasks = self.design.x, map(self.task.with_payload_mass, self.masses)
         designs = [replace(self.design, task=task, constraint_usages=check(task, x)) for task in tasks]
         return tuple(Outlook(design, self.assumed) for design in designs)
 
     @property
     def duration(self) -> float:
-        """The longest run, s."""
+        """Duration of the longest run, s."""
         return max(float(time[-1]) for time, _ in self.motions)
 
     @property
     def rms(self) -> float:
-        """Relative standard deviation of the gains, per cent, rms over the joints."""
+        """Root mean square of the relative standard deviations of the gains, per cent."""
         return float(np.sqrt(np.mean([gain.relative**2 for gain in self.forecast.gains])))
 
     @property
     def usages(self) -> list[ConstraintUsage]:
-        """Usages of the limits, the largest first."""
+        """Usages of the limits in descending order."""
         return sorted(self.design.constraint_usages, key=lambda usage: -usage.excess)
 
     @property

@@ -1,12 +1,13 @@
-"""Motion of the whole robot from the motion of its motors, and derivatives pulled back through the closures.
+"""Gradients through closed loops by the adjoint method, and a regressor with smooth Coulomb friction.
 
-Forward, the closures are solved numerically (:mod:`gtau.model.loops`). Backward, derivatives of any
-quantity by c, yd, ydd and J become derivatives by q, qd and qdd: each of the equations
+:mod:`gtau.model.loops` solves the closures numerically. This module converts derivatives with respect to the
+configuration c, yd, ydd and J of the whole robot into derivatives with respect to q, qd and qdd of its motors. Each of
+the equations
 
     phi(c) = 0,    G yd = 0,    G J = 0,    G ydd + gamma = 0
 
-takes a multiplier that frees the passive coordinates, so that a gradient costs one linear solve a
-sample and equation, however many parameters the trajectory has. The regressor's Coulomb friction is smooth.
+has a multiplier that eliminates the passive coordinates. A gradient therefore takes one linear solve per sample and
+equation, whatever the number of trajectory parameters.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Derivatives of a scalar a sample by c (n_c, N), yd and ydd (n_y, N), and the passive rows of J (n_p, n, N)."""
+    """Derivatives of one scalar per sample by c (n_c, N), yd, ydd (n_y, N) and the passive rows of J (n_p, n, N)."""
 
     c: np.ndarray
     yd: np.ndarray
@@ -42,17 +43,17 @@ class Slopes:
 
     @classmethod
     def by_configuration(cls, by_c: np.ndarray, motion: Motion, layout: Coordinates) -> Slopes:
-        """Complete the derivatives of a function of c alone."""
+        """Add zero derivatives to the derivatives of a function of c."""
         zero = np.zeros_like(motion.yd)
         return cls(by_c, zero, zero, np.zeros_like(motion.J[layout.passive]))
 
 
 @dataclass(frozen=True, eq=False)
 class Pullback:
-    """Derivatives by c, yd, ydd, J to those by q, qd, qdd; see :func:`pullback`.
+    """Conversion of derivatives by c, yd, ydd and J into derivatives by q, qd and qdd; see :func:`pullback`.
 
-    ``rows`` are the independent rows of the scaled ``G``; ``by_yd`` and ``by_c`` differentiate
-    the equations weighted with multipliers, ``of_G`` the entries of its passive columns.
+    ``rows`` are the independent rows of the scaled ``G``. ``by_yd`` and ``by_c`` are gradients of the equations
+    weighted with multipliers, ``passive_gradient`` is the gradient of the weighted passive columns of ``G``.
     """
 
     layout: Coordinates
@@ -60,10 +61,10 @@ class Pullback:
     G: Program
     by_yd: Program
     by_c: Program
-    of_G: Program
+    passive_gradient: Program
 
     def __call__(self, motion: Motion, slopes: Slopes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pull derivatives back to q, qd and qdd of the actuated joints, each (n, N)."""
+        """Return derivatives by q, qd and qdd of the actuated joints, (n, N) each."""
         layout, samples = self.layout, motion.c.shape[1]
         a, p = layout.actuated, layout.passive
         G = self.columns(motion.c)[self.rows] / layout.unit[:, None]
@@ -85,23 +86,23 @@ class Pullback:
         )
 
     def columns(self, c: np.ndarray) -> np.ndarray:
-        """Return all rows of the scaled ``G``, (rows, n_y, N)."""
+        """Evaluate all rows of the scaled ``G``, (rows, n_y, N)."""
         return self.G(c).reshape(-1, self.layout.n_y, c.shape[1])
 
     def condition(self, motion: Motion) -> tuple[np.ndarray, Slopes]:
-        """Compute ``log sqrt(trace(M) trace(M^-1))``, M = G_p^T G_p, large near singularities; and its derivatives."""
+        """Evaluate log sqrt(trace(M) trace(M^-1)), M = G_p^T G_p, which is large near singularities, and its slopes."""
         G = self.columns(motion.c)[:, self.layout.passive]
         M = np.einsum("ips,iqs->spq", G, G)
         inverse = np.linalg.inv(M)
         size, spread = np.trace(M, axis1=1, axis2=2), np.trace(inverse, axis1=1, axis2=2)
         # d(log)/dG = G / trace(M) - G M^-2 / trace(M^-1)
         by_G = G / size - np.einsum("ips,spq->iqs", G, inverse @ inverse) / spread
-        by_c = self.of_G(motion.c, by_G.reshape(-1, len(size)))
+        by_c = self.passive_gradient(motion.c, by_G.reshape(-1, len(size)))
         return np.log(size * spread) / 2, Slopes.by_configuration(by_c, motion, self.layout)
 
 
 def pullback(model: InverseDynamics) -> Pullback | None:
-    """Compile the pullback of derivatives; None for a robot without closures, where y = q."""
+    """Compile the conversion of derivatives; None for a robot without closures, where y = q."""
     loops, layout = model.loops, model.layout
     if loops is None:
         return None
@@ -115,8 +116,8 @@ def pullback(model: InverseDynamics) -> Pullback | None:
     _, _, order = scipy.linalg.qr(at_home[:, passive].T, pivoting=True, mode="economic")
     rows = np.sort(order[: len(passive)])
 
-    G_own = G[rows.tolist(), :]
-    acceleration = G_own @ ydd + gamma[rows.tolist()]
+    G_rows = G[rows.tolist(), :]
+    acceleration = G_rows @ ydd + gamma[rows.tolist()]
     on_a, on_v = ca.SX.sym("on_a", len(rows)), ca.SX.sym("on_v", len(rows))
     on_J, J = ca.SX.sym("on_J", len(passive), n), ca.SX.sym("J", len(passive), n)
     slope_c = ca.SX.sym("slope_c", layout.n_c)
@@ -125,27 +126,27 @@ def pullback(model: InverseDynamics) -> Pullback | None:
         column = ca.SX(layout.n_y, 1)
         column[int(layout.actuated[k])] = 1
         column[passive] = J[:, k]
-        weighted += ca.dot(on_J[:, k], G_own @ column)
+        weighted += ca.dot(on_J[:, k], G_rows @ column)
     by_G = ca.SX.sym("by_G", G.shape[0], len(passive))
-    of_G = ca.gradient(ca.dot(by_G, scaled[:, passive]), c)
+    by_passive = ca.gradient(ca.dot(by_G, scaled[:, passive]), c)
     v, by_c = ca.SX.sym("v", layout.n_y), ca.gradient(weighted, c)
     by_displacement = ca.gradient(ca.dot(configuration_rates(layout, c, v), by_c), v)
-    # arrays come row by row, CasADi stacks columns
+    # NumPy arrays are in row order, CasADi matrices in column order
     return Pullback(
         layout,
         rows,
         G_program,
         compile_program([c, yd, ydd, on_a], [ca.gradient(ca.dot(on_a, acceleration), yd)]),
         compile_program([c, yd, ydd, J.T, on_a, on_v, on_J.T, slope_c], [by_displacement]),
-        compile_program([c, by_G.T], [of_G]),
+        compile_program([c, by_G.T], [by_passive]),
     )
 
 
 def in_platform_space(robot: Robot) -> Robot:
-    """Build the robot driven by its platform: its coordinates become actuated joints, the motors' joints passive.
+    """Build the robot driven by its platform: platform coordinates become actuated joints, motor joints passive.
 
-    The same closure equations then give the inverse kinematics. The platform, free in x, y, z and at most in turns,
-    becomes the last link of a chain of slides and hinges along the base axes.
+    The closure equations then give the inverse kinematics. The platform becomes the last link of a chain of prismatic
+    and revolute joints along the base axes.
     """
     if len(robot.platforms) != 1:
         raise GtauError(
@@ -161,7 +162,7 @@ def in_platform_space(robot: Robot) -> Robot:
         axis = tuple(float(axis == dof[-1]) for axis in TRANSLATIONS)
         kind = "prismatic" if dof in TRANSLATIONS else "revolute"
         name = platform.name if last else f"{dof} of {platform.name}"
-        # the platform's place at home comes first, its orientation last, so that the axes are axes of the base
+        # position at home first, orientation last, so that the axes are base axes
         placement = Pose(platform.home.xyz if k == 0 else (0.0, 0.0, 0.0))
         chain.append(Joint(name, before, kind, placement, axis, True, 0.0, Limits(), "none"))  # type: ignore[arg-type]
         before = name
@@ -174,29 +175,29 @@ def in_platform_space(robot: Robot) -> Robot:
         robot,
         joints=(*chain, *(replace(joint, actuated=False) for joint in robot.joints)),
         platforms=(),
-        springs=(),  # which no closure equation holds
+        springs=(),  # they do not enter the closure equations
         closures=moved_ends(robot, moved)[0],
     )
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothRegressor:
-    """Columns of a robot's regressor with smooth Coulomb friction; ``back`` gives slopes of their weighted sum."""
+    """Columns of a robot's regressor with smooth Coulomb friction; ``back`` is the gradient of their weighted sum."""
 
     layout: Coordinates
     entries: Regressor
     back: Program
-    width: np.ndarray  # (joints,) rad/s or m/s, over which Coulomb friction changes its sign
+    width: np.ndarray  # (joints,) rad/s or m/s, speed range in which Coulomb friction changes its sign
 
     def __call__(self, motion: Motion) -> np.ndarray:
-        """Evaluate the columns of every actuated joint's row, (n, N, columns)."""
+        """Evaluate the columns in the rows of all actuated joints, (n, N, columns)."""
         entries = self.entries.program(*self._inputs(motion))
         W = np.zeros((len(self.layout.actuated), entries.shape[1], len(self.entries.names)))
         W[self.entries.rows, :, self.entries.columns] = entries
         return W
 
     def slopes(self, motion: Motion, weights: np.ndarray) -> Slopes:
-        """Differentiate ``sum(weights * W)`` a sample, weights (n, N, columns)."""
+        """Differentiate ``sum(weights * W)`` of every sample, weights (n, N, columns)."""
         layout, weights = self.layout, weights[self.entries.rows, :, self.entries.columns]
         slopes = self.back(*self._inputs(motion), weights)
         c, yd, ydd, J = np.split(slopes, np.cumsum([layout.n_c, layout.n_y, layout.n_y]))
@@ -208,7 +209,7 @@ class SmoothRegressor:
 
 
 def smooth_regressor(model: InverseDynamics, names: Sequence[Parameter], width: np.ndarray) -> SmoothRegressor:
-    """Compile columns of a regressor and their pullback, with Coulomb friction ``v / sqrt(v^2 + width^2)``."""
+    """Compile columns of a regressor and their gradient, with Coulomb friction ``v / sqrt(v^2 + width^2)``."""
     inputs, J = model.symbols
     (c, yd, ydd, passive), wide = inputs, ca.SX.sym("width", len(model.robot.joints))
     chi = {name: ca.SX.sym(name) for name in model.parameter_names}

@@ -1,4 +1,4 @@
-"""Guards against crashes where the design file states none: shapes of bodies, and a floor."""
+"""Default guards against collisions: guessed shapes of bodies, a floor, and a speed of the tool."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from gtau.robots.geometry import places_on
 from gtau.robots.readers.links import urdf_shapes
 from gtau.robots.robot import GROUND, Joint, Robot
 
-SLENDER = 0.04  # radius of a link of unknown shape, of the arm's length: UR10e 0.07 m, Panda 0.06, as their tubes
-STUBBY = 0.4  # and at most this part of the link's own length
-ROOM = 1.1  # of the clearance that the resting arm keeps from a floor below the base plane
-STATES = 64  # random poses, which show whether a distance can change
+SLENDER = 0.04  # radius of a link of unknown shape over the arm's length: UR10e 0.07 m, Panda 0.06 m, like their tubes
+STUBBY = 0.4  # largest radius over the length of the link
+ROOM = 1.1  # distance of the resting arm from a guessed floor, over the clearance
+STATES = 64  # random poses that show whether a distance can change
 SAME = 1e-9  # m
 STATE = "limits.shapes"
 TOOL_SPEED = 1.5  # m/s, to which Universal Robots sets new arms; a first motion took a UR5's tool to 3.8 m/s
@@ -43,10 +43,10 @@ MAKERS = {"panda": 1.7, "gen3": 0.5, "xarm": 1.0}
 
 @dataclass(frozen=True, eq=False)
 class Guarded:
-    """Bodies kept apart, None where nothing is, and what to say of it: sentences with the keys that state it."""
+    """Bodies to keep apart (None if there are none), and sentences on them that name the keys to change."""
 
     clearance: Clearance | None
-    said: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def guard(
@@ -57,15 +57,14 @@ def guard(
     floor: float | str | None,
     file: Path,
 ) -> Guarded:
-    """Guard bodies against each other and a floor, by ``stated`` shapes, shapes of the robot's file, or guessed ones.
+    """Keep bodies apart and off a floor, with ``stated`` shapes, shapes of the robot's file, or guessed shapes.
 
-    ``rest`` (n_c, 1) is where runs begin, ``least`` the clearance in m, ``file`` the robot's. Bodies are not kept apart
-    where ``stated`` is None, but off the floor they are, unless ``floor`` is "none"; its height, m, is guessed where it
-    is None.
+    Runs begin at ``rest`` (n_c, 1); ``least`` is the clearance in m, ``file`` the robot's file. If ``stated`` is None,
+    bodies are only kept off the floor. ``floor`` is its height, m, None to guess it, or "none".
     """
-    alone, stated = stated is None, stated or {}
+    floor_only, stated = stated is None, stated or {}
     guesses, how = _guesses(model.robot, stated, file)
-    how = f"self-collision: not checked, as '{STATE}: none' says" if alone else how
+    how = f"self-collision: not checked, as '{STATE}: none' says" if floor_only else how
     shapes: dict[str, Sequence[Shape]] = {**guesses, **stated}
     height, words = _floor(model, shapes, rest, least, floor)
     if isinstance(floor, float):
@@ -76,27 +75,27 @@ def guard(
     pairs, overlapping = list[tuple[str, str]](), list[tuple[str, str]]()
     moving = random_motion(model, STATES, np.random.default_rng(0)).c if guesses or certain else rest
     for pair in kept_apart.pairs:
-        if FLOOR not in pair and (alone or not {*pair} <= {GROUND, *guesses, *stated}):
+        if FLOOR not in pair and (floor_only or not {*pair} <= {GROUND, *guesses, *stated}):
             continue
         distance = float(kept_apart.nearest(rest, pair).distance[0])
         if distance < least and certain.issuperset(pair):
             raise GtauError(
-                f"{_of(pair)} are {distance:.3g} m apart at rest, less than limits.clearance of {least:g} m; give them "
-                f"smaller shapes ({STATE}), or another 'rest'."
+                f"{_named(pair)} are {distance:.3g} m apart at rest, less than limits.clearance of {least:g} m; give "
+                f"them smaller shapes ({STATE}), or another 'rest'."
             )
         if certain.issuperset(pair) or np.ptp(kept_apart.nearest(moving, pair).distance) > SAME:
             (overlapping if distance < least else pairs).append(pair)
-    said = [words, how]
+    notes = [words, how]
     if overlapping:
-        named = "; ".join(map(_of, overlapping))
-        said.append(f"not checked, as guessed shapes overlap at rest: {named}; state {STATE}")
+        named = "; ".join(map(_named, overlapping))
+        notes.append(f"not checked, as guessed shapes overlap at rest: {named}; state {STATE}")
     if model.robot.tool not in stated and pairs:
-        said.append(f"tool, payload and cables have no shape; add them to '{model.robot.tool}' under {STATE}")
-    return Guarded(replace(kept_apart, pairs=tuple(pairs)) if pairs else None, tuple(said))
+        notes.append(f"tool, payload and cables have no shape; add them to '{model.robot.tool}' under {STATE}")
+    return Guarded(replace(kept_apart, pairs=tuple(pairs)) if pairs else None, tuple(notes))
 
 
 def speed_of_tool(robot: Robot, stated: float | None) -> tuple[float, str]:
-    """Choose the greatest speed of the tool's frame, m/s, and say what was chosen."""
+    """Choose the largest speed of the tool's frame, m/s, and say why."""
     if stated is not None:
         return stated, f"tool: at most {stated:g} m/s, as stated"
     name = robot.name.lower()
@@ -106,23 +105,23 @@ def speed_of_tool(robot: Robot, stated: float | None) -> tuple[float, str]:
     return fastest, f"tool: at most {fastest:g} m/s, {why}; state limits.tool_speed"
 
 
-def _of(pair: tuple[str, str]) -> str:
+def _named(pair: tuple[str, str]) -> str:
     return " and ".join(body if body == FLOOR else f"'{body}'" for body in pair)
 
 
 def _guesses(robot: Robot, stated: Mapping[str, Sequence[Shape]], file: Path) -> tuple[dict[str, list[Capsule]], str]:
-    """Guess shapes of the bodies without a stated one, and say how."""
+    """Guess shapes of bodies without a stated shape, and say how."""
     in_file, ends, missing = urdf_shapes(file) if file.suffix.lower() == ".urdf" and file.is_file() else ({}, {}, {})
     bodies = [body for body in (GROUND, *robot.bodies) if body not in stated]
     drawn = {body: [_around(*shape) for shape in in_file[body]] for body in bodies if body in in_file}
     links = {} if robot.closures else _links(robot, ends)
     lines = {body: links[body] for body in bodies if body in links and (body not in drawn or body in missing)}
-    lost = sum(missing.values())
-    meshes = f"; {lost} meshes of the file were not found or are neither STL nor OBJ" if lost else ""
+    unread = sum(missing.values())
+    meshes = f"; {unread} meshes of the file were not found or are neither STL nor OBJ" if unread else ""
     if robot.closures and not drawn:
+        checked = f"only bodies under {STATE} are checked" if stated else "self-collision: not checked"
         how = f"links of closed loops cross, and their thickness is unknown{meshes}; state {STATE}"
-        kept = f"only bodies under {STATE} are checked" if stated else "self-collision: not checked"
-        return {}, f"{kept}: {how}"
+        return {}, f"{checked}: {how}"
     kinds: dict[str, Mapping[str, Any]] = {
         "stated": stated,
         "about the robot file's shapes": drawn,
@@ -141,7 +140,7 @@ def _around(points: np.ndarray, radius: float) -> Capsule:
 
 
 def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[Capsule]]:
-    """Guess capsules from each body's origin to its followers, about as thick as robot arms of that length."""
+    """Guess capsules from the origin of every body to its followers, as thick as robot arms of that length."""
     far = {GROUND: 0.0}
     for joint in robot.joints:
         far[joint.name] = far[joint.antecedent] + float(np.linalg.norm(joint.placement.position))
@@ -159,7 +158,7 @@ def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, 
 
 
 def _path(joint: Joint) -> list[np.ndarray]:
-    """Lead from a body's origin to the next joint: across its axis, then along it, as arms with offsets are built."""
+    """Lead from a body's origin to the next joint, across its axis and then along it, like arms with offsets."""
     end, direction = joint.placement.position, joint.placement.rotation @ np.array(joint.axis)
     corner = end - (end @ direction) * direction
     inner = [corner] if min(np.linalg.norm(corner), np.linalg.norm(end - corner)) > 1e-6 else []
@@ -173,7 +172,7 @@ def _floor(
     least: float,
     floor: float | str | None,
 ) -> tuple[float | None, str]:
-    """Choose the height of the floor, None without one, and say what was chosen."""
+    """Choose the height of the floor (None without a floor), and say why."""
     state = "state 'limits: {floor: HEIGHT}' (m, along z of the base)"
     if isinstance(floor, str):
         return None, "floor: not checked, as 'limits: {floor: none}' says"
@@ -190,7 +189,7 @@ def _floor(
         return None, f"floor: none guessed, as the resting arm reaches below z = 0 of the base; {state}"
     height = min(0.0, lowest - ROOM * least)
     down = model.robot.gravity[2] < -0.99 * float(np.linalg.norm(model.robot.gravity)) < 0
-    plane = "" if down else ", the plane of its mounting: where the real floor is is unknown"
+    plane = "" if down else ", the plane of its mounting: the position of the real floor is unknown"
     lower = " (the resting arm is closer to z = 0 than the clearance)" if height < 0 else ""
     return height, f"floor: guessed at z = {height:z.3g} m of the base{plane}{lower}; {state}"
 
@@ -203,7 +202,7 @@ def _above(
     least: float,
     height: float,
 ) -> tuple[dict[str, Sequence[Shape]], str]:
-    """Give bodies without a shape lines to keep off a stated floor, and make guesses that rest in it thinner."""
+    """Keep bodies without a shape off a stated floor as lines, and make guessed shapes that rest in it thinner."""
     bare = {body: places_on(model.robot, body) or [np.zeros(3)] for body in model.robot.bodies if body not in shapes}
     shapes = {**shapes, **{body: [capsule(np.zeros(3), end, 0.0) for end in ends] for body, ends in bare.items()}}
     probe = clearance(model.layout, least, {**shapes, FLOOR: [Floor(height)]})
@@ -213,7 +212,7 @@ def _above(
         if distance >= least or np.ptp(probe.nearest(moving, pair).distance) <= SAME:
             continue
         body, lack = pair[1], ROOM * least - distance
-        capsules = [shape for shape in shapes[body] if isinstance(shape, Capsule)]  # as all guesses are
+        capsules = [shape for shape in shapes[body] if isinstance(shape, Capsule)]  # all guesses are capsules
         shapes[body] = [replace(shape, radius=max(shape.radius - lack, 0.0)) for shape in capsules]
         thinner = clearance(model.layout, least, {body: shapes[body], FLOOR: [Floor(height)]})
         if (distance := float(thinner.nearest(rest, pair).distance[0])) < least:
@@ -223,5 +222,5 @@ def _above(
             )
         thin.append(f"'{body}'")
     quoted = some_of([f"'{body}'" for body in bare], 3)
-    said = f"; kept from lines from joint to joint, as without thickness, of {quoted}" if bare else ""
-    return shapes, said + (f"; {some_of(thin, 3)} taken thinner than guessed, to rest above it" if thin else "")
+    without = f"; lines from joint to joint without thickness stand for {quoted}" if bare else ""
+    return shapes, without + (f"; {some_of(thin, 3)} taken thinner than guessed, to rest above it" if thin else "")

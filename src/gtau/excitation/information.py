@@ -1,12 +1,12 @@
-"""Information of a motion about the unknowns, and the criteria that a design minimises, with derivatives.
+"""Fisher information of a motion about the unknowns, and design criteria with their derivatives.
 
 The rows are the equations of :mod:`gtau.estimation.estimators.maximum_likelihood`, linearised at prior values,
 
     e_j = v(t - d_j) - (W theta + known) / g_j,
 
-so that the inverse of the information matrix is the covariance to expect of (theta, log g, d). All runs are in it:
-payload columns, friction of each run, and rows left out near reversals, as identification has them.
-Criteria work on triangular factors, R^T R = M: the matrices themselves would cost half the digits.
+so the inverse of the information matrix is the expected covariance of (theta, log g, d). As in identification, it
+covers all runs with their payloads and friction, and drops rows near reversals. Criteria work on triangular factors,
+R^T R = M, because forming M would lose half the digits.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload
 
-VAGUE = 1e3  # prior standard deviations of the unknowns, in units of their scale: wide enough to have no influence
+VAGUE = 1e3  # prior standard deviation of each unknown over its scale: wide enough to have no influence
 
 
 def _scales(names: tuple[Parameter, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
-    """Estimate the typical size of each parameter: its prior value, or the prior values of its kind."""
+    """Estimate the typical size of each parameter from its prior value, or else from the values of its kind."""
     kinds = [name.kind for name in names]
     mass = max((payload.mass or 1.0 for payload in payloads if payload is not None), default=1.0)
-    # a load of that mass some decimetre away
+    # a load of this mass about 0.1 m from the axis
     usual = {"m": mass, "mx": 0.1 * mass, "my": 0.1 * mass, "mz": 0.1 * mass, "fv": 1.0, "fs": 1.0, "off": 1.0}
     sizes = np.abs(theta)
     for k, kind in enumerate(kinds):
         if sizes[k] == 0.0:
-            alike = [abs(value) for value, other in zip(theta, kinds, strict=True) if other == kind and value]
+            alike = [size for size in np.abs(theta[np.equal(kinds, kind)]) if size]
             sizes[k] = float(np.median(alike)) if alike else usual.get(kind, 0.01 * mass)
     return sizes
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Loss of rows near a joint's reversals on a periodic grid of instants ``step`` s apart.
+    """Smooth weights of rows near reversals, on a periodic grid of instants ``step`` s apart.
 
-    A row is lost where the joint is slower than ``fraction`` of its rms speed within ``reach`` s, the guard of the
-    filter. ``floor`` (n,), rad/s or m/s, stands for approach and return in the root of the mean square: without it a
-    joint that hardly moves would lose nothing. The loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)``, u the
-    relative speed, a row counts ``s^2`` times the product over cells of ``1 - share * (1 - s s') / 2``, ``share`` being
-    within reach.
+    Identification drops a row if the joint is slower than ``fraction`` of its rms speed within ``reach`` s, the guard
+    of the filter. ``floor`` (n,), rad/s or m/s, adds the speeds of approach and return to the rms; without it a joint
+    that hardly moves would lose no rows. Here the loss is gradual: with ``s = u / sqrt(u^2 + fraction^2)`` of the
+    relative speed u, a row has the weight ``s^2`` times the product of ``1 - share * (1 - s s') / 2`` over all cells
+    of which a ``share`` is within reach.
     """
 
     step: float
@@ -60,7 +60,7 @@ class Window:
     floor: np.ndarray
 
     def weights(self, qd: np.ndarray) -> np.ndarray:
-        """Weight each joint's rows, (n, N), by speeds (n, N) over a period."""
+        """Compute the weights (n, N) of all joints' rows from speeds (n, N) over a period."""
         _, s, lost = self._speeds(qd)
         weights = s**2
         for offset, share in self._shares(qd.shape[1]):
@@ -68,7 +68,7 @@ class Window:
         return weights
 
     def back(self, qd: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-        """Pull derivatives (n, N) with respect to the weights back to qd."""
+        """Convert derivatives (n, N) with respect to the weights into derivatives with respect to qd."""
         rms, s, lost = self._speeds(qd)
         by_weights = slopes * self.weights(qd)
         by_s, by_cell = 2 * by_weights / s, np.zeros_like(s)
@@ -81,37 +81,45 @@ class Window:
         return by_u / rms - qd * np.sum(by_u * qd, axis=1, keepdims=True) / rms**3 / qd.shape[1]
 
     def _speeds(self, qd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rms speeds (n, 1), s (n, N), and what each cell loses."""
+        """Return rms speeds (n, 1), s (n, N), and the loss (n, N) of every cell."""
         rms = np.sqrt(np.mean(qd**2, axis=1, keepdims=True) + self.floor[:, None] ** 2 + 1e-300)
         u = qd / rms
         s = np.where(u == 0, 1e-12, u) / np.sqrt(u**2 + self.fraction**2)
         return rms, s, (1 - s * np.roll(s, -1, axis=1)) / 2
 
     def _shares(self, samples: int) -> list[tuple[int, float]]:
-        """List the cells (from instant i + offset to the next) within reach of instant i, and how much of each is."""
+        """List the offsets of cells (instant i + offset to the next) within reach of instant i, and their shares."""
         reach = min(self.reach / self.step, samples / 2 - 1)
         cells = range(-int(np.ceil(reach)), int(np.ceil(reach)))
-        # not quite 1, so that one lost cell leaves the slopes by the others finite
+        # below 1, so that derivatives stay finite where a cell is lost entirely
         overlap = [(cell, min(cell + 1, reach) - max(cell, -reach)) for cell in cells]
         return [(cell, min(share, 0.999)) for cell, share in overlap if share > 0]
 
 
 def derivative(values: np.ndarray, step: float) -> np.ndarray:
     """Differentiate samples ``step`` apart of a periodic function along the last axis, to fourth order."""
-    one, two = (np.roll(values, -k, axis=-1) - np.roll(values, k, axis=-1) for k in (1, 2))
-    return np.asarray((8 * one - two) / (12 * step))
+    near, far = (np.roll(values, -k, axis=-1) - np.roll(values, k, axis=-1) for k in (1, 2))
+    return np.asarray((8 * near - far) / (12 * step))
 
 
 @dataclass(frozen=True, eq=False)
 class Information:
     """The unknowns (theta, log g, d), and the information of rows about them.
 
-    ``names`` (P,) have kind ``gain`` and ``delay`` behind the parameters, and ``scale`` (P,) is the reference of
-    relative standard deviations. A row of W times ``maps`` (runs, n, n_b, P) is a row of the current's Jacobian,
-    without delays. ``load`` and ``smooth`` (runs, n_b) are prior values of the base columns, with payload, and those
-    without Coulomb friction; ``cautious`` (runs, n_b) those for which limits hold; ``gains`` and ``sigma`` (n,) the
-    prior gains and standard deviations of a current's sample, A. ``rate`` are samples a second, over all repetitions.
-    ``earlier`` (., P) is a factor of the information of earlier experiments.
+    Attributes
+    ----------
+    names, scale : (P,)
+        Parameters, then gains and delays; reference values of their relative standard deviations.
+    maps : (runs, n, n_b, P)
+        A row of W times this matrix is a row of the current's Jacobian, except for the delays.
+    load, smooth, cautious : (runs, n_b)
+        Prior values of the base columns with payload; without Coulomb friction; and the values used in torque limits.
+    gains, sigma : (n,)
+        Prior gains, and standard deviations of a current sample, A.
+    rate : float
+        Samples a second, times the repetitions.
+    earlier : (., P)
+        Factor of the information of earlier experiments.
     """
 
     names: tuple[Parameter, ...]
@@ -127,18 +135,18 @@ class Information:
 
     @property
     def known(self) -> np.ndarray:
-        """Factor (., P) of the information beforehand: of a vague prior and of earlier experiments."""
+        """Factor (., P) of the prior information: a vague prior and earlier experiments."""
         return np.concatenate([np.diag(1 / (VAGUE * self.scale)), self.earlier])
 
     def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:
-        """Turn columns W (n, N, n_b) on a periodic grid into rows (n, N, P) of a run."""
+        """Convert columns W (n, N, n_b) on a periodic grid into the Jacobian rows (n, N, P) of a run."""
         A = np.einsum("jsb,jbp->jsp", W, self.maps[run], optimize=True)
         joints = np.arange(len(W))
         A[joints, :, joints - len(W)] = -derivative(W @ self.smooth[run], step) / self.gains[:, None]
         return A
 
     def back(self, by_A: np.ndarray, run: int, step: float) -> np.ndarray:
-        """Pull derivatives with respect to the rows back to W."""
+        """Convert derivatives with respect to the rows into derivatives with respect to W."""
         by_W = np.einsum("jsp,jbp->jsb", by_A, self.maps[run], optimize=True)
         joints = np.arange(len(by_A))
         by_slope = -by_A[joints, :, joints - len(by_A)] / self.gains[:, None]
@@ -146,11 +154,11 @@ class Information:
         return by_W
 
     def counts(self, weights: np.ndarray, step: float) -> np.ndarray:
-        """Compute the information weights of rows (n, N), 1/A2, from ``weights`` (n, N)."""
+        """Scale the ``weights`` (n, N) of rows to information weights, 1/A2."""
         return weights * (self.rate * step / self.sigma**2)[:, None]
 
     def factor(self, rows: list[np.ndarray], counts: np.ndarray) -> np.ndarray:
-        """Compute the triangular factor (P, P) of the information of all runs, each with ``rows`` (n, N, P)."""
+        """Compute the triangular factor (P, P) of the information of runs with ``rows`` (n, N, P)."""
         root = np.sqrt(counts)[:, :, None]
         return triangle(*((A * root).reshape(-1, A.shape[2]) for A in rows))
 
@@ -158,10 +166,10 @@ class Information:
 def information_of(
     model: InverseDynamics, base: BaseParameters, payloads: Sequence[Payload | None], prior: PriorModel, rate: float
 ) -> Information:
-    """Assemble the unknowns of an experiment with these runs, at the values of a prior."""
+    """Assemble the unknowns of an experiment at prior values."""
     n, n_b, runs, gains = len(model.actuated), base.count, len(payloads), prior.gains
     p = n_b + EXTRA
-    # factors that are the identity bring out the matrices with which identification joins its runs
+    # identity factors reveal the matrices by which identification combines its runs
     identity = Factors(np.broadcast_to(np.eye(p), (1, n, p, p)).copy(), np.full((1, n), 1000))
     problem = plain_problem(model, base, [identity] * runs, payloads)
     names = problem.unknowns
@@ -183,7 +191,7 @@ def information_of(
 
 
 def _earlier(names: Sequence[Parameter], prior: PriorModel) -> np.ndarray:
-    """Factor (., P) of the information of an earlier result about what it shares with this experiment."""
+    """Compute a factor (., P) of the information of an earlier result about the unknowns shared with it."""
     if prior.covariance is None:
         return np.zeros((0, len(names)))
     shared, C = prior.covariance
@@ -199,19 +207,19 @@ def _earlier(names: Sequence[Parameter], prior: PriorModel) -> np.ndarray:
 
 
 Criterion = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray]]
-"""From the factor R of M to the criterion's logarithm, and F (P, k), f (k,): its derivative by M is F diag(f) F^T."""
+"""Map R, the factor of M, to the logarithm of the criterion and F (P, k), f (k,), its derivative F diag(f) F^T by M."""
 
 NAMED = ("gains", "condition", "logdet", "trace")
 
 
 def criterion(name: str, unknowns: Information) -> Criterion:
-    """Look up the criterion called ``name``.
+    """Look up a criterion by name.
 
     ``gains``: rms of the relative standard deviations of the drive gains; ``logdet`` (D-optimal): geometric mean of all
-    standard deviations; ``trace`` (A-optimal): rms of all relative ones; ``condition``: condition number of the base
-    regressor, as in the paper; or names of unknowns, separated by commas (``gain_11,m_PR``): rms of their relative
-    standard deviations. These are relative to the prior value, or to a typical one where that is zero. Raises GtauError
-    where a name is neither a criterion nor an unknown.
+    standard deviations; ``trace`` (A-optimal): rms of all relative standard deviations; ``condition``: condition number
+    of the base regressor, as in the paper; names of unknowns separated by commas (``gain_11,m_PR``): rms of their
+    relative standard deviations. The reference is the prior value, or a typical value if the prior value is zero.
+    Raises GtauError if a name is neither a criterion nor an unknown.
     """
     if name == "condition":
         return condition
@@ -226,10 +234,10 @@ def criterion(name: str, unknowns: Information) -> Criterion:
     else:
         wanted = [word.strip() for word in name.split(",")]
         if unknown := next((word for word in wanted if word not in names), None):
-            known = [*NAMED, *np.array(names)[estimated].tolist()]
-            close = get_close_matches(unknown, known, n=1)
-            some = f"names of gains and base parameters such as {known[-1]} or {known[len(NAMED)]}"
-            advice = f"did you mean '{close[0]}'?" if close else f"choose {', '.join(NAMED)}, or {some}."
+            choices = [*NAMED, *np.array(names)[estimated].tolist()]
+            close = get_close_matches(unknown, choices, n=1)
+            examples = f"names of gains and base parameters such as {choices[-1]} or {choices[len(NAMED)]}"
+            advice = f"did you mean '{close[0]}'?" if close else f"choose {', '.join(NAMED)}, or {examples}."
             raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
         chosen = np.isin(names, wanted)
     weight = chosen / unknowns.scale**2 / chosen.sum()
@@ -237,14 +245,14 @@ def criterion(name: str, unknowns: Information) -> Criterion:
 
 
 def root_covariance(R: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Compute ``H`` (P, P) with ``H H^T`` the covariance, from factors of the information and of that beforehand."""
+    """Compute H (P, P), where H H^T is the covariance, from factors of the information and the prior information."""
     stacked = np.concatenate([R, known])
     size = np.linalg.norm(stacked, axis=0)
     return np.asarray(np.linalg.inv(triangle(stacked / size)) / size[:, None])
 
 
 def weighted_trace(R: np.ndarray, known: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Evaluate ``log sqrt(sum(weight * diag(C)))``, C the covariance."""
+    """Evaluate ``log sqrt(sum(weight * diag(C)))`` for the covariance C."""
     H = root_covariance(R, known)
     chosen = np.flatnonzero(weight)
     mean = float(weight @ np.sum(H**2, axis=1))
@@ -252,14 +260,14 @@ def weighted_trace(R: np.ndarray, known: np.ndarray, weight: np.ndarray) -> tupl
 
 
 def logdet(R: np.ndarray, known: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Evaluate ``log det(C)^(1 / 2P)``, C the covariance."""
+    """Evaluate ``log det(C)^(1 / 2P)`` for the covariance C."""
     H = root_covariance(R, known)
     P = known.shape[1]
     return float(np.linalg.slogdet(H)[1] / P), H, np.full(P, -1 / (2 * P))
 
 
 def condition(R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-    """Evaluate the logarithm of the condition number of a matrix with the factor R."""
+    """Evaluate the logarithm of the condition number of R."""
     _, s, Vt = np.linalg.svd(R)
     s = np.maximum(s, 1e-300)
     ends = [0, len(s) - 1]

@@ -24,13 +24,13 @@ from gtau.robots.parameter import Parameter, payload_label
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
-FRICTION = 0.1  # rough Coulomb friction, and viscous friction at the speed limit, of the rms torque
-MODERATE = 0.15  # rough rms torque, of the effort limit
-NOISE = 0.005  # rough noise of a current's sample, of the effort limit
-ERROR = 1.25  # by which torques of a file's inertias count: gravity of a real UR10e was 1.04 to 1.22 times its file's
-# Drives behind limits of torque, of these (80 % of the file's). Of a real UR10e's file: Coulomb friction 5 to 14 %,
-# viscous friction at the speed limit 8 to 41 %, rotors 0.009 to 0.010 kg m2 a N m.
-ARM = 0.05  # m along each axis, of a payload's centre where none is stated: on a joint's axis it has no effect on it
+FRICTION = 0.1  # guessed Coulomb friction, and viscous friction at the speed limit, over the rms torque
+MODERATE = 0.15  # guessed rms torque over the effort limit
+NOISE = 0.005  # guessed noise of a current sample over the effort limit
+ERROR = 1.25  # factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
+ARM = 0.05  # m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
+# Drives over the effort limits used, 80 % of the file's. A UR10e over its file: Coulomb friction 5 to 14 %,
+# viscous friction at the speed limit 8 to 41 %, rotors 0.009 to 0.010 kg m2 per N m.
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
 STATES = 200
 
@@ -43,7 +43,7 @@ FilePath = Annotated[Path, AfterValidator(_beside_the_file)]
 
 
 class DesignPrior(Keys):
-    """Prior knowledge: a model, or standard parameters and drive gains; and the currents' noise, A."""
+    """Prior knowledge: a model, or standard parameters and drive gains; and the noise of the currents, A."""
 
     model: FilePath | None = None
     gains: dict[str, FiniteFloat] = Field(default_factory=dict)
@@ -53,15 +53,15 @@ class DesignPrior(Keys):
     @model_validator(mode="after")
     def _one_source(self) -> DesignPrior:
         if self.model is not None and (self.gains or self.parameters):
-            raise ValueError("a model has gains and parameters of its own; give the model, or these")
+            raise ValueError("the model contains gains and parameters; give either the model, or gains and parameters")
         return self
 
 
 @dataclass(frozen=True)
 class KnownGain:
-    """A gain known beforehand, N m/A or N per A, its 95 % ``interval``, and its ``source``: of a result the verdict.
+    """A prior gain, N m/A or N per A, with its 95 % ``interval``; ``source`` is how it is known, or its verdict.
 
-    ``model`` is the part of its standard deviation that comes from what the model may lack: more motion leaves it.
+    ``model`` is the part of its standard deviation due to model errors, which more motion does not reduce.
     """
 
     value: float
@@ -71,21 +71,21 @@ class KnownGain:
 
     @property
     def least(self) -> float:
-        """Smallest size within the interval: it gives the largest current."""
+        """Smallest size within the interval, which gives the largest current."""
         return min(map(abs, self.interval))
 
     @property
     def excess(self) -> float:
-        """Ratio of the largest size within the interval to the size of the value: a torque may be larger by so much."""
+        """Largest size within the interval over the size of the value, the factor by which a torque may be larger."""
         return max(map(abs, self.interval)) / abs(self.value)
 
 
 @dataclass(frozen=True, eq=False)
 class PriorModel:
-    """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a sample of each current, A.
+    """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a current sample, A.
 
-    Limits of torque hold for the base parameters ``cautious`` (n_b,). ``centers`` (3,) are the centres
-    of payloads by name, m. ``covariance`` belongs to an earlier result to which a motion adds, with the names of rows.
+    Torque limits use the base parameters ``cautious`` (n_b,). ``centers`` maps payloads to their centres (3,), m.
+    ``covariance`` holds the unknowns of an earlier result and their covariance.
     """
 
     chi: np.ndarray
@@ -103,43 +103,44 @@ class PriorModel:
     def values(
         self, names: Sequence[Parameter], robot: Robot, payloads: Sequence[Payload | None], known: Mapping[str, float]
     ) -> np.ndarray:
-        """Return the values of parameters by name: the ``known`` base parameters, centres of payloads, or zero."""
+        """Look up parameters by name: first moments of payloads, ``known`` base parameters, or zero."""
         moments: dict[str, float] = {}
         for run, payload in enumerate(payloads):
-            if payload is not None:  # whose unknown parameters have the name of the run
+            if payload is not None:  # its unknown parameters are labelled by the run
                 label = payload_label(robot, run)
                 moments |= {Parameter(k, label): m for k, m in zip(FIRST_MOMENTS, self.moments(payload), strict=True)}
         return np.array([moments.get(name, known.get(name, 0.0)) for name in names])
 
     def moments(self, load: Payload) -> np.ndarray:
-        """Return the first moments (3,) of a payload, kg m, with the centre that is known or guessed."""
+        """Return the first moments (3,) of a payload, kg m, from its known or assumed centre."""
         return np.asarray((load.mass or 1.0) * self.centers.get(load.name, np.full(3, ARM)))
 
 
 def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
-    """Take the gains of an earlier result, with their intervals and verdicts."""
+    """Take the gains of an earlier result with their intervals and verdicts; refuse a gain that cannot be a prior."""
     gains = []
     for joint in result.robot.actuated:
         gain = result.drive_gains.get(joint)
         outcome = Grade.NOT_IDENTIFIABLE if gain is None else gain.verdict.outcome
         interval = None if gain is None or gain.value is None else gain.interval() or (gain.value, gain.value)
         if outcome in (Grade.CONTRADICTORY, Grade.NOT_IDENTIFIABLE) or gain is None or interval is None:
-            raise GtauError(
-                f"the gain of joint '{joint}' in {file} is {outcome.value}, so it cannot be a prior; identify it "
-                "again, or give prior.gains from the data sheets in place of prior.model."
-            )
+            raise _no_prior(joint, file, outcome.value)
         if interval[0] * interval[1] <= 0:
-            raise GtauError(
-                f"the gain of joint '{joint}' in {file} is {gain}, which may be zero, so it cannot be a prior; "
-                "identify it again, or give prior.gains from the data sheets in place of prior.model."
-            )
+            raise _no_prior(joint, file, f"{gain}, which may be zero")
         assert gain.value is not None
         gains.append(KnownGain(gain.value, interval, outcome.value, gain.model_std or 0.0))
     return tuple(gains)
 
 
+def _no_prior(joint: str, file: Path, why: str) -> GtauError:
+    return GtauError(
+        f"the gain of joint '{joint}' in {file} is {why}, so it cannot be a prior; identify it again, or give "
+        "prior.gains from the data sheets in place of prior.model."
+    )
+
+
 def identified_centers(result: Result) -> dict[str, np.ndarray]:
-    """Take the centres of payloads that an earlier result found, m by name."""
+    """Take the centres of payloads from an earlier result, m by name."""
     estimates = {load.name: result.payload(load.name) for load in result.payloads}
     return {
         name: np.array([moments[kind] / moments["m"] for kind in FIRST_MOMENTS])
@@ -149,7 +150,7 @@ def identified_centers(result: Result) -> dict[str, np.ndarray]:
 
 
 def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:
-    """Compute base parameters (n_b,) from standard ones by name; those not named are zero."""
+    """Compute base parameters (n_b,) from standard parameters by name, zero if missing."""
     for name in parameters:
         if name not in model.parameter_names:
             raise GtauError(
@@ -161,10 +162,10 @@ def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: M
 
 
 def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: float) -> tuple[dict[str, float], float]:
-    """Guess standard parameters with links as rods of equal mass and matching friction; return that mass too.
+    """Guess standard parameters for links that are rods of equal mass; return the parameters and this mass.
 
-    The mass is twice the mass of the ``payload``, kg, or less where the motors are too weak. A rod leads from its
-    frame's origin to the mean of its followers'; friction is a tenth of the rms torque of random states.
+    The mass is twice the mass of the ``payload``, kg, or less if the motors are too weak. A rod leads from the origin
+    of its frame to the mean origin of its followers. Friction is a tenth of the rms torque of random states.
     """
     robot = model.robot
     chi: dict[str, float] = {}
@@ -188,22 +189,19 @@ def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: floa
 
 
 def stated_bodies(model: InverseDynamics) -> list[str]:
-    """List the bodies with a mass in the robot's file."""
+    """List the bodies whose mass the robot's file states."""
     return [body for body in model.robot.bodies if model.robot.inertias.get(Parameter("m", body))]
 
 
 def file_parameters(model: InverseDynamics, rough: Mapping[str, float], margin: float = 1.0) -> dict[str, float]:
-    """Take the inertias of the robot's file times a ``margin``, and ``rough`` parameters where there are none."""
+    """Take the inertias of the robot's file times a ``margin``, and ``rough`` parameters for all other bodies."""
     stated = {Parameter(kind, body) for body in stated_bodies(model) for kind in INERTIAL}
     chi = {name: value for name, value in rough.items() if name not in stated}
     return chi | {name: margin * value for name, value in model.robot.inertias.items() if name in model.parameter_names}
 
 
 def with_drives(model: InverseDynamics, chi: Mapping[str, float]) -> dict[str, float]:
-    """Complete parameters with usual drives.
-
-    A file knows neither friction nor, as a rule, rotors: they are at least what the limits of effort and speed suggest.
-    """
+    """Raise friction and rotor inertias, which robot files rarely state, to values typical of the joint limits."""
     robot, chi = model.robot, dict(chi)
     for joint in model.actuated:
         limits = robot.joint(joint).limits
@@ -216,7 +214,7 @@ def with_drives(model: InverseDynamics, chi: Mapping[str, float]) -> dict[str, f
 
 
 def rough_noise(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
-    """Guess the standard deviation (n,) of a torque sample from the effort limit, or else from the rms torque."""
+    """Guess the standard deviation (n,) of a torque sample from the effort limit, or from the rms torque."""
     torque = rms_torque(model, base, chi) / MODERATE
     joints = [model.robot.joint(name) for name in model.actuated]
     return NOISE * np.array([joint.limits.effort or size for joint, size in zip(joints, torque, strict=True)])
@@ -237,16 +235,16 @@ def prior_of(
     payloads: tuple[Payload | None, ...],
     assumed: dict[str, str],
 ) -> PriorModel:
-    """Determine base parameters, gains and noise."""
+    """Determine base parameters, gains and noise; add to ``assumed`` a sentence on every assumption."""
     if entry.model is not None:
         result = load(entry.model)
         if result.robot.actuated != model.actuated:
-            raise GtauError(f"{entry.model} is the model of another robot; give one of '{model.robot.name}'.")
+            raise GtauError(f"{entry.model} is the model of another robot; give a model of '{model.robot.name}'.")
         known = identified_gains(result, entry.model)
-        values = {name: known.value or 0.0 for name, known in result.parameters.items()}
+        values = {name: parameter.value or 0.0 for name, parameter in result.parameters.items()}
         chi = np.array([values.get(name, 0.0) for name in base.names])
         rms = np.array([error.rms for error in result.residuals])
-        # white noise of the currents' samples that explains the residuals
+        # white noise of the current samples that explains the residuals
         sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
         cautious, centers = chi, identified_centers(result)
     else:
@@ -273,19 +271,19 @@ def _parameters(
     payloads: tuple[Payload | None, ...],
     assumed: dict[str, str],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Take the base parameters (n_b,) from those stated, or guess them; and those for which limits of torque hold."""
+    """Take stated base parameters (n_b,) or guess them, and the base parameters for torque limits."""
     if not entry.parameters:
         carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
         rough, mass = rough_parameters(model, base, carried)
         links = f"every {'other ' if stated_bodies(model) else ''}link a rod of {mass:.3g} kg"
-        of_file = "the inertias of the robot's file, " if stated_bodies(model) else ""
+        stated = "the inertias of the robot's file, " if stated_bodies(model) else ""
         assumed["parameters"] = (
-            f"parameters: {of_file}{links}, and friction a tenth of the torque of rods; "
+            f"parameters: {stated}{links}, and friction a tenth of the torque of rods; "
             "give prior.parameters or prior.model for better predictions"
         )
         cautious = with_drives(model, file_parameters(model, rough, ERROR))
         return given_parameters(model, base, file_parameters(model, rough)), given_parameters(model, base, cautious)
     if light := massless(model.robot, entry.parameters):
-        assumed["massless"] = f"no mass and inertia of {', '.join(light)}: 'prior.parameters' names none of theirs"
+        assumed["massless"] = f"no mass and inertia of {', '.join(light)}: 'prior.parameters' lists none for them"
     given = given_parameters(model, base, entry.parameters)
     return given, given

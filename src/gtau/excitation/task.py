@@ -1,4 +1,4 @@
-"""Design task: robot, motion, payloads, limits and prior knowledge."""
+"""The design problem: robot, motion, payloads, limits and prior knowledge."""
 
 from __future__ import annotations
 
@@ -26,24 +26,36 @@ from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.statements import Payload
 
 SPEED_FRACTION = Preparation.speed_fraction
-STILL = 1e-6  # m/s, below which a speed has no direction
-SMOOTH = 0.02  # width of passive joints' Coulomb friction in a design, of their speed
+STILL = 1e-6  # m/s, smoothing of the tool's speed at rest
+SMOOTH = 0.02  # speed range of Coulomb friction's change of sign, as a share of the joint's speed
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
-    """Limits of the actuated joints, (n,) each with inf where there is none, and of the motion as a whole.
+    """Limits of the actuated joints and of the whole motion, inf where there is none.
 
-    ``position`` (n, 2), ``velocity``, ``acceleration``, ``jerk`` in rad or m and s; ``current`` in A, ``torque`` in N m
-    or N, one of them for a joint; ``workspace`` maps x, y, z of the tool's frame to an interval in m, ``tool_speed`` is
-    that frame's in m/s; ``condition`` is the largest condition number of the closures; ``away`` the least share of each
-    joint's samples away from its reversals; ``guarded`` keeps bodies apart.
+    Attributes
+    ----------
+    position : (n, 2)
+        Intervals, rad or m.
+    rates : (3, n)
+        Velocity, acceleration and jerk, rad or m and s.
+    current, torque : (n,)
+        A, and N m or N; a joint has one of the two.
+    workspace : mapping
+        Intervals of the tool frame's x, y and z, m.
+    condition : float
+        Largest condition number of the closures.
+    away : float
+        Smallest share of a joint's samples away from its reversals.
+    guarded : Guarded
+        Bodies to keep apart.
+    tool_speed : float
+        Speed of the tool's frame, m/s.
     """
 
     position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    jerk: np.ndarray
+    rates: np.ndarray
     current: np.ndarray
     workspace: Mapping[str, tuple[float, float]]
     condition: float
@@ -54,7 +66,7 @@ class MotionLimits:
 
     @property
     def clearance(self) -> Clearance | None:
-        """Bodies that are kept apart."""
+        """Bodies to keep apart."""
         return self.guarded.clearance
 
 
@@ -62,10 +74,9 @@ class MotionLimits:
 class DesignProblem:
     """The data of an excitation design.
 
-    ``series`` is of the actuated joints, or of the platform, with ``repetitions`` periods in a run at the controller's
-    ``rate``, Hz. A run begins and ends in the pose ``rest`` (n,), or has no approach and return where that is None. All
-    runs, one for each of the ``payloads``, follow ``one_motion``, or each its own. By the gains of the ``prior``, with
-    their intervals, limits of torque and current are converted.
+    A run has ``repetitions`` periods of the ``series`` at the controller's ``rate``, Hz. It begins and ends in the pose
+    ``rest`` (n,); if ``rest`` is None, it has no approach and return. There is one run per payload; the runs share
+    ``one_motion`` or have a motion each. The gains of the ``prior``, with their intervals, convert torques to currents.
     """
 
     model: InverseDynamics
@@ -85,8 +96,8 @@ class DesignProblem:
     def __post_init__(self) -> None:
         if self.bandwidth > 0.1 * self.rate:
             raise GtauError(
-                f"the highest harmonic is {self.bandwidth:g} Hz, which a log of {self.rate:g} Hz cannot follow; take "
-                "at most a tenth of the rate."
+                f"the highest harmonic is {self.bandwidth:g} Hz, too fast for a log of {self.rate:g} Hz; take at most "
+                "a tenth of the rate."
             )
 
     @property
@@ -96,32 +107,32 @@ class DesignProblem:
 
     @property
     def motions(self) -> tuple[tuple[int, ...], ...]:
-        """The runs that follow each motion."""
+        """Indices of the runs that follow each motion."""
         runs = range(len(self.payloads))
         return (tuple(runs),) if self.one_motion else tuple((run,) for run in runs)
 
     @property
     def size(self) -> int:
-        """Length of x: the free numbers of the series, motion by motion."""
+        """Length of x: the free numbers of all motions."""
         return len(self.motions) * self.series.size
 
     @property
     def guards(self) -> tuple[str, ...]:
-        """What keeps the robot from harm, what was guessed, and what is not checked, a sentence each."""
-        return self.limits.guarded.said
+        """Sentences on what protects the robot, what was guessed, and what is not checked."""
+        return self.limits.guarded.notes
 
     @cached_property
     def information(self) -> Information:
-        """Unknowns estimated from all runs together, and the information of rows about them, over all repetitions."""
+        """Unknowns of all runs, and the information of rows about them."""
         return information_of(self.model, self.base, self.payloads, self.prior, self.rate * self.repetitions)
 
     @cached_property
     def decimator(self) -> Decimator:
-        """Decimation filter that identification will choose for this bandwidth."""
+        """Decimation filter that identification chooses for this bandwidth."""
         return Decimator(decimation_factor(self.rate, self.bandwidth))
 
     def window(self, step: float) -> Window:
-        """Return the loss of rows near reversals on a time grid of spacing ``step``."""
+        """Return the weights of rows near reversals on a grid of instants ``step`` s apart."""
         return Window(step, self.decimator.guard / self.rate, SPEED_FRACTION, self.approach_speed)
 
     @cached_property
@@ -132,47 +143,49 @@ class DesignProblem:
         limits = self.limits
         way = np.abs(limits.position - self.rest[:, None]).max(axis=1)
         way = np.where(np.isfinite(way), way, 0.0)
-        span = approach_duration(way, limits.velocity, limits.acceleration, limits.jerk)
+        span = approach_duration(way, limits.rates)
         duration = self.series.period * self.repetitions + 2 * span
         # the mean square speed of a quintic move by 1 in 1 s is 10 / 7
         return np.asarray(way * np.sqrt(2 * 10 / 7 / span / duration))
 
     @cached_property
     def platform_model(self) -> InverseDynamics | None:
-        """The robot driven by its platform, for a motion in platform space."""
-        return InverseDynamics(in_platform_space(self.model.robot), "inertial") if self.series.of_platform else None
+        """Model of the robot driven by its platform, for a motion in platform space."""
+        return (
+            InverseDynamics(in_platform_space(self.model.robot), "inertial") if self.series.in_platform_space else None
+        )
 
     @cached_property
     def regressor(self) -> SmoothRegressor:
-        """Base columns, with Coulomb friction smoothed where it would jump."""
+        """Base columns with smooth Coulomb friction."""
         joints = self.model.robot.joints
         length = self.model.layout.length if self.model.loops else 1.0
-        speed = np.where(np.isfinite(self.limits.velocity), self.limits.velocity, 1.0)
+        speed = np.where(np.isfinite(self.limits.rates[0]), self.limits.rates[0], 1.0)
         turn = float(np.median(speed)) / (1.0 if joints[self.model.layout.actuated[0]].turns else length)
         width = np.array([SMOOTH * turn * (1.0 if joint.turns else length) for joint in joints])
-        width[self.model.layout.actuated] = SPEED_FRACTION * SMOOTH * speed  # rows in which these jump do not count
+        width[self.model.layout.actuated] = SPEED_FRACTION * SMOOTH * speed  # slower rows are dropped
         return smooth_regressor(self.model, self.base.standard, width)
 
     @cached_property
     def pullback(self) -> Pullback | None:
-        """Slopes from the whole robot to its actuated joints."""
+        """Conversion of derivatives from the whole robot to its actuated joints."""
         return pullback(self.model)
 
     @cached_property
     def platform_pullback(self) -> Pullback | None:
-        """Slopes from the whole robot to its platform."""
+        """Conversion of derivatives from the whole robot to its platform."""
         return pullback(self.platform_model) if self.platform_model else None
 
     @cached_property
     def motors(self) -> list[int]:
-        """Indices of the actuated joints among the joints of the robot driven by its platform."""
+        """Indices of the motors among the joints of the robot driven by its platform."""
         assert self.platform_model is not None
         names = [joint.name for joint in self.platform_model.robot.joints]
         return [names.index(name) for name in self.model.actuated]
 
     @cached_property
     def tool(self) -> tuple[Program, Program]:
-        """Position of the tool's frame in the base by c, and the slopes by c of a weighted sum of its coordinates."""
+        """Position of the tool's frame in the base, and the gradient by c of its weighted coordinates."""
         c, weights = ca.SX.sym("c", self.model.layout.n_c), ca.SX.sym("weights", 3)
         position = frames(self.model.layout, c)[self.model.robot.tool].p_0
         back = ca.gradient(ca.dot(weights, position), c)
@@ -180,7 +193,7 @@ class DesignProblem:
 
     @cached_property
     def tool_speed(self) -> tuple[Program, Program]:
-        """Speed of the tool's frame in the base by c and yd, and its slopes by c and yd, one below the other."""
+        """Speed of the tool's frame in the base, and its gradient by c and yd, stacked."""
         layout = self.model.layout
         c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
         position = frames(layout, c)[self.model.robot.tool].p_0
@@ -190,7 +203,7 @@ class DesignProblem:
         return compile_program([c, yd], [ca.densify(speed)]), compile_program([c, yd], [slopes])
 
     def with_payload_mass(self, mass: float) -> DesignProblem:
-        """Return the same task with a different ``mass``, kg, of all known payloads."""
+        """Return the same problem with the ``mass``, kg, for all payloads of known mass."""
         payloads = tuple(
             payload.model_copy(update={"mass": mass}) if payload is not None and payload.mass is not None else payload
             for payload in self.payloads
@@ -199,11 +212,11 @@ class DesignProblem:
 
 
 def close(model: InverseDynamics, joints: np.ndarray, near: np.ndarray | None = None) -> Motion:
-    """Close the loops for q, qd and qdd, (3 or more, n, N), from configurations (n_c, N) that may be ``near``."""
+    """Close the loops for q, qd and qdd, (3 or more, n, N), starting from configurations ``near`` (n_c, N) if given."""
     q, qd, qdd = joints[:3]
     if model.loops is None or near is None or near.shape[1] != q.shape[1]:
         return model.motion(q, qd, qdd)
     c, reached = advance(model.loops, near, q)
     if not reached.all():
-        return model.motion(q, qd, qdd)  # says where
+        return model.motion(q, qd, qdd)  # its error names the place
     return differentiate(model.loops, c, qd, qdd)

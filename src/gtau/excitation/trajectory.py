@@ -1,4 +1,4 @@
-"""Finite Fourier series that begin and end at rest, and moves from home to their start and back."""
+"""Finite Fourier series that begin and end at rest, and quintic moves to their start and back."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 
 SHORTEST_APPROACH = 1.0  # s
-GENTLE = 2.0  # times as long as speed, acceleration and jerk ask for: currents are to hold as well
-PEAKS = (1.875, 10 / 3**0.5, 60.0)  # greatest speed, acceleration and jerk of a quintic move by 1 in 1 s
+GENTLE = 2.0  # duration over the shortest within speed, acceleration and jerk, so that currents stay within theirs
+PEAKS = (1.875, 10 / 3**0.5, 60.0)  # largest speed, acceleration and jerk of a quintic move by 1 in 1 s
 
 
 @dataclass(frozen=True, eq=False)
 class FourierSeries:
-    """Periodic motions of m coordinates, at rest at the beginning of every period.
+    """Periodic motion of m coordinates, at rest at the beginning of every period.
 
-    A coordinate is ``center + sum over k of a_k sin(k w t) + b_k cos(k w t)``, k up to ``harmonics`` and w of
-    ``base_frequency``, Hz; the coefficients for which its speed and acceleration vanish at t = 0 are ``2 harmonics -
-    1`` free numbers per coordinate. The vector x (size,) holds these numbers, coordinate by coordinate, in units of
-    ``half`` (m,), and amplitudes that fall with k. The coordinates are the actuated joints', or ``of_platform``,
-    relative to its home.
+    A coordinate is ``center + sum over k of a_k sin(k w t) + b_k cos(k w t)``, with k up to ``harmonics`` and w the
+    angular ``base_frequency`` (Hz). Zero speed and acceleration at t = 0 leave ``2 harmonics - 1`` free numbers per
+    coordinate. The vector x (size,) holds these numbers, coordinate by coordinate, in units of ``half`` (m,), with
+    amplitudes that fall with k. The coordinates are the actuated joints, or with ``in_platform_space`` the coordinates
+    of the platform relative to its home.
     """
 
     center: np.ndarray
     half: np.ndarray
     base_frequency: float
     harmonics: int
-    of_platform: bool = False
+    in_platform_space: bool = False
 
     @property
     def period(self) -> float:
@@ -35,7 +35,7 @@ class FourierSeries:
 
     @property
     def free(self) -> int:
-        """Free numbers per coordinate: the center, and the coefficients left free by the two rest conditions."""
+        """Free numbers per coordinate: the center, and the coefficients that the two rest conditions leave free."""
         return 2 * self.harmonics - 1
 
     @property
@@ -44,11 +44,11 @@ class FourierSeries:
         return len(self.center) * self.free
 
     def basis(self, time: np.ndarray) -> np.ndarray:
-        """Compute position to jerk (4, N, free) by the free numbers of a coordinate with half = 1."""
+        """Compute the derivatives (4, N, free) of position to jerk by the free numbers of a coordinate, half = 1."""
         k = np.arange(1, self.harmonics + 1)
         omega = 2 * np.pi * self.base_frequency * k
         angle = np.multiply.outer(time, omega)
-        # amplitudes that fall with k give every harmonic the same speed
+        # divided by k, every harmonic has the same speed
         sine, cosine = np.sin(angle) / k, np.cos(angle) / k
         parts = [
             np.hstack([sine, cosine]),
@@ -73,14 +73,14 @@ class FourierSeries:
         return np.asarray(table)
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw a random vector x: every harmonic of about the same speed."""
+        """Draw a random x whose harmonics all have about the same speed."""
         x = rng.normal(size=(len(self.center), self.free))
         x[:, 0] *= 0.1
         return x.reshape(-1)
 
 
 def quintic(start: np.ndarray, end: np.ndarray, duration: float, time: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Move straight (m,) to (m,) from rest to rest: position, velocity, acceleration, jerk (m, N) at ``time``."""
+    """Evaluate a straight move from rest to rest: position, velocity, acceleration and jerk (m, N) at ``time``."""
     u = np.clip(time / duration, 0.0, 1.0)
     way = (end - start)[:, None]
     return (
@@ -91,13 +91,13 @@ def quintic(start: np.ndarray, end: np.ndarray, duration: float, time: np.ndarra
     )
 
 
-def move_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:
-    """Compute the shortest duration (s) of a quintic move by ``way`` (m,) within the limits given."""
-    size = np.abs(way)
+def move_duration(way: np.ndarray, rates: np.ndarray) -> float:
+    """Compute the shortest duration, s, of a quintic move by ``way`` (m,) within speed, acceleration, jerk (3, m)."""
+    size, (velocity, acceleration, jerk) = np.abs(way), rates
     durations = (PEAKS[0] * size / velocity, np.sqrt(PEAKS[1] * size / acceleration), np.cbrt(PEAKS[2] * size / jerk))
     return float(max(0.0, *(shortest.max() for shortest in durations)))
 
 
-def approach_duration(way: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray, jerk: np.ndarray) -> float:
-    """Compute the duration (s) of the approach to a motion that begins ``way`` (m,) from rest, and of the return."""
-    return max(GENTLE * move_duration(way, velocity, acceleration, jerk), SHORTEST_APPROACH)
+def approach_duration(way: np.ndarray, rates: np.ndarray) -> float:
+    """Compute the duration, s, of the approach to a motion that begins ``way`` (m,) away from rest."""
+    return max(GENTLE * move_duration(way, rates), SHORTEST_APPROACH)

@@ -1,1 +1,1 @@
-"""Simulation: logs of robots whose true parameters are known."""
+"""Simulated logs of robots with known parameters."""

@@ -1,10 +1,9 @@
-"""A robot under control: control laws, drives, plant and sensors, sample by sample.
+"""Sampled simulation of a robot under control: control law, drives, plant and sensors.
 
-The laws are those that the paper compares (section 5.2), all with the same linear part.
-
-Force = ``inertia`` (kp e + ki int e + kd (weight qd_r - qd)) + ``feedforward``, with ``e = q_r - q``. The laws differ
-in the inertia, in the ``weight`` of the reference's velocity (0: simple PID, 1: velocity feedforward) and in the
-feedforward. The gains put the three poles of a rigid axis at the bandwidth.
+The control laws of the paper (section 5.2) have the same linear part. The force is ``inertia`` (kp e + ki int e +
+kd (weight qd_r - qd)) + ``feedforward``, with ``e = q_r - q``. The laws differ in the inertia, in the ``weight`` of the
+reference velocity (0: simple PID, 1: velocity feedforward) and in the feedforward. The gains place the three poles of a
+rigid axis at the bandwidth.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from gtau.simulation.plant import PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory, log_column
 
 BANDWIDTH = 100.0  # rad/s
-FILTER = 10.0  # the derivative is filtered at this multiple of the bandwidth
-DIGITS = 9  # decimals of what is logged, finer than any encoder
+FILTER = 10.0  # bandwidth of the derivative's filter over the bandwidth of the loop
+DIGITS = 9  # decimals in logs, finer than any encoder
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,7 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """A law along a reference: ``inertia`` (N, n, n), ``feedforward`` (N, n), drive gains (n,), bandwidth in rad/s."""
+    """A control law along a reference: ``inertia`` (N, n, n), ``feedforward`` (N, n), drive ``gains`` (n,), rad/s."""
 
     reference: Reference
     inertia: np.ndarray
@@ -52,7 +51,7 @@ class Controller:
 
     @property
     def pid(self) -> tuple[float, float, float]:
-        """Make a PID with an ``inertia`` (n, n) or (N, n, n); with a ``weight`` of 0 it is the paper's simple PID."""
+        """The gains kp, ki and kd."""
         return 3 * self.bandwidth**2, self.bandwidth**3, 3 * self.bandwidth
 
 
@@ -65,7 +64,7 @@ def sample(trajectory: Trajectory, duration: float, rate: float) -> Reference:
 def pid(
     reference: Reference, inertia: np.ndarray, gains: np.ndarray, bandwidth: float = BANDWIDTH, weight: float = 1.0
 ) -> Controller:
-    """Make a PID with an ``inertia`` (n, n) or (N, n, n); with a ``weight`` of 0 it is the paper's simple PID."""
+    """Make a PID with an ``inertia`` (n, n) or (N, n, n); a ``weight`` of 0 gives the paper's simple PID."""
     inertias = np.broadcast_to(inertia, (*reference.q.shape, reference.q.shape[1]))
     return Controller(reference, inertias, np.zeros_like(reference.q), gains, weight, bandwidth)
 
@@ -79,10 +78,10 @@ def _not_zero(gain: float) -> float:
 class JointHardware(Keys):
     """Drive and sensors of a joint.
 
-    The drive holds the current of a controller's sample and turns it into force: ``gain`` in N m/A or N per A; currents
-    are limited to ``current_limit`` A. A ripple of amplitude ``ripple`` (N m or N) repeats every ``ripple_period`` (rad
-    or m). Positions are delayed ``delay`` s and rounded to ``position_quantum``, rad or m. The logged current has white
-    noise of the rms ``current_noise`` and is rounded to ``current_quantum``, both in A.
+    The drive holds the current of a controller sample, limited to ``current_limit`` A, and converts it to force by
+    ``gain``, N m/A or N per A. A ripple of amplitude ``ripple`` (N m or N) repeats every ``ripple_period`` (rad or m).
+    Positions are delayed by ``delay`` s and rounded to ``position_quantum``, rad or m. Logged currents have white noise
+    of the rms ``current_noise``, A, and are rounded to ``current_quantum``, A.
     """
 
     gain: Annotated[FiniteFloat, AfterValidator(_not_zero)]
@@ -97,7 +96,7 @@ class JointHardware(Keys):
 
 @dataclass(frozen=True, eq=False)
 class Hardware:
-    """Drives and sensors of all actuated joints: each field as an array (n,)."""
+    """Drives and sensors of all actuated joints, every field an array (n,)."""
 
     gain: np.ndarray
     current_limit: np.ndarray
@@ -109,20 +108,20 @@ class Hardware:
     current_quantum: np.ndarray
 
     def force(self, current: np.ndarray, q: np.ndarray, phase: np.ndarray) -> np.ndarray:
-        """Compute forces (n,) of held currents (n,) at ``q`` (n,), with the ripple's ``phase`` (n,) in rad."""
+        """Compute forces (n,) from currents (n,) at positions ``q`` (n,), with the ripple's ``phase`` (n,), rad."""
         return self.gain * current + self.ripple * np.sin(2 * np.pi * q / self.ripple_period + phase)
 
 
 def hardware(joints: Sequence[str], drives: Mapping[str, JointHardware]) -> Hardware:
-    """Stack drives and sensors in the order of ``joints``."""
+    """Stack the drives and sensors of ``joints``, in this order."""
     rows = [{"current_limit": inf} | drives[joint].model_dump(exclude_none=True) for joint in joints]
     return Hardware(**{name: np.array([row[name] for row in rows]) for name in JointHardware.model_fields})
 
 
 def rounded(values: np.ndarray, quantum: np.ndarray) -> np.ndarray:
-    """Round values to multiples of a quantum; a quantum of zero rounds nothing."""
-    some = np.where(quantum > 0, quantum, 1.0)
-    return np.where(quantum > 0, np.round(values / some) * some, values)
+    """Round values to multiples of a quantum; a quantum of zero leaves them unchanged."""
+    step = np.where(quantum > 0, quantum, 1.0)
+    return np.where(quantum > 0, np.round(values / step) * step, values)
 
 
 class Engine(Protocol):
@@ -137,7 +136,7 @@ class Engine(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
-    """Result of a simulation: the ``run`` as logged, and the true tracking ``error`` (N, n), rad or m."""
+    """A simulated run: the log, and the true tracking ``error`` (N, n), rad or m."""
 
     run: Run
     error: np.ndarray
@@ -152,10 +151,10 @@ def close_loop(
     joints: tuple[str, ...],
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Simulated:
-    """Follow the controller's reference: a run as logged, and the true tracking error.
+    """Simulate a robot that follows the controller's reference.
 
-    At every sample positions are measured, currents computed, logged and held. ``rng`` draws the noise and the phase of
-    the ripple. Raises GtauError where the robot reaches a singular pose or the control loop diverges.
+    In every sample, positions are measured, and currents are computed, logged and held. ``rng`` draws the noise and the
+    phase of the ripple. Raises GtauError if the robot reaches a singular pose or the control loop diverges.
     """
     reference = controller.reference
     samples, n = reference.q.shape
@@ -169,15 +168,15 @@ def close_loop(
     slope, integral = np.zeros(n), np.zeros(n)
     behind = controller.weight * reference.q[0] - _measured(history, hardware, period)
     for k in range(samples):
-        seen = _measured(history, hardware, period)
-        e, ahead = reference.q[k] - seen, controller.weight * reference.q[k] - seen
+        measured = _measured(history, hardware, period)
+        e, ahead = reference.q[k] - measured, controller.weight * reference.q[k] - measured
         slope = blend * slope + (1 - blend) * (ahead - behind) / period
         behind = ahead
         pushed = kp * e + ki * (integral + period * e) + kd * slope
         wanted = (controller.inertia[k] @ pushed + controller.feedforward[k]) / controller.gains
         current[k] = np.clip(wanted, -hardware.current_limit, hardware.current_limit)
         integral = integral + period * np.where(current[k] == wanted, e, 0.0)  # no windup at the limit
-        position[k], error[k] = seen, reference.q[k] - state.q
+        position[k], error[k] = measured, reference.q[k] - state.q
         state = engine.advance(state, hardware.force(current[k], state.q, phase), period)
         history = [state, *history[:-1]]
         if k % 1000 == 0:
@@ -189,7 +188,7 @@ def close_loop(
 
 
 def write_log(run: Run, path: str | Path) -> None:
-    """Write a run as CSV, atomically: ``t``, then ``q`` and the joint's name, then ``v`` and the joint's name."""
+    """Write a run as CSV, atomically; columns are ``t``, and ``q`` and ``v`` followed by the joint's name."""
     import polars as pl
 
     columns = {"t": np.round(run.time, DIGITS)}
@@ -199,7 +198,7 @@ def write_log(run: Run, path: str | Path) -> None:
 
 
 def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:
-    """Compute the measured positions (n,) from the latest states, newest first."""
+    """Compute the measured positions (n,) from the last states, newest first."""
     late = hardware.delay / period
     periods, joints = late.astype(int), np.arange(len(late))
     q, qd = (np.array([getattr(state, name) for state in history]) for name in ("q", "qd"))

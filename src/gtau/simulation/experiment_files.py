@@ -1,9 +1,10 @@
-"""Logs of a simulated robot, and an experiment file ready for ``gtau identify``."""
+"""Logs of a simulated robot and their experiment file, ready for ``gtau identify``."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from os.path import relpath
 from pathlib import Path
 from typing import Any
@@ -25,17 +26,17 @@ from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import Engine, Hardware, Simulated, close_loop, hardware, pid, sample, write_log
-from gtau.simulation.joint_friction import TERMS, JointFriction, of_model
+from gtau.simulation.joint_friction import TERMS, JointFriction, identified_friction
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
 from gtau.simulation.simulation_file import SimulatedRun, Simulation, as_simulation, check_joints
 from gtau.simulation.trajectories import check_positions, log_column, make_trajectory
 
-HELD = 10  # samples over which the controller keeps an inertia matrix
+HELD = 10  # samples after which the controller updates its inertia matrix
 
 
 def loaded(chi: Mapping[str, float], robot: Robot, payload: Payload | None) -> dict[str, float]:
-    """Add a payload to the standard parameters of the body that carries it; missing ones are zero."""
+    """Add a payload to the standard parameters of the body that carries it."""
     added = {} if payload is None else {"m": payload.mass or 0.0, **payload.parameters}
     names = {Parameter(kind, robot.tool): value for kind, value in added.items()}
     return {**chi, **{name: chi.get(name, 0.0) + value for name, value in names.items()}}
@@ -48,10 +49,10 @@ def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, flo
         result = load(simulation.model)
         if native_text(result.robot) != native_text(model.robot):
             raise GtauError(
-                f"{simulation.model} was identified of another robot than '{simulation.robot}', or of one that its "
-                "experiment file corrected; name a robot file that is the same."
+                f"{simulation.model} was identified with another robot than '{simulation.robot}', or with a robot that "
+                "its experiment file corrected; name the same robot file."
             )
-        return of_model(result, smoothing)
+        return identified_friction(result, smoothing)
     values = dict(simulation.parameters)
     curves = simulation.curves.items()
     stated = {Parameter("width", joint): curve.width for joint, curve in curves}
@@ -64,7 +65,7 @@ def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, flo
 def apparatus(
     simulation: Simulation, model: InverseDynamics, payload: Payload | None
 ) -> tuple[Engine, Plant, Hardware]:
-    """Make the robot with its payload: the engine that moves it, our own plant, and its drives and sensors."""
+    """Make the engine that moves the robot with its payload, gtau's plant, and the drives and sensors."""
     parameters, friction = truth(simulation, model)
     chi = loaded(parameters, model.robot, payload)
     plant = Plant(model, chi, friction)
@@ -78,7 +79,7 @@ def make_run(
     described: SimulatedRun,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Simulated:
-    """Make one run of a simulation file under PID with velocity feedforward and the robot's own inertia matrix."""
+    """Simulate a run under PID with velocity feedforward and the robot's true inertia matrix."""
     motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
     reference = sample(motion, duration, simulation.rate)
     engine, plant, parts = apparatus(simulation, model, described.payload)
@@ -87,13 +88,13 @@ def make_run(
         return f"{reference.time[sample]:.3f} s of run '{described.name}'"
 
     c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, label).c
-    for row, joint in enumerate(model.robot.joints):  # passive ones too
+    for row, joint in enumerate(model.robot.joints):  # passive joints too
         check_positions(c[row], joint, f"run '{described.name}'")
     inertia = np.stack([plant.mass_matrix(pose) for pose in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
     controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
-    made = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
-    return replace(made, run=replace(made.run, payload=described.payload))
+    simulated = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
+    return replace(simulated, run=replace(simulated.run, payload=described.payload))
 
 
 @takes(out=PATH, progress=FUNCTION)
@@ -105,12 +106,12 @@ def simulate(
     Parameters
     ----------
     source : path, Simulation or mapping
-        The simulation file, its parsed content, or a mapping with its keys, whose paths are relative to the working
+        Simulation file, its parsed content, or a mapping with its keys; paths in a mapping are relative to the working
         directory.
     out : path
         Output folder, created if missing.
     progress : callable, optional
-        Called as the work goes on.
+        Called as the work proceeds.
 
     Returns
     -------
@@ -120,9 +121,9 @@ def simulate(
     Raises
     ------
     GtauError
-        Where the file is wrong, a run cannot be made, or a file cannot be written.
+        If the file is wrong, a run cannot be simulated, or a file cannot be written.
     KeyboardInterrupt
-        Where it is interrupted; the text lists the finished logs.
+        If interrupted; the text lists the finished logs.
     """
     simulation, out = as_simulation(source), folder_of(out)
     robot = load_robot(simulation.robot)
@@ -130,15 +131,15 @@ def simulate(
     check_joints(simulation, robot, source if isinstance(source, (str, Path)) else "simulation")
     model = InverseDynamics(robot)
     described = (*simulation.runs, *simulation.validation)
-    for run in described:  # errors are reported before the first run is made
+    for run in described:  # report errors before the first simulation
         make_trajectory(run.trajectory, robot, f"run '{run.name}'")
     written: list[Path] = []
     experiment = out / "experiment.yaml"
-    experiment.unlink(missing_ok=True)  # it would name a mix of new and old logs
+    experiment.unlink(missing_ok=True)  # it would refer to a mix of new and old logs
     try:
         for run in described:
-            made = make_run(simulation, model, run, lambda done, total, name=run.name: progress(name, done, total))  # type: ignore[misc]
-            write_log(made.run, out / f"{run.name}.csv")
+            simulated = make_run(simulation, model, run, partial(progress, run.name))
+            write_log(simulated.run, out / f"{run.name}.csv")
             written.append(out / f"{run.name}.csv")
     except KeyboardInterrupt:
         finished = ", ".join(log.name for log in written) or "none"
@@ -150,7 +151,7 @@ def simulate(
 
 
 def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
-    """Write the experiment file of a simulation: contents of its logs, and prior knowledge."""
+    """Compose the experiment file of a simulation from the contents of its logs and the prior gains."""
     file, joints = Path(simulation.robot), robot.actuated
     position, current = ({joint: log_column(letter, joint) for joint in joints} for letter in "qv")
     document: dict[str, Any] = {
@@ -165,8 +166,6 @@ def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
 
 
 def _listed(run: SimulatedRun) -> dict[str, Any]:
-    log = {"log": f"{run.name}.csv"}
-    if run.payload is None:
-        return log
-    payload = {"name": run.payload.name} if run.weigh else run.payload.model_dump(exclude_defaults=True)
-    return log | {"payload": payload}
+    stated = None if run.payload is None else run.payload.model_dump(exclude_defaults=True)
+    payload = {"name": stated["name"]} if stated and run.weigh else stated
+    return {"log": f"{run.name}.csv", **({"payload": payload} if payload else {})}

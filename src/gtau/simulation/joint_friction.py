@@ -1,8 +1,8 @@
-"""Friction of a simulated robot: the law of an identified model, driven by the simulated positions.
+"""Friction of a simulated robot, by the same law as identification.
 
-It is :class:`gtau.estimation.friction.law.FrictionLaw`, state z included. A joint without presliding slides at once,
-and its ``sign(qd)`` is ``tanh(qd / width)``, so that it can be integrated. The state of one with presliding is
-the stop operator of the position itself, not of the speed: it is not integrated, and a joint at rest does not creep.
+The law is :class:`gtau.estimation.friction.law.FrictionLaw`, with its states z. For a joint without presliding,
+``sign(qd)`` becomes ``tanh(qd / width)``, which can be integrated. The state of a joint with presliding is the stop
+operator of its position; it is not integrated, so a joint at rest does not creep.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gtau.uses.prediction import friction_values, loaded_parameters
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: sign(v) is tanh(v / width)
 TERMS = ("fb", "fl")
 """Kinds of friction beyond the standard parameters of the plain law."""
-MISSED = 1e-9  # of its band: how far a joint may overshoot its reversal within a step
+MISSED = 1e-9  # largest overshoot of a reversal within a step, over the width of presliding
 BALANCES = 3  # iterations that scale propelling terms to the resulting load
 
 
@@ -32,8 +32,8 @@ BALANCES = 3  # iterations that scale propelling terms to the resulting load
 class JointFriction:
     """Friction and offsets of all joints, by the ``law`` of the robot.
 
-    ``values`` are ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units, those missing being zero;
-    ``smoothing`` the width of ``sign(qd)`` by kind of joint. What the law does not include is refused.
+    ``values`` are ``fv``, ``fs``, ``fb``, ``fl``, ``f3`` and ``off`` by name, SI units, zero if missing; ``smoothing``
+    is the width of ``sign(qd)`` by kind of joint. Values that the law cannot represent are refused.
     """
 
     law: FrictionLaw
@@ -49,8 +49,8 @@ class JointFriction:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}', whose friction has a curve; correct it.")
             if kind == "width" and not self.law.ratios[joints.index(joint)].any():
                 raise GtauError(
-                    f"joint '{joint}' of robot '{robot.name}' moves at no constant ratio to the motors, so that its "
-                    "presliding cannot be followed; give a width to actuated joints only."
+                    f"joint '{joint}' of robot '{robot.name}' moves at no constant ratio to the motors, so its "
+                    "presliding cannot be simulated; give a width to actuated joints only."
                 )
         for name, value in self.values.items():
             parameter = parameter_of(name)
@@ -58,7 +58,9 @@ class JointFriction:
             if kind in TERMS and joint not in joints:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
             if kind == "fb" and value and Parameter("vs", joint) not in self.law.shapes:
-                raise GtauError(f"friction '{name}' falls with no speed; give the 'speed' of joint '{joint}'.")
+                raise GtauError(
+                    f"friction '{name}' needs a speed over which it falls; give the 'speed' of joint '{joint}'."
+                )
             if kind == "fl" and value:
                 motor = self.law.motor_of(joint)
                 if motor is None:
@@ -70,18 +72,18 @@ class JointFriction:
         for motor, share in shares.items():
             if share >= 1:
                 raise GtauError(
-                    f"the friction by load ('fl') of what motor '{motor}' moves is {share:g} of the load, so that it "
-                    "never moves; give less than 1."
+                    f"the friction by load ('fl') on motor '{motor}' is {share:g} of the load, so it never moves; give "
+                    "less than 1."
                 )
 
     @cached_property
     def reach(self) -> np.ndarray:
-        """Derivatives (s, n) of the states with respect to the actuated joints, 1/rad or 1/m, before sliding."""
+        """Derivatives (s, n) of the states by the actuated joints before sliding, 1/rad or 1/m."""
         return self.law.ratios[list(self.law.states)] / self.law.widths[:, None]
 
     @cached_property
     def propels(self) -> bool:
-        """True if some term of the law may propel, and is then scaled down."""
+        """Whether a term of the law may propel and needs scaling down."""
         fv, fs, fb, fl, f3 = map(self._by_joint, ("fv", "fs", "fb", "fl", "f3"))
         return bool(np.min([fv, fs, fs + fb, fl, f3]) < 0)
 
@@ -91,7 +93,7 @@ class JointFriction:
         return self._by_joint("off")
 
     def _by_joint(self, kind: str) -> np.ndarray:
-        """List the values of a kind of parameter, (joints,)."""
+        """Collect the values of a kind of parameter, (joints,)."""
         return np.array([self.values.get(Parameter(kind, joint.name), 0.0) for joint in self.law.model.robot.joints])
 
     def moved(self, z: np.ndarray, dq: np.ndarray) -> np.ndarray:
@@ -99,9 +101,9 @@ class JointFriction:
         return np.clip(z + self.reach @ dq, -1.0, 1.0)
 
     def until_turn(self, z: np.ndarray, before: np.ndarray, after: np.ndarray, step: float) -> float:
-        """Compute the part of a step of this length in which no sliding joint turns, by the speeds (n,) at its ends.
+        """Compute the part of a step before the first reversal of a sliding joint, from the speeds (n,) at its ends.
 
-        Sliding erases the history of a state, so that steps end where sliding joints reverse.
+        Sliding erases the history of a state, so steps must end at reversals of sliding joints.
         """
         v, w = self.reach @ before, self.reach @ after
         turns = v * w < 0
@@ -111,9 +113,9 @@ class JointFriction:
         return float(np.min(part, where=turns & slid & (back > MISSED), initial=1.0))
 
     def effort(self, yd: ca.SX, J: ca.SX, force: ca.SX, z: ca.SX) -> ca.SX:
-        """Express the effort e left for the robot (n,), which is also the load of the joints: ``force - friction``.
+        """Express the effort e = force - friction (n,) that moves the robot, which is also the load of the joints.
 
-        Friction by load is ``s |e|``, so that ``e + s |e|`` is the force of the motors (n,) less other friction.
+        Friction by load is ``s |e|``, so ``e + s |e|`` is the motor force (n,) minus all other friction.
         """
         (plain, loaded), speeds = self._forces(yd, z)
         n_joints, scales, effort = len(self.offsets), ca.SX.ones(plain.shape[0]), force
@@ -130,7 +132,7 @@ class JointFriction:
         return effort
 
     def on_joints(self, yd: ca.SX, z: ca.SX) -> ca.SX:
-        """Express friction (except ``fl``) and offsets of each joint (joints,) at velocities (joints,) and states."""
+        """Express friction (except ``fl``) and offsets of all joints at velocities (joints,) and states."""
         (plain, _), speeds = self._forces(yd, z)
         forces = self.law.scales(ca, plain, speeds) * plain if self.propels else plain
         joints = forces[: len(self.offsets)] + ca.DM(self.offsets)
@@ -150,7 +152,7 @@ class JointFriction:
         return (plain, loaded - plain), speeds
 
     def _felt(self, effort: ca.SX) -> ca.SX:
-        """List by force of the law the size of the effort of the motor that it depends on, or 0."""
+        """List the absolute motor effort on which every force of the law depends, or 0."""
         motors = [self.law.motor(row) for row in range(len(self.law.ratios))]
         felt = [0.0 if motor is None else ca.fabs(effort[motor]) for motor in motors]
         return ca.vertcat(*felt, ca.SX.zeros(effort.shape[0]))
@@ -159,12 +161,12 @@ class JointFriction:
 def plain_friction(
     model: InverseDynamics, values: Mapping[str, float], smoothing: Mapping[str, float] = WIDTH
 ) -> JointFriction:
-    """Make friction with the parameters ``fv``, ``fs`` and ``off`` alone."""
+    """Make friction with only the parameters ``fv``, ``fs`` and ``off``."""
     return JointFriction(FrictionLaw(model, {}), values, smoothing)
 
 
-def of_model(result: Result, smoothing: Mapping[str, float]) -> tuple[dict[str, float], JointFriction]:
-    """Return standard parameters of the same torques as an identified model's, and its friction."""
+def identified_friction(result: Result, smoothing: Mapping[str, float]) -> tuple[dict[str, float], JointFriction]:
+    """Return standard parameters equivalent to an identified model, and its friction."""
     chi = loaded_parameters(result, None, "the robot")
     values = friction_values(result, chi)
     standard: dict[str, float] = dict(zip(result.base.standard, map(float, chi), strict=True))

@@ -1,7 +1,7 @@
-"""Plant in MuJoCo, which shares no equations with the estimator.
+"""Plant in MuJoCo, independent of the equations of the estimator.
 
-Viscous friction and rotor inertia are MuJoCo's damping and armature; all other friction is applied as in
-:mod:`gtau.simulation.plant`, anew in every step. MuJoCo's constraints are slightly compliant.
+Viscous friction and rotor inertia are MuJoCo's damping and armature. All other friction, as in
+:mod:`gtau.simulation.plant`, is an applied force updated in every step. MuJoCo's constraints are slightly compliant.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from gtau.simulation.plant import Compiled, PlantState
 
 STEP = 1e-4  # s
 STIFF = ([2 * STEP, 1.0], [0.9999, 0.9999, 1e-3, 0.5, 2.0])  # solref and solimp of closures
-LIGHTEST = 1e-6  # kg, kg m2: MuJoCo moves no body without mass and inertia
+LIGHTEST = 1e-6  # kg, kg m2: smallest mass and inertia of a body, as MuJoCo moves no body without
 
 
 class MujocoPlant:
-    """A robot in MuJoCo; parameters as of :class:`gtau.simulation.plant.Plant`.
+    """A robot in MuJoCo, with the parameters of :class:`gtau.simulation.plant.Plant`.
 
-    A body lighter than 1e-6 kg or kg m2 is given as much. Couplings and friction by load are not supported.
+    Masses and inertias of bodies are at least 1e-6 kg and kg m2. Couplings and friction by load are not supported.
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
@@ -83,7 +83,7 @@ class MujocoPlant:
         self._rest = Compiled(ca.Function("rest", [yd, z], [ca.densify(rest)]))
 
     def start(self, q: np.ndarray) -> PlantState:
-        """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
+        """Return the state at rest at actuated positions ``q`` (n,); raises GtauError if they cannot be reached."""
         c = self.model.path(np.array(q, dtype=float)[:, None])[:, 0]
         qpos = mujoco_positions(self._model, self.model.layout, c)
         rest = np.zeros(len(self.friction.law.states))
@@ -104,15 +104,15 @@ class MujocoPlant:
             z = self.friction.moved(z, data.qpos[self._place] - before)
         if not np.isfinite(data.qpos).all() or data.warning[self._mujoco.mjtWarning.mjWARN_BADQACC].number:
             raise GtauError(
-                f"robot '{self.model.robot.name}': MuJoCo's motion has no bounds; check the masses and frictions and "
-                "the controller."
+                f"robot '{self.model.robot.name}': the motion in MuJoCo diverges; check masses, friction and the "
+                "controller."
             )
         q, qd = data.qpos[self._place], data.qvel[self._motors]
         return PlantState(q, qd, data.qpos.copy(), data.qvel.copy(), z)
 
 
 def mujoco_positions(compiled: Any, layout: Coordinates, c: np.ndarray) -> np.ndarray:
-    """Compute MuJoCo's coordinates ``qpos`` of a configuration (n_c,), by a compiled model of the robot."""
+    """Compute the coordinates ``qpos`` of a compiled MuJoCo model for a configuration (n_c,)."""
     qpos: np.ndarray = compiled.qpos0.copy()
     coordinates = {joint.name: c[[k]] for k, joint in enumerate(layout.robot.joints)}
     for slots in layout.platforms:
@@ -124,7 +124,7 @@ def mujoco_positions(compiled: Any, layout: Coordinates, c: np.ndarray) -> np.nd
 
 
 def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.ndarray]:
-    """Compute the coordinates of a platform's joints in MuJoCo, which count from its home pose."""
+    """Compute the coordinates of a platform's joints in MuJoCo, relative to its home pose."""
     platform, home = slots.platform, slots.platform.home
     shift = c[slots.position] - home.position
     coordinates = {
@@ -141,9 +141,9 @@ def platform_coordinates(slots: PlatformSlots, c: np.ndarray) -> dict[str, np.nd
 
 
 def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> Any:
-    """Build the ``MjSpec`` of a robot without Coulomb friction and actuators; every link has its joint's name."""
+    """Build the ``MjSpec`` of a robot without Coulomb friction and actuators; links have the names of their joints."""
     spec = mujoco.MjSpec()
-    spec.compiler.degree = False  # ranges and rest positions of springs would count in degrees
+    spec.compiler.degree = False  # else ranges and rest positions of springs are in degrees
     spec.option.gravity = robot.gravity
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.tolerance = 1e-12
@@ -151,7 +151,7 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
     body = {GROUND: spec.worldbody}
     for joint in robot.joints:
         body[joint.name] = _add_body(robot, body[joint.antecedent], joint.placement, joint.name, chi)
-        made = body[joint.name].add_joint(
+        added = body[joint.name].add_joint(
             name=joint.name,
             type=mujoco.mjtJoint.mjJNT_HINGE if joint.turns else mujoco.mjtJoint.mjJNT_SLIDE,
             axis=joint.axis,
@@ -160,8 +160,8 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
         )
         if joint.spring is not None:
             stiffness = chi.get(Parameter(STIFFNESS, joint.name), 0.0)
-            made.stiffness = (stiffness, 0.0, 0.0) if np.size(made.stiffness) == 3 else stiffness
-            made.springref = joint.spring
+            added.stiffness = (stiffness, 0.0, 0.0) if np.size(added.stiffness) == 3 else stiffness
+            added.springref = joint.spring
     for platform in robot.platforms:
         body[platform.name] = _add_body(robot, spec.worldbody, platform.home, platform.name, chi)
         _add_freedoms(mujoco, body[platform.name], platform)
@@ -173,16 +173,16 @@ def robot_spec(mujoco: ModuleType, robot: Robot, chi: Mapping[str, float]) -> An
 
 
 def link_name(robot: Robot, name: str) -> str:
-    """Name a link as its joint or platform, but for the one that has the name of MuJoCo's ground."""
-    made = name
-    while made == "world" or (made != name and made in robot.bodies):
-        made += "_"
-    return made
+    """Name a link like its joint or platform, except if MuJoCo's ground has this name."""
+    link = name
+    while link == "world" or (link != name and link in robot.bodies):
+        link += "_"
+    return link
 
 
 def _add_freedoms(mujoco: ModuleType, place: Any, platform: Platform) -> None:
-    """Add the joints of a platform, which count from its home."""
-    home, hinge = platform.home.rotation, mujoco.mjtJoint.mjJNT_HINGE  # rows of home: base axes in the platform's own
+    """Add the joints of a platform, relative to its home."""
+    home, hinge = platform.home.rotation, mujoco.mjtJoint.mjJNT_HINGE  # rows of home: base axes in the platform's frame
     for axis, dof in enumerate(TRANSLATIONS):
         if dof in platform.dof:
             place.add_joint(name=f"{dof}_{platform.name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=home[axis])
@@ -208,13 +208,13 @@ def _add_closure(mujoco: ModuleType, spec: Any, number: int, closure: Closure, b
         solimp=STIFF[1],
     )
     if weld:
-        tie.data[10] = 1.0  # torques count as much as forces
+        tie.data[10] = 1.0  # equal weight of torques and forces
 
 
 def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any] | None:
-    """Return ``stiffness``, ``springlength`` and ``damping`` of the tendon equal to this spring; None without one.
+    """Return ``stiffness``, ``springlength`` and ``damping`` of the tendon equal to a spring; None if there is none.
 
-    A tendon's stiffness and length at rest are not negative, so no tendon is a gas spring of constant force.
+    A tendon cannot have negative stiffness or rest length, so it cannot be a gas spring of constant force.
     """
     f0, k, c = (chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING))
     if k < 0 or c < 0 or f0 < 0 or (f0 and not k):
@@ -226,7 +226,7 @@ def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any
 def _add_spring(
     mujoco: ModuleType, spec: Any, spring: Spring, chi: Mapping[str, float], body: Mapping[str, Any]
 ) -> None:
-    """Add the spring as a tendon, or as one with an actuator whose force does not depend on its control."""
+    """Add a spring as a tendon, or as a tendon with an actuator whose force is independent of its control."""
     tendon = spec.add_tendon(name=spring.name)
     for label, end in (("a", spring.a), ("b", spring.b)):
         site = body[end.body].add_site(name=f"{label} {spring.name}", pos=end.placement.position)

@@ -1,12 +1,12 @@
-"""Forward dynamics of any robot, integrated: the plant of a simulation (paper, eq. 15 solved for qdd).
+"""Plant of a simulation: integrated forward dynamics of any robot (paper, eq. 15 solved for qdd).
 
-The state is the configuration c of the whole virtual tree, the velocities qd of the actuated joints and the states z of
-presliding friction, which follow the positions. The passive coordinates are integrated too (``yd = J qd``) and brought
-back onto the closures after every step.
+The state is the configuration c of the virtual tree, the velocities qd of the actuated joints, and the states z of
+presliding friction, which follow the positions. The passive coordinates are integrated as well (``yd = J qd``) and
+projected onto the closures after every step.
 
-Measured on the Orthoglide with forces held for 1 ms at a time: 0.25 ms of computing for such an interval by the
-integrator below (tolerance 1e-6), 0.65 ms by CVODES (Adams; BDF 3.3 ms) and 2 ms by SciPy's RK45, DOP853 and LSODA
-(1e-7), which all have to begin anew at every change of the force.
+Time per 1 ms of constant force on the Orthoglide: 0.25 ms with the integrator below (tolerance 1e-6), 0.65 ms with
+CVODES (Adams; BDF 3.3 ms), and 2 ms with SciPy's RK45, DOP853 and LSODA (1e-7). All of them restart at every change of
+the force.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from gtau.model.loops import Loops, pose_words
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 
-TOLERANCE = 1e-6  # of a step: error of the velocities, in rad/s or m/s
+TOLERANCE = 1e-6  # error of the velocities in a step, rad/s or m/s
 SHORTEST = 1e-9  # s
 
-# Dormand and Prince's pair of orders 5 and 4: the stages, of which the last is the solution, and its error.
+# the pair of Dormand and Prince of orders 5 and 4: stages (the last is the solution) and error
 STAGES = (
     (1 / 5,),
     (3 / 40, 9 / 40),
@@ -45,10 +45,10 @@ ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 
 
 
 def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
-    """Select independent closure equations ``phi(c) = 0`` by QR with pivoting at home, one for each passive coordinate.
+    """Select one independent closure equation ``phi(c) = 0`` per passive coordinate, by pivoted QR at home.
 
-    They are in the axes of each closure's second body: a linkage whose plane turns with the robot keeps its redundant
-    rows there, but not in base axes. Returns functions from c to phi and the derivatives of phi' by the passive and the
+    The equations are in the axes of the second body of a closure, where a linkage whose plane turns with the robot
+    keeps the same redundant rows. Returns functions from c to phi and the derivatives of phi' by the passive and the
     actuated yd, and from c and yd to gamma of ``G ydd + gamma = 0``.
     """
     layout = loops.layout
@@ -71,7 +71,7 @@ def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
 
 @dataclass(frozen=True, eq=False)
 class PlantState:
-    """Positions and velocities of the actuated joints (n,), an engine's own c and v, states z (s,) of presliding."""
+    """Positions and velocities of the actuated joints (n,), c and v of the engine, and states z (s,) of presliding."""
 
     q: np.ndarray
     qd: np.ndarray
@@ -81,10 +81,10 @@ class PlantState:
 
 
 class Plant:
-    """Forward dynamics of a robot with the standard parameters ``chi`` by name, SI units, those missing being zero.
+    """Forward dynamics of a robot with the standard parameters ``chi`` by name, SI units, zero if missing.
 
-    Friction is ``fv v + fs tanh(v / width) + off`` of chi if left out. Refuses unknown names and a mass matrix that is
-    not positive.
+    Friction defaults to ``fv v + fs tanh(v / width) + off`` from chi. Raises GtauError for unknown names and a mass
+    matrix that is not positive definite.
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
@@ -98,19 +98,19 @@ class Plant:
         mass = self.mass_matrix(model.home)
         if np.linalg.eigvalsh((mass + mass.T) / 2).min() <= 1e-12 * np.abs(mass).max():
             raise GtauError(
-                f"robot '{model.robot.name}': at home its inertia is not positive, so that forces give no "
-                "accelerations; give every actuated joint a mass, an inertia or a rotor ('ia')."
+                f"robot '{model.robot.name}': its mass matrix at home is not positive definite; give every actuated "
+                "joint a mass, an inertia or a rotor ('ia')."
             )
 
     def _mode(self, c: np.ndarray) -> float:
-        """Compute the sign of the passive coordinates' determinant, which changes at singular poses."""
+        """Compute the sign of the determinant of the passive columns, which changes at singular poses."""
         if self._passive is None:
             return 1.0
         (G,), n = self._passive(c), len(self.layout.passive)
         return float(np.linalg.slogdet(G.reshape(n, n))[0])
 
     def start(self, q: np.ndarray) -> PlantState:
-        """Return the state at rest at actuated positions ``q`` (n,); raises GtauError where they cannot be reached."""
+        """Return the state at rest at actuated positions ``q`` (n,); raises GtauError if they cannot be reached."""
         c, still = self.model.path(np.array(q, dtype=float)[:, None])[:, 0], np.zeros(len(q))
         return PlantState(np.array(q, dtype=float), still, c, still, np.zeros(len(self.friction.law.states)))
 
@@ -158,16 +158,13 @@ class Plant:
         return Compiled(ca.Function("passive", [c], [ca.densify(self._constraints[0](c)[1])]))
 
     def _selection(self, rows: np.ndarray) -> ca.DM:
-        """Place a vector (len(rows),) in the ``rows`` of one of (n_y,)."""
+        """Return the matrix that places a vector (len(rows),) in the ``rows`` of a vector (n_y,)."""
         columns = list(range(len(rows)))
         return ca.DM.triplet(rows.tolist(), columns, ca.DM.ones(len(rows)), self.layout.n_y, len(rows))
 
     @cached_property
     def _inertia(self) -> ca.Function:
-        """Compile (c, qd) to the mass matrix, the torques at zero qdd, yd and J of the passive coordinates.
-
-        The torques of eq. (15) are those without friction and offsets.
-        """
+        """Compile (c, qd) to the mass matrix, torques at zero qdd without friction and offsets, yd, and passive J."""
         layout, n, cse = self.layout, len(self.layout.actuated), {"cse": True}
         (pose, speeds, pushes, passive), columns = self.model.symbols
         names = [name for name in self.model.parameter_names if name.kind not in PLAIN_FRICTION]
@@ -201,7 +198,7 @@ class Plant:
         return ca.Function("derivative", [c, qd, force, z], [rates(c, yd), qdd])
 
     def _compiled_step(self) -> Compiled:
-        """Compile (c, qd, force, z, h) to c and qd after h s, on the closures, and the error of qd."""
+        """Compile (c, qd, force, z, h) to c, on the closures, and qd after h s, and the error of qd."""
         layout, n, reach = self.layout, len(self.layout.actuated), self.friction.reach
         sizes = {"c": layout.n_c, "qd": n, "force": n, "z": len(reach), "h": 1}
         c, qd, force, z, h = symbols = [ca.MX.sym(name, size) for name, size in sizes.items()]
@@ -222,7 +219,7 @@ class Plant:
         return Compiled(ca.Function("step", symbols, [self._closed(x[: layout.n_c]), x[layout.n_c :], error]))
 
     def _closed(self, c: ca.MX) -> ca.MX:
-        """Project onto the closures by one step of Newton's method, with unit quaternions."""
+        """Project c onto the closures by one Newton step, and normalise quaternions."""
         layout = self.layout
         if self._constraints is None:
             return c
@@ -245,17 +242,17 @@ class Plant:
 
 
 class Compiled:
-    """A CasADi function called on arrays without copies of its own: a third of the time of the plain call."""
+    """A CasADi function called through buffers, in a third of the time of a plain call."""
 
     def __init__(self, function: ca.Function):
         self._function = function
         self._buffer, self._evaluate = function.buffer()
 
     def __call__(self, *arguments: np.ndarray) -> list[np.ndarray]:
-        """Evaluate it: its outputs, flat."""
-        held = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
+        """Return the outputs as flat arrays."""
+        inputs = [np.ascontiguousarray(argument, dtype=float) for argument in arguments]
         results = [np.empty(self._function.numel_out(k)) for k in range(self._function.n_out())]
-        for k, argument in enumerate(held):
+        for k, argument in enumerate(inputs):
             self._buffer.set_arg(k, memoryview(argument))  # type: ignore[arg-type, call-arg]
         for k, result in enumerate(results):
             self._buffer.set_res(k, memoryview(result))  # type: ignore[arg-type, call-arg]

@@ -1,4 +1,4 @@
-"""The simulation file: robot, true parameters, drives and sensors, and the runs to be made."""
+"""The simulation file: robot, true parameters, drives and sensors, and the runs to simulate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from gtau.simulation.trajectories import Existing, MotionEntry, PerJoint
 
 
 class SimulatedRun(Keys):
-    """A run to be simulated; a payload with ``weigh: true`` is written into the experiment file without its mass."""
+    """A run to simulate; with ``weigh: true``, the experiment file does not contain the mass of the payload."""
 
     name: str
     trajectory: MotionEntry
@@ -32,9 +32,9 @@ class SimulatedRun(Keys):
 
     @field_validator("name")
     @classmethod
-    def _name_of_a_file(cls, name: str) -> str:
+    def _file_name(cls, name: str) -> str:
         if not re.fullmatch(r"\w[\w.-]*", name, re.ASCII):
-            raise ValueError(f"'{name}' is to be the name of a log; write it with letters, digits, '.', '_' and '-'")
+            raise ValueError(f"'{name}' names a log; write it with letters, digits, '.', '_' and '-'")
         return name
 
     @model_validator(mode="after")
@@ -47,7 +47,7 @@ class SimulatedRun(Keys):
 
 
 class Friction(Keys):
-    """Speeds over which Coulomb friction changes its sign, m/s and rad/s."""
+    """Ranges of speed in which Coulomb friction changes its sign, m/s and rad/s."""
 
     prismatic: Positive = WIDTH["prismatic"]
     revolute: Positive = WIDTH["revolute"]
@@ -61,10 +61,10 @@ class FrictionEntry(Keys):
 
 
 class Simulation(Keys):
-    """A simulation file; its paths are relative to it.
+    """Content of a simulation file, whose paths are relative to the file.
 
-    The robot has the ``parameters`` and the friction of ``curves``, or all of an identified ``model``;
-    ``control`` lists trajectories on which control laws are compared, without logs.
+    The robot has the ``parameters`` and the friction of ``curves``, or an identified ``model``. ``control`` lists
+    trajectories for the comparison of control laws, without logs.
     """
 
     robot: RobotName
@@ -102,7 +102,7 @@ class Simulation(Keys):
     @model_validator(mode="after")
     def _model_or_parameters(self) -> Simulation:
         if self.model is None and not self.parameters:
-            raise ValueError("the robot has no parameters; give 'parameters', or 'model', what 'gtau identify' wrote")
+            raise ValueError("the robot has no parameters; give 'parameters', or a 'model' of 'gtau identify'")
         if self.model is not None and (self.parameters or self.curves):
             raise ValueError(
                 "'model' states all parameters and friction; remove 'parameters' and 'curves', or the model"
@@ -113,7 +113,7 @@ class Simulation(Keys):
     def _names_once(self) -> Simulation:
         names = [run.name for run in (*self.runs, *self.validation, *self.control)]
         if twice := next((name for name in names if names.count(name) > 1), None):
-            raise ValueError(f"two runs are called '{twice}'; give every run its own name")
+            raise ValueError(f"two runs are called '{twice}'; give every run a different name")
         if self.bandwidth > self.rate / 5:
             raise ValueError(
                 f"a bandwidth of {self.bandwidth:g} rad/s is impossible at a rate of {self.rate:g} Hz; write at most "

@@ -1,9 +1,7 @@
-"""Trajectories of the actuated joints, as a simulation file describes them, within the robot's limits.
+"""Trajectories of a simulation file: sums of sines, point-to-point moves, Fourier series, or samples of a CSV file.
 
-They are sums of sines, moves from point to point, Fourier series, or samples of a CSV file.
-
-A trajectory takes instants (N,) in s and returns positions, velocities and accelerations, each (N, n)
-in rad or m and s. It starts and ends at rest, and is constant outside its duration.
+A trajectory maps instants (N,), s, to positions, velocities and accelerations (N, n), rad or m and s. It starts and
+ends at rest, and is constant outside its duration.
 """
 
 from __future__ import annotations
@@ -27,14 +25,14 @@ Trajectory = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FREQUENCIES = np.array([0.1, 0.2, 0.35, 0.55, 0.85, 1.35, 2.15, 3.45])  # Hz
 RAMP = 1.5  # s, from rest to full motion and back
 REST = 0.05  # s, between two moves
-ROUNDED = 1.01  # times a limit: tolerance on speeds and accelerations of rounded samples
+ROUNDED = 1.01  # tolerance factor on limits of speed and acceleration, for rounded samples
 PerJoint = dict[str, FiniteFloat]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Motion range of a trajectory, (n,) each: ``reach`` on either side of ``center``, speed, acceleration."""
+    """Motion range of a trajectory (n,): ``reach`` on either side of ``center``, velocity and acceleration."""
 
     center: np.ndarray
     reach: np.ndarray
@@ -43,7 +41,7 @@ class Envelope:
 
 
 def envelope(robot: Robot, share: float = 0.9) -> Envelope:
-    """Take a share of the actuated joints' limits; ten times the speed in a second where no acceleration is given."""
+    """Take a share of the joints' limits; a missing acceleration limit is the speed limit over 0.1 s."""
     limits = {name: robot.joint(name).limits for name in robot.actuated}
     for name, limit in limits.items():
         if limit.position is None or limit.velocity is None:
@@ -58,14 +56,14 @@ def envelope(robot: Robot, share: float = 0.9) -> Envelope:
 
 
 def _blend(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Evaluate the quintic from 0 to 1, at rest at both ends of [0, 1], and its first two derivatives."""
+    """Evaluate the quintic from 0 to 1 with zero slope and curvature at both ends, and its two derivatives."""
     u = np.clip(u, 0.0, 1.0)
     return u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
 
 @dataclass(frozen=True, eq=False)
 class Sines:
-    """A sum of sines (n, K) about ``center``, rad or m, Hz and rad, faded in and out within ``duration``, s."""
+    """Sum of sines (n, K) about ``center``, rad or m, Hz and rad, faded in and out within ``duration``, s."""
 
     center: np.ndarray
     amplitude: np.ndarray
@@ -89,11 +87,11 @@ class Sines:
 
 
 def sines(within: Envelope, duration: float, rng: np.random.Generator) -> Sines:
-    """Draw a random sum of sines as large as the envelope allows, slower where accelerations would keep it small."""
+    """Draw a random sum of sines that fills the envelope, slower if its acceleration would keep it small."""
     shape = (len(within.center), len(FREQUENCIES))
     amplitude, phase = rng.uniform(0.5, 1.0, shape), rng.uniform(0, 2 * np.pi, shape)
     q, qd, qdd = _peaks(Sines(within.center, amplitude, phase, FREQUENCIES, duration))
-    size = within.acceleration / qdd  # to which the accelerations keep the draft
+    size = within.acceleration / qdd  # largest size within the accelerations
     slower = np.maximum(size * qd / within.velocity, np.sqrt(size * q / within.reach))
     frequency = np.minimum(slower, 1.0)[:, None] * FREQUENCIES
     q, qd, qdd = _peaks(Sines(within.center, amplitude, phase, frequency, duration))
@@ -102,14 +100,14 @@ def sines(within: Envelope, duration: float, rng: np.random.Generator) -> Sines:
 
 
 def _peaks(motion: Sines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find the greatest distances from the center, speeds and accelerations, (n,) each."""
+    """Find the largest distances from the center, speeds and accelerations, (n,) each."""
     q, qd, qdd = motion(np.arange(0.0, motion.duration, 0.05 / FREQUENCIES[-1]))
     return np.abs(q - motion.center).max(axis=0), np.abs(qd).max(axis=0), np.abs(qdd).max(axis=0)
 
 
 @dataclass(frozen=True, eq=False)
 class PointToPoint:
-    """Fifth-order moves through ``points`` (K, n), from each at the instant ``starts`` (K - 1,) during ``spans``, s."""
+    """Fifth-order moves through ``points`` (K, n), beginning at ``starts`` (K - 1,), s, and lasting ``spans``, s."""
 
     points: np.ndarray
     starts: np.ndarray
@@ -125,7 +123,7 @@ class PointToPoint:
 
 
 def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) -> PointToPoint:
-    """Plan moves between random points, with a short rest between them; one at least, and all that end in time."""
+    """Plan moves through random points with short rests, as many as end within ``duration``, but at least one."""
     points, planned = [within.center], None
     while True:
         points.append(within.center + within.reach * rng.uniform(-1.0, 1.0, len(within.center)))
@@ -138,15 +136,15 @@ def point_to_point(within: Envelope, duration: float, rng: np.random.Generator) 
 def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToPoint:
     """Plan fifth-order moves through ``points`` (K, n), as fast as the envelope allows, ``rest`` s between them."""
     way = np.abs(np.diff(points, axis=0))
-    # the greatest speed and acceleration of the polynomial are 15/8 and 10/sqrt(3), rounded up
+    # the largest speed and acceleration of the quintic are 15/8 and 10/sqrt(3), rounded up
     spans = np.maximum(1.875 * way / within.velocity, np.sqrt(5.7736 * way / within.acceleration)).max(axis=1)
-    spans = np.maximum(spans, 1e-3)  # a move to the same point
+    spans = np.maximum(spans, 1e-3)  # for a move to the same point
     starts = np.concatenate([[0.0], np.cumsum(spans[:-1] + rest)])
     return PointToPoint(points, starts, spans)
 
 
 def _existing(path: Path, info: ValidationInfo) -> Path:
-    """Return a path of the simulation file from its folder; raises ValueError where there is no file."""
+    """Resolve a path relative to the simulation file; raises ValueError if there is no file."""
     path = path if info.context is None else beside(info.context, path)
     if not path.is_file():
         raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
@@ -157,7 +155,7 @@ Existing = Annotated[Path, AfterValidator(_existing)]
 
 
 class RandomMotion(Keys):
-    """A random trajectory within a share of the joints' limits."""
+    """Random trajectory within a share of the joints' limits."""
 
     seed: Annotated[int, Field(ge=0)] = 0
     duration: Annotated[FiniteFloat, Field(ge=3, le=3600)] = 20.0
@@ -165,7 +163,7 @@ class RandomMotion(Keys):
 
 
 class Points(Keys):
-    """Fifth-order moves from point to point, each as fast as a share of the joints' limits allows."""
+    """Fifth-order moves from point to point, as fast as a share of the joints' limits allows."""
 
     through: tuple[PerJoint, ...] = Field(min_length=2)
     rest: NotNegative = 0.05
@@ -173,7 +171,7 @@ class Points(Keys):
 
 
 class Fourier(Keys):
-    """``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
+    """The series ``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
 
     duration: Annotated[FiniteFloat, Field(ge=3, le=3600)]
     frequency: tuple[Positive, ...] = Field(min_length=1)
@@ -182,19 +180,19 @@ class Fourier(Keys):
     phase: dict[str, tuple[FiniteFloat, ...]]
 
     @model_validator(mode="after")
-    def _one_of_each_frequency(self) -> Fourier:
+    def _equal_lengths(self) -> Fourier:
         for what in ("amplitude", "phase"):
             for joint, numbers in getattr(self, what).items():
                 if len(numbers) != len(self.frequency):
                     raise ValueError(
                         f"joint '{joint}' has {len(numbers)} values of '{what}' for {len(self.frequency)} frequencies; "
-                        "write one for each"
+                        "write one per frequency"
                     )
         return self
 
 
 class MotionEntry(Keys):
-    """A trajectory, of one kind; ``csv`` holds the columns ``t`` and ``q_<joint>``, as 'gtau excite' writes them."""
+    """A trajectory of one kind; ``csv`` has the columns ``t`` and ``q_<joint>``, as 'gtau excite' writes them."""
 
     sines: RandomMotion | None = None
     moves: RandomMotion | None = None
@@ -210,27 +208,28 @@ class MotionEntry(Keys):
 
 
 def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
-    """Make the trajectory that a file describes, and return its duration in s; ``where`` names the run in messages."""
-    made: Trajectory
+    """Make the trajectory that a file describes, with its duration, s; ``where`` names the run in messages."""
+    trajectory: Trajectory
     if (random := motion.sines or motion.moves) is not None:
         kind, rng = sines if motion.sines else point_to_point, np.random.default_rng(random.seed)
-        made, duration = kind(envelope(robot, random.share), random.duration, rng), random.duration
+        trajectory, duration = kind(envelope(robot, random.share), random.duration, rng), random.duration
     elif (described := motion.points) is not None:
-        points = np.array([_of_joints(point, robot, where) for point in described.through])
-        made = moves = moves_through(points, envelope(robot, described.share), described.rest)
+        points = np.array([_in_order(point, robot, where) for point in described.through])
+        trajectory = moves = moves_through(points, envelope(robot, described.share), described.rest)
         duration = float(moves.starts[-1] + moves.spans[-1] + described.rest)
     elif (series := motion.fourier) is not None:
         duration, by_joint = series.duration, (series.center, series.amplitude, series.phase)
-        center, amplitude, phase = (np.array(_of_joints(values, robot, where)) for values in by_joint)
-        made = Sines(center, amplitude, phase, np.array(series.frequency), duration)
+        center, amplitude, phase = (np.array(_in_order(values, robot, where)) for values in by_joint)
+        trajectory = Sines(center, amplitude, phase, np.array(series.frequency), duration)
     else:
         assert motion.csv is not None
-        made, duration = _from_csv(motion.csv, robot)
-    _check_limits(made(np.arange(0.0, duration, 0.005)), robot, where)
-    return made, duration
+        trajectory, duration = _from_csv(motion.csv, robot)
+    _check_limits(trajectory(np.arange(0.0, duration, 0.005)), robot, where)
+    return trajectory, duration
 
 
-def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[Any]:
+def _in_order(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[Any]:
+    """List values by joint in the order of the actuated joints."""
     missing = [joint for joint in robot.actuated if joint not in values]
     extra = [joint for joint in values if joint not in robot.actuated]
     if missing or extra:
@@ -243,12 +242,12 @@ def _of_joints(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[
 
 
 def log_column(letter: str, joint: str) -> str:
-    """Name the column of a joint; readers of text do not see blanks at its end."""
+    """Name the column of a joint, without trailing blanks."""
     return f"{letter}{joint}".rstrip()
 
 
 def _from_csv(path: Path, robot: Robot) -> tuple[Trajectory, float]:
-    """Draw a fifth-order spline through the samples of a file."""
+    """Interpolate the samples of a file by a fifth-order spline."""
     from scipy.interpolate import make_interp_spline
 
     names = [log_column("q_", joint) for joint in robot.actuated]  # as 'gtau excite' writes them
@@ -269,9 +268,9 @@ def _from_csv(path: Path, robot: Robot) -> tuple[Trajectory, float]:
     return sampled, duration
 
 
-def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot, where: str) -> None:
-    """Refuse positions, velocities and accelerations (N, n) beyond the limits that the robot's file has."""
-    q, *rates = made
+def _check_limits(samples: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot, where: str) -> None:
+    """Refuse positions, velocities and accelerations (N, n) beyond the limits of the robot's file."""
+    q, *rates = samples
     for j, name in enumerate(robot.actuated):
         joint, limits = robot.joint(name), robot.joint(name).limits
         check_positions(q[:, j], joint, where)
@@ -280,7 +279,7 @@ def _check_limits(made: tuple[np.ndarray, np.ndarray, np.ndarray], robot: Robot,
             most = np.abs(rate[:, j]).max()
             if limit is not None and most > ROUNDED * limit:
                 raise GtauError(
-                    f"{where}: joint '{name}' is to reach {most:.4g} {unit}, beyond its limit of {limit:.4g} {unit}; "
+                    f"{where}: joint '{name}' would reach {most:.4g} {unit}, beyond its limit of {limit:.4g} {unit}; "
                     "make the motion slower, smaller or smoother."
                 )
 
@@ -290,6 +289,6 @@ def check_positions(q: np.ndarray, joint: Joint, where: str) -> None:
     low, high = joint.limits.position or (-np.inf, np.inf)
     if q.min() < low - 1e-9 or q.max() > high + 1e-9:
         raise GtauError(
-            f"{where}: joint '{joint.name}' is to move from {q.min():.4g} to {q.max():.4g}, beyond its limits "
+            f"{where}: joint '{joint.name}' would move from {q.min():.4g} to {q.max():.4g}, beyond its limits "
             f"{low:.4g} to {high:.4g}; make the motion smaller."
         )
