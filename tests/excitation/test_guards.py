@@ -218,7 +218,7 @@ def test_floors_that_make_no_sense_are_not_guessed(tmp_path: Path) -> None:
     assert "reaches below z = 0 of the base; state" in hanging.guards[0]
     assert not any(FLOOR in pair for pair in hanging.limits.clearance.pairs)
     ceiling, _ = read_design(written(tmp_path, robot="gravity: [0, 0, 9.81]"))
-    assert "the plane of its mounting: where the real floor is is unknown" in ceiling.guards[0]
+    assert "the plane of its mounting: the position of the real floor is unknown" in ceiling.guards[0]
     stated, _ = read_design(written(tmp_path, "limits: {floor: -0.5}"))
     assert stated.guards[0] == "floor: -0.5 m along z of the base, as stated"
     assert stated.limits.clearance.shapes[FLOOR][0].height == -0.5

@@ -314,7 +314,7 @@ def fourier(frequency: float, amplitude: float) -> dict:
         ({"parameters": {"m_99": 1.0}}, "has no standard parameter 'm_99'"),
         ({"rate": 100, "bandwidth": 100}, "bandwidth of 100 rad/s is impossible at a rate of 100 Hz; write at most 20"),
         ({"runs": [RUN, RUN]}, "two runs are called 'a'"),
-        ({"runs": [{**RUN, "name": "../a"}]}, "'../a' is to be"),
+        ({"runs": [{**RUN, "name": "../a"}]}, "'../a' names a log"),
         ({"runs": [{**RUN, "weigh": True}]}, "'weigh' is given without 'payload'"),
         ({"runs": [{**RUN, "payload": {"name": "p"}}]}, "the payload 'p' has no mass"),
         ({"runs": [{"name": "a", "trajectory": {}}]}, "give one trajectory"),
@@ -322,7 +322,7 @@ def fourier(frequency: float, amplitude: float) -> dict:
         ({"runs": [{"name": "a", "trajectory": {"sine": {}}}]}, "did you mean 'sines'"),
         (
             {"runs": [{"name": "a", "trajectory": {"points": {"through": [{"11": 0}, {"11": 0.1}]}}}]},
-            "run 'a': the trajectory lacks the joint '12'",
+            "run 'a', trajectory: joint '12' is missing",
         ),
         (
             {

@@ -107,18 +107,17 @@ def identified(path: Path, accuracy: float, progress: Progress) -> Result | Deci
 
 def listed(result: Result) -> dict[str, dict[str, Any]]:
     """List gains with the half-widths of their 95 % intervals and the standard deviations of both parts, per cent."""
-    return {joint: _entry(gain) for joint, gain in result.drive_gains.items()}
-
-
-def _entry(gain: Estimate) -> dict[str, Any]:
-    parts, size = {"random": gain.random_std, "model": gain.model_std}, abs(gain.value or 0.0)
     return {
-        "value": gain.value,
-        "unit": gain.unit,
-        "half_width": gain.half_width,
-        **{key: 100 * std / size if std is not None and size else None for key, std in parts.items()},
-        "verdict": gain.verdict.outcome.value,
-        "why": gain.verdict.sentence,
+        joint: {
+            "value": gain.value,
+            "unit": gain.unit,
+            "half_width": gain.half_width,
+            "random": None if gain.random_std is None or not gain.value else 100 * gain.random_std / abs(gain.value),
+            "model": None if gain.model_std is None or not gain.value else 100 * gain.model_std / abs(gain.value),
+            "verdict": gain.verdict.outcome.value,
+            "why": gain.verdict.sentence,
+        }
+        for joint, gain in result.drive_gains.items()
     }
 
 

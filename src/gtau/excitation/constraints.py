@@ -18,6 +18,7 @@ from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 APPROACH = 12  # poses between rest and the beginning of the motion, in which the search checks distances
+WAY = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2))[0][0]  # from 0 to 1
 MARGIN = 0.97  # share of every limit for a first design: between instants speeds exceed it by up to 2 %
 CONDITION, TOOL_SPEED = "condition", "tool speed"
 SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # durations of an approach to try; four times takes 1/16 of the acceleration
@@ -240,11 +241,10 @@ def _approach(point: Point) -> Point | None:
     task, basis = point.task, point.grid.basis
     if task.rest is None or point.platform is not None or not basis.size:
         return None
-    part = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2)[1:-1])[0][0]
     way = np.zeros((4, APPROACH, basis.shape[2]))
-    way[0] = np.outer(part, basis[0, 0])
+    way[0] = np.outer(WAY[1:-1], basis[0, 0])
     joints = np.zeros((4, len(task.rest), APPROACH))
-    joints[0] = task.rest[:, None] + np.outer(point.joints[0, :, 0] - task.rest, part)
+    joints[0] = task.rest[:, None] + np.outer(point.joints[0, :, 0] - task.rest, WAY[1:-1])
     try:
         motion = close(task.model, joints)
     except GtauError:  # the check of the whole run reports it

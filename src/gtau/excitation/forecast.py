@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.estimators.newton import jacobian
 from gtau.estimation.regression.assembly import plain_problem
-from gtau.estimation.regression.factors import MODEL, SIGNALS, modelled, reduce_run, triangle
+from gtau.estimation.regression.factors import modelled, reduce_run, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.excitation.constraints import ConstraintUsage, tool_speed, whole_run
 from gtau.excitation.design import Design, check
@@ -125,20 +126,14 @@ def ml_covariance(
 
     A ``shifted`` problem has one stated constant increased by its standard deviation.
     """
-    unknowns, blocks, sides = problem.unknowns, [], []
-    for j in range(len(gains)):
-        R, *changed = (p.blocks[:, j].reshape(-1, p.blocks.shape[-1]) for p in (problem, *shifted))
-        change = [(modelled(rows, theta) - modelled(R, theta)) / gains[j] / sigma[j] for rows in changed]
-        sides.append(np.reshape(change, (-1, len(R))))
-        block = np.zeros((len(R), len(unknowns)))
-        block[:, unknowns.theta] = -R[:, MODEL] / gains[j]
-        block[:, unknowns.gains.start + j] = modelled(R, theta) / gains[j]
-        block[:, unknowns.delays.start + j] = -R[:, SIGNALS][:, 1]
-        blocks.append(block / sigma[j])
-    stacked = np.concatenate(blocks)
-    size = np.linalg.norm(stacked, axis=0)
-    half = np.linalg.pinv(triangle(stacked / size), rcond=1e-12) / size[:, None]
-    moved = half @ (half.T @ (stacked.T @ np.concatenate(sides, axis=1).T))
+    values = np.concatenate([theta, gains, np.zeros(len(gains))])
+    J = jacobian(problem.blocks, values, problem, free_gains=True) / sigma[:, None, None]
+    J[..., problem.unknowns.gains] /= -gains  # from 1 / g to log g
+    rows, torque = J.reshape(-1, J.shape[-1]), modelled(problem.blocks, theta)
+    changes = [(modelled(p.blocks, theta) - torque) / (gains * sigma)[:, None] for p in shifted]
+    size = np.linalg.norm(rows, axis=0)
+    half = np.linalg.pinv(triangle(rows / size), rcond=1e-12) / size[:, None]
+    moved = half @ (half.T @ (rows.T @ np.reshape(changes, (len(changes), len(rows))).T))
     return np.asarray(half @ half.T + moved @ moved.T)
 
 

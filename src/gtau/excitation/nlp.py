@@ -9,11 +9,10 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.excitation.constraints import APPROACH, ConstraintUsage, constraint_usages, usages_of_motion
+from gtau.excitation.constraints import WAY, ConstraintUsage, constraint_usages, usages_of_motion
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate, evaluate_one, objective
 from gtau.excitation.information import criterion
 from gtau.excitation.task import DesignProblem, close
-from gtau.excitation.trajectory import quintic
 from gtau.model.interpreter.program import single_threaded_blas
 
 ITERATIONS = 100
@@ -184,14 +183,13 @@ class _Function(ca.Callback):
         pattern, jacobian = self._jacobian
         places = np.array(pattern.row()), np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.colind()))
         sizes = (*self._sizes, self._pattern.numel())
-        made = _Function(name, sizes, pattern, lambda x, _: ca.DM(pattern, jacobian(x)[places]), options=options)
-        self._held.append(made)
-        return made
+        function = _Function(name, sizes, pattern, lambda x, _: ca.DM(pattern, jacobian(x)[places]), options=options)
+        self._held.append(function)
+        return function
 
 
 TRIES = 40  # scales of a random motion
 CENTERS = 200  # random poses; the one with the most room is the center of a random motion
-WAY = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2))[0][0]
 SPREAD = 0.7  # share of the ranges in which centers are drawn
 DRAWS = 20  # random motions; the best is a start. One takes a hundredth of the time of the search that follows
 

@@ -20,7 +20,7 @@ from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
 from gtau.robots.geometry import massless, places_on
-from gtau.robots.parameter import Parameter, payload_label
+from gtau.robots.parameter import Parameter, RigidBody, inertial_parameters, payload_label
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
@@ -173,11 +173,8 @@ def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: floa
         if Parameter("m", body) not in model.parameter_names:
             continue
         end = np.mean(places_on(robot, body) or [np.zeros(3)], axis=0)
-        inertia = (end @ end * np.eye(3) - np.outer(end, end)) / 3 + 1e-3 * np.eye(3)
-        chi |= {Parameter(kind, body): float(value) for kind, value in zip(("mx", "my", "mz"), end / 2, strict=True)}
-        places = {"xx": (0, 0), "xy": (0, 1), "xz": (0, 2), "yy": (1, 1), "yz": (1, 2), "zz": (2, 2)}
-        chi |= {Parameter(kind, body): float(inertia[place]) for kind, place in places.items()}
-        chi[Parameter("m", body)] = 1.0
+        rod = RigidBody(1.0, end / 2, (end @ end * np.eye(3) - np.outer(end, end)) / 12 + 1e-3 * np.eye(3))
+        chi |= {Parameter(kind, body): value for kind, value in inertial_parameters(rod).items()}
     torque = rms_torque(model, base, given_parameters(model, base, chi))  # of links of 1 kg
     effort = np.array([robot.joint(joint).limits.effort or np.inf for joint in model.actuated])
     mass = float(min(2 * payload, np.min(MODERATE * effort / np.maximum(torque, 1e-12))))

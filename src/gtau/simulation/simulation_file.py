@@ -12,14 +12,13 @@ from pydantic import Field, FiniteFloat, field_validator, model_validator
 from gtau.documents.files import SIMULATION, refuse_other_kind
 from gtau.documents.validation import Keys, Positive, expect, validate
 from gtau.documents.yaml_document import Document, read_yaml
-from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.reading.logged_run import RobotName
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import BANDWIDTH, JointHardware
 from gtau.simulation.joint_friction import WIDTH
-from gtau.simulation.trajectories import Existing, MotionEntry, PerJoint
+from gtau.simulation.trajectories import Existing, MotionEntry, PerJoint, require_joints
 
 
 class SimulatedRun(Keys):
@@ -140,12 +139,6 @@ def as_simulation(source: str | Path | Simulation | Mapping[str, Any]) -> Simula
 
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:
     """Check that drives and prior gains belong to the robot's actuated joints; raises GtauError."""
-    for what, names in (("drives", simulation.drives), ("prior_gains", simulation.prior_gains)):
-        missing = [joint for joint in robot.actuated if joint not in names] if names else []
-        extra = [joint for joint in names if joint not in robot.actuated]
-        if missing or extra:
-            raise GtauError(
-                f"{path}, {what}: "
-                + (f"joint '{missing[0]}' is missing" if missing else f"'{extra[0]}' is no actuated joint")
-                + f"; the actuated joints of robot '{robot.name}' are {', '.join(robot.actuated)}."
-            )
+    require_joints(simulation.drives, robot, f"{path}, drives")
+    if simulation.prior_gains:
+        require_joints(simulation.prior_gains, robot, f"{path}, prior_gains")

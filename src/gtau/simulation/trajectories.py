@@ -230,15 +230,18 @@ def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Traj
 
 def _in_order(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[Any]:
     """List values by joint in the order of the actuated joints."""
+    require_joints(values, robot, f"{where}, trajectory")
+    return [values[joint] for joint in robot.actuated]
+
+
+def require_joints(values: Mapping[str, Any], robot: Robot, where: str) -> None:
+    """Refuse values by joint that lack an actuated joint or name another; ``where`` begins the message."""
     missing = [joint for joint in robot.actuated if joint not in values]
     extra = [joint for joint in values if joint not in robot.actuated]
     if missing or extra:
-        raise GtauError(
-            f"{where}: the trajectory "
-            + (f"lacks the joint '{missing[0]}'" if missing else f"names '{extra[0]}'")
-            + f"; give one value for each actuated joint, {', '.join(robot.actuated)}."
-        )
-    return [values[joint] for joint in robot.actuated]
+        wrong = f"joint '{missing[0]}' is missing" if missing else f"'{extra[0]}' is no actuated joint"
+        joints = ", ".join(robot.actuated)
+        raise GtauError(f"{where}: {wrong}; the actuated joints of robot '{robot.name}' are {joints}.")
 
 
 def log_column(letter: str, joint: str) -> str:
