@@ -160,9 +160,9 @@ class Weak:
 def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
     """List the unknowns that a design leaves unidentified, with the best single-joint motion to add.
 
-    The ``expected`` standard deviations are relative to the prior value, or to a typical value if it is zero. The gain
-    of a motion is estimated on the coarser design grid. Candidates move one joint, slowly over its range or fast in the
-    middle of it, for the duration of a run, with all payloads.
+    The ``expected`` standard deviations are relative to the prior value, or to a typical value if it is zero. The
+    benefit of a motion is estimated on the coarser design grid. Candidates move one joint, slowly over its range or
+    fast in the middle of it, for the duration of a run, with all payloads.
     """
     task = design.task
     points = evaluate(task, design.x, design_grid(task))
