@@ -210,7 +210,7 @@ def gain(joint: str, value: float | None, random: float, model: float, outcome: 
 
 
 def result_of(*gains: Estimate) -> SimpleNamespace:
-    return SimpleNamespace(drive_gains={each.name: each for each in gains}, effects=())
+    return SimpleNamespace(drive_gains={entry.name: entry for entry in gains}, effects=())
 
 
 def round_of(purpose: str, half: float = 10.0, value: float = 1.0) -> Round:
@@ -320,17 +320,19 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
     designed = Design(task, "gains", random_start(task, np.random.default_rng(0), 0.5), 1.0, (), 0)
     known = {"mx": 0.01, "my": 0.0, "mz": 0.3}
 
-    def of(hand: float) -> SimpleNamespace:
-        found = result_of(gain("arm", 1.0, 0.01, 0.0), gain("forearm", 1.0, 0.01, 0.0), gain("hand", 1.0, hand, 0.0))
-        found.robot, found.payload = task.model.robot, lambda name: known
-        return found
+    def result_with(hand: float) -> SimpleNamespace:
+        identified = result_of(
+            gain("arm", 1.0, 0.01, 0.0), gain("forearm", 1.0, 0.01, 0.0), gain("hand", 1.0, hand, 0.0)
+        )
+        identified.robot, identified.payload = task.model.robot, lambda name: known
+        return identified
 
-    assert list(beside_the_axis(designed, of(0.009))) == []  # the gain of another joint is the least known
-    (beside,) = beside_the_axis(designed, of(0.05))
+    assert list(beside_the_axis(designed, result_with(0.009))) == []  # the gain of another joint is the least known
+    (beside,) = beside_the_axis(designed, result_with(0.05))
     assert beside.label == "with the payload's centre 0.08 m from the axis of 'hand', not 0.01 m,"
     assert beside.beside == pytest.approx((0.07, 0.0, 0.0))
     assert not beside.at_hand
-    carried, result = [], of(0.05)
+    carried, result = [], result_with(0.05)
     result.gains = np.ones(len(task.model.actuated))
     torques = "gtau.campaigns.candidates.torques"
     monkeypatch.setattr(torques, lambda _, q, qd, qdd, payload: carried.append(payload) or 0 * q)
@@ -354,7 +356,7 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
         advice = f"mount the payload off the axis of the last joint: {beside.label} it would be +-{width:g} %"
         assert (advice in decision.notes) == advised
     known["mx"] = 0.09
-    assert list(beside_the_axis(designed, of(0.05))) == []  # it is far enough from it
+    assert list(beside_the_axis(designed, result_with(0.05))) == []  # it is far enough from it
 
 
 def test_candidates_are_within_the_limits(tmp_path: Path) -> None:
@@ -459,9 +461,9 @@ def test_a_round_confirms_nothing_where_those_before_are_set_aside(
         compared.append((alone, before))
         return Decision("stopped", "")
 
-    found = result_of(gain("left", 1.0, 0.01, 0.01))
+    identified = result_of(gain("left", 1.0, 0.01, 0.01))
     monkeypatch.setattr(module, "save", lambda *_: None)
-    monkeypatch.setattr(module, "identified", lambda *_: found)
+    monkeypatch.setattr(module, "identified", lambda *_: identified)
     monkeypatch.setattr(module, "slower", lambda *_: ())
     monkeypatch.setattr(module, "decide", decided)
     for used in ([last], [last, last]):
@@ -469,7 +471,7 @@ def test_a_round_confirms_nothing_where_those_before_are_set_aside(
         assert any("payload's mass" in note for note in decision.notes)
     assert compared[0] == (None, None)
     alone, before = compared[1]
-    assert alone is found
+    assert alone is identified
     assert before["gains"]["left"]["value"] == 1.0  # identified anew, as no decision is from the files of now
 
 
@@ -656,8 +658,8 @@ def test_killed_at_any_moment_a_command_is_made_up_for_by_the_next(killed: str, 
         kept = {name: content for name, content in files_of(folder).items() if not Path(name).name.startswith(".")}
         return kept | {"report.html": b""}  # it says how long the call took
 
-    whole, begun = Path(shutil.copytree(copied, copied.with_name("whole"))), time.monotonic()
-    wanted = called(whole)
+    uninterrupted, begun = Path(shutil.copytree(copied, copied.with_name("whole"))), time.monotonic()
+    wanted = called(uninterrupted)
     duration = time.monotonic() - begun
     for moment in range(moments):
         folder = Path(shutil.copytree(copied, copied.with_name(f"killed {moment}")))
@@ -706,9 +708,9 @@ def test_interrupted_at_any_write_nothing_is_lost_or_repeated_wrongly(
             (start / "01" / run["log"]).write_text("t\n")
         document = {"schema": "gtau-played/1", "hash": motion["hash"], "end": "completed", "runs": runs}
         write_json(start / "01" / "played.json", document)
-    whole = Path(shutil.copytree(start, tmp_path / "whole"))
-    campaign(whole, accuracy=3)
-    wanted, replaced = files_of(whole), os.replace
+    uninterrupted = Path(shutil.copytree(start, tmp_path / "whole"))
+    campaign(uninterrupted, accuracy=3)
+    wanted, replaced = files_of(uninterrupted), os.replace
     moments = 0
     while True:
         folder = Path(shutil.copytree(start, tmp_path / f"cut {moments}"))

@@ -56,10 +56,10 @@ def written(tmp_path: Path, limits: str) -> Path:
     return path
 
 
-def slopes_agree(found: Clearance, c: np.ndarray, pair: tuple[str, str], ways: np.ndarray) -> None:
-    nearest = found.nearest(c, pair)
-    slopes, h = np.einsum("cn,cn->n", found.slopes(c, pair, nearest), ways), 1e-6
-    ahead, behind = (found.nearest(c + step * ways, pair).distance for step in (h, -h))
+def slopes_agree(built: Clearance, c: np.ndarray, pair: tuple[str, str], ways: np.ndarray) -> None:
+    nearest = built.nearest(c, pair)
+    slopes, h = np.einsum("cn,cn->n", built.slopes(c, pair, nearest), ways), 1e-6
+    ahead, behind = (built.nearest(c + step * ways, pair).distance for step in (h, -h))
     smooth = np.abs(ahead + behind - 2 * nearest.distance) < 1e-9  # not where another point becomes the nearest
     assert smooth.mean() > 0.8
     np.testing.assert_allclose(slopes[smooth], ((ahead - behind) / (2 * h))[smooth], atol=2e-6)
@@ -71,9 +71,9 @@ def test_distances_and_slopes_of_capsules(rng: np.random.Generator) -> None:
         "ground": [capsule((0, 0.3, 0), (0, 0.3, 0.6), 0.05)],
         "forearm": [capsule((0, 0, 0), (0.4, 0.1, 0), 0.03)],
     }
-    found = clearance(InverseDynamics(robot).layout, 0.02, shapes)
+    built = clearance(InverseDynamics(robot).layout, 0.02, shapes)
     c = rng.uniform(-1, 1, (3, 40))
-    nearest = found.nearest(c, ("ground", "forearm"))
+    nearest = built.nearest(c, ("ground", "forearm"))
     for k in range(40):  # the segments, sampled
         q0, q1, q2 = c[:, k]
         R = np.array([[np.cos(q0), -np.sin(q0), 0], [np.sin(q0), np.cos(q0), 0], [0, 0, 1]])
@@ -84,20 +84,20 @@ def test_distances_and_slopes_of_capsules(rng: np.random.Generator) -> None:
         post = np.array([np.zeros(601), np.full(601, 0.3), np.linspace(0, 0.6, 601)])
         apart = np.linalg.norm(link[:, :, None] - post[:, None, :], axis=0).min() - 0.08
         assert nearest.distance[k] == pytest.approx(apart, abs=1e-3)
-    slopes_agree(found, c, ("ground", "forearm"), rng.normal(size=c.shape))
+    slopes_agree(built, c, ("ground", "forearm"), rng.normal(size=c.shape))
 
 
 def test_several_pairs_at_once_are_those_one_by_one(rng: np.random.Generator) -> None:
     ends = rng.uniform(-0.5, 0.5, (5, 2, 3))
-    capsules = [capsule(*of_one, radius) for of_one, radius in zip(ends, (0.01, 0.02, 0.03, 0.04, 0.05), strict=True)]
+    capsules = [capsule(*points, radius) for points, radius in zip(ends, (0.01, 0.02, 0.03, 0.04, 0.05), strict=True)]
     shapes = {"ground": capsules[:2], FLOOR: [Floor(-0.1)], "arm": capsules[2:3], "forearm": capsules[3:]}
-    found, c = (
+    built, c = (
         clearance(InverseDynamics(parse_native(ARM, "arm.yaml")).layout, 0.02, shapes),
         rng.uniform(-3, 3, (3, 9)),
     )
-    assert len(found.pairs) == 4
-    for pair, near in zip(found.pairs, found.all_nearest(c, found.pairs), strict=True):
-        alone = [clearance(found.layout, 0.02, dict(zip(pair, ([one], [other]), strict=True))).nearest(c, pair)
+    assert len(built.pairs) == 4
+    for pair, near in zip(built.pairs, built.all_nearest(c, built.pairs), strict=True):
+        alone = [clearance(built.layout, 0.02, dict(zip(pair, ([one], [other]), strict=True))).nearest(c, pair)
                  for one in shapes[pair[0]] for other in shapes[pair[1]]]  # fmt: skip
         closest = np.argmin([contact.distance for contact in alone], axis=0)
         for name in ("distance", "normal", "a", "b"):
@@ -109,16 +109,16 @@ def test_slopes_with_a_platform_and_a_mesh(tmp_path: Path, rng: np.random.Genera
     (tmp_path / "cube.obj").write_text(CUBE)
     model = InverseDynamics(load_robot("orthoglide"))
     block = hull(tmp_path / "cube.obj", 0.1, Pose((0.3, 0.3, 0.6)))
-    found = clearance(model.layout, 0.02, {"ground": [block], "P": [capsule((0, 0, 0), (0, 0, 0), 0.03)]})
+    built = clearance(model.layout, 0.02, {"ground": [block], "P": [capsule((0, 0, 0), (0, 0, 0), 0.03)]})
     c = random_motion(model, 20, rng).c
     ways = np.zeros_like(c)
     for slots in model.layout.platforms:
         ways[slots.position] = rng.normal(size=(3, 20))
-    slopes_agree(found, c, ("ground", "P"), ways)
+    slopes_agree(built, c, ("ground", "P"), ways)
     at = c[model.layout.platforms[0].position]
     outside = np.maximum(0, np.maximum(np.array([[0.3], [0.3], [0.6]]) - at, at - np.array([[0.4], [0.4], [0.7]])))
     np.testing.assert_allclose(
-        found.nearest(c, ("ground", "P")).distance, np.linalg.norm(outside, axis=0) - 0.03, atol=1e-6
+        built.nearest(c, ("ground", "P")).distance, np.linalg.norm(outside, axis=0) - 0.03, atol=1e-6
     )
 
 
@@ -135,10 +135,10 @@ def test_a_design_keeps_its_distance(tmp_path: Path) -> None:
     touching = excite(free, starts=1, seed=1)
     pair = ("ground", "forearm")
     named = f"distance of '{pair[1]}' from '{pair[0]}'"
-    (usage,) = (each for each in check(task, touching.x) if each.what == named)
+    (usage,) = (usage for usage in check(task, touching.x) if usage.what == named)
     assert usage.reached < 0.05
     clear = excite(task, starts=1, seed=1)
-    (usage,) = (each for each in clear.constraint_usages if each.what == named)
+    (usage,) = (usage for usage in clear.constraint_usages if usage.what == named)
     assert usage.reached >= 0.05
     assert usage.allowed == "at least 0.05 m"
 

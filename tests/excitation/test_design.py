@@ -65,8 +65,8 @@ def write(folder: Path, text: str) -> Path:
 
 def table_of(outlook: Outlook, name: str) -> Table:
     """The table of a section of a design's page."""
-    (found,) = (each.items[0] for each in design_page(outlook).sections if each.id == name)
-    return found
+    (designed,) = (entry.items[0] for entry in design_page(outlook).sections if entry.id == name)
+    return designed
 
 
 @pytest.fixture(scope="module")
@@ -74,40 +74,40 @@ def search(tmp_path_factory) -> tuple[Design, list[tuple[str, int, int]]]:
     """A design and the progress of its search."""
     task, _ = read_design(write(tmp_path_factory.mktemp("design"), DESIGN))
     seen: list[tuple[str, int, int]] = []
-    return excite(task, starts=1, progress=lambda *each: seen.append(each)), seen
+    return excite(task, starts=1, progress=lambda *entry: seen.append(entry)), seen
 
 
 @pytest.fixture(scope="module")
-def found(search: tuple[Design, list[tuple[str, int, int]]]) -> Design:
+def designed(search: tuple[Design, list[tuple[str, int, int]]]) -> Design:
     return search[0]
 
 
 @pytest.mark.slow
-def test_all_limits_hold_on_a_grid_ten_times_finer(found: Design) -> None:
-    every = check(found.task, found.x, 10)
+def test_all_limits_hold_on_a_grid_ten_times_finer(designed: Design) -> None:
+    every = check(designed.task, designed.x, 10)
     assert {load.what: load.excess for load in every if load.excess > 1} == {}
     assert max(load.excess for load in every) > 0.95  # and some are used
     kinds = {load.what.split()[0] for load in every}
     assert {"position", "velocity", "acceleration", "jerk", "torque", "x", "z", "condition", "time"} <= kinds
     # counted once more, without the design's own code, at the rate of the controller
-    ((time, joints),) = sampled_motions(found.task, found.x)
-    limits = found.task.limits
+    ((time, joints),) = sampled_motions(designed.task, designed.x)
+    limits = designed.task.limits
     assert np.all(joints[0] >= limits.position[:, :1])
     assert np.all(joints[0] <= limits.position[:, 1:])
     assert np.all(np.abs(np.gradient(joints[0], time, axis=1)) <= limits.rates[0][:, None] * 1.001)
     assert np.abs(joints[1:3][:, :, [0, -1]]).max() < 1e-9
-    home = [found.task.model.robot.joint(name).home for name in found.task.model.actuated]
+    home = [designed.task.model.robot.joint(name).home for name in designed.task.model.actuated]
     assert joints[0][:, 0] == pytest.approx(home)
     assert joints[0][:, -1] == pytest.approx(home, abs=1e-6)
 
 
-def test_deviations_expected_are_those_of_100_simulated_experiments(found: Design, rng: np.random.Generator) -> None:
-    gains = repeated_gains(found.task, found.x, 100, rng)
+def test_deviations_expected_are_those_of_100_simulated_experiments(designed: Design, rng: np.random.Generator) -> None:
+    gains = repeated_gains(designed.task, designed.x, 100, rng)
     gains = gains[np.isfinite(gains).all(axis=1)]
     assert len(gains) >= 95
-    expected = np.array([each.std for each in forecast(found.task, found.x).gains])
+    expected = np.array([entry.std for entry in forecast(designed.task, designed.x).gains])
     assert gains.std(axis=0, ddof=1) / expected == pytest.approx(1.0, abs=0.2)
-    assert np.abs(gains.mean(axis=0) - found.task.prior.gains).max() < 4 * expected.max() / 10
+    assert np.abs(gains.mean(axis=0) - designed.task.prior.gains).max() < 4 * expected.max() / 10
 
 
 @pytest.mark.slow
@@ -122,7 +122,7 @@ def test_forecasts_hold_for_three_motors_and_six_axes(robot: str, rng: np.random
     gains = repeated_gains(task, x, 100, rng)
     gains = gains[np.isfinite(gains).all(axis=1)]
     assert len(gains) >= 90
-    expected = np.array([each.std for each in forecast(task, x).gains])
+    expected = np.array([entry.std for entry in forecast(task, x).gains])
     # the standard deviation of 100 repetitions is itself known to 7 %
     assert gains.std(axis=0, ddof=1) / expected == pytest.approx(1.0, abs=0.2)
 
@@ -160,7 +160,7 @@ def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path)
         (row,) = table_of(changed, "parameters").rows
         assert (row[0], row[3]) == ("fv_left", shown)
     known = read_design(write(tmp_path, DESIGN))[1]
-    assert not any(each["assumed"] for each in design_document(Outlook(start, known))["gains"])
+    assert not any(entry["assumed"] for entry in design_document(Outlook(start, known))["gains"])
 
 
 @pytest.mark.slow
@@ -173,7 +173,7 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     assert np.abs(logs[0]["q_left"][:2000] - logs[1]["q_left"][:2000]).max() > 0.1
     assert (out / "trajectory_2.png").exists()
     document = json.loads((out / "design.json").read_text())
-    used = {each["limit"]: each["used"] for each in document["limits"]}
+    used = {entry["limit"]: entry["used"] for entry in document["limits"]}
     assert max(used.values()) <= 1.0
     assert {f"z of the tool's frame in run {run}" for run in (1, 2)} <= set(used)
     assert "torque of joint 'left' with payload 'disc' in run 1" not in used
@@ -181,15 +181,15 @@ def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
     one = replace(task, one_motion=True)
     shared = np.array(document["x"][: one.size])
     # the same motion written twice tells what one motion of both runs tells
-    apart, together = (forecast(each, x) for each, x in ((task, np.tile(shared, 2)), (one, shared)))
-    assert [each.std for each in apart.gains] == pytest.approx([each.std for each in together.gains], rel=1e-9)
+    apart, together = (forecast(entry, x) for entry, x in ((task, np.tile(shared, 2)), (one, shared)))
+    assert [entry.std for entry in apart.gains] == pytest.approx([entry.std for entry in together.gains], rel=1e-9)
 
 
-def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
-    unknowns = found.task.information
-    gains = [unknowns.names.index(f"gain_{joint}") for joint in found.task.model.actuated]
-    R = information(evaluate(found.task, found.x, design_grid(found.task)))
-    expected = np.array([each.relative for each in forecast(found.task, found.x).gains]) / 100
+def test_the_design_criterion_agrees_with_the_forecast(designed: Design) -> None:
+    unknowns = designed.task.information
+    gains = [unknowns.names.index(f"gain_{joint}") for joint in designed.task.model.actuated]
+    R = information(evaluate(designed.task, designed.x, design_grid(designed.task)))
+    expected = np.array([entry.relative for entry in forecast(designed.task, designed.x).gains]) / 100
     std = np.linalg.norm(root_covariance(R, unknowns.known), axis=1) / unknowns.scale
     assert std[gains] == pytest.approx(expected, rel=0.3)
 
@@ -198,15 +198,15 @@ def test_the_design_criterion_agrees_with_the_forecast(found: Design) -> None:
 @pytest.mark.slow
 def test_a_design_tells_twice_as_much_as_the_best_of_200_random_motions(tmp_path: Path) -> None:
     task, _ = read_design(write(tmp_path, ORTHOGLIDE))
-    found = excite(task, starts=1)
-    programme, values = Programme(task, "gains", {load.what: 1.0 for load in found.constraint_usages}), []
+    designed = excite(task, starts=1)
+    programme, values = Programme(task, "gains", {load.what: 1.0 for load in designed.constraint_usages}), []
     rng = np.random.default_rng(0)
     while len(values) < 200:
         x = random_start(task, rng, 0.99)  # as far as the same limits let it
         assert x is not None
         if programme.excess(x) <= 1.0:
             values.append(np.exp(programme.value(x)[0]))
-    assert found.value < min(values) / 2
+    assert designed.value < min(values) / 2
 
 
 def test_limits_that_cannot_hold_are_named(tmp_path: Path) -> None:
@@ -228,9 +228,9 @@ def test_loops_that_cannot_be_closed_on_the_way_are_left_to_the_search(
     )
     runs = "runs: [{payload: none}, {payload: {name: disc, mass: 1}}]"
     task, _ = read_design(write(tmp_path, f"robot: wide.yaml\nrate: 100\nperiod: 3\nharmonics: 2\n{runs}\n"))
-    found = excite(task, starts=1, seed=seed)
-    assert max(usage.excess for usage in check(task, found.x)) <= 1.0
-    ((_, joints),) = sampled_motions(task, found.x)  # at the controller's rate
+    designed = excite(task, starts=1, seed=seed)
+    assert max(usage.excess for usage in check(task, designed.x)) <= 1.0
+    ((_, joints),) = sampled_motions(task, designed.x)  # at the controller's rate
     assert np.isfinite(task.model.motion(*joints[:3]).c).all()
 
 
@@ -255,15 +255,15 @@ def test_a_stopped_design_is_the_best_so_far_and_within_the_limits(tmp_path: Pat
     stopped = excite(task, starts=50, keep=kept.append, stop=stop)
     assert stopped.cut_short
     assert stopped.start == 0
-    assert stopped.value == kept[-1].value == min(each.value for each in kept)
+    assert stopped.value == kept[-1].value == min(entry.value for entry in kept)
     assert max(usage.excess for usage in check(task, stopped.x)) <= 1.0
     assert "the search was cut short" in plain(design_page(Outlook(stopped, {})))
 
 
 def test_progress_counts_iterations(search: tuple[Design, list[tuple[str, int, int]]]) -> None:
-    found, seen = search
-    assert not found.cut_short
-    done = [each[1] for each in seen]
+    designed, seen = search
+    assert not designed.cut_short
+    done = [entry[1] for entry in seen]
     assert done == sorted(done)
     assert len(set(done)) > 10
     assert seen[-1] == ("searching", seen[0][2], seen[0][2])
@@ -276,13 +276,13 @@ def test_a_search_stopped_before_it_has_found_anything_does_not_blame_the_limits
         excite(task, starts=3, stop=lambda: True)
 
 
-def test_all_weak_parameters_are_listed_with_the_figures_of_the_table(found: Design) -> None:
-    document = design_document(Outlook(found, {}))
-    weak = {each["name"]: each["rel_std"] for each in document["weak"]}
-    for each in document["parameters"]:
-        if each["rel_std"] is not None:
-            assert (each["rel_std"] >= 30) == (each["name"] in weak)
-            assert weak.get(each["name"], each["rel_std"]) == pytest.approx(each["rel_std"])
+def test_all_weak_parameters_are_listed_with_the_figures_of_the_table(designed: Design) -> None:
+    document = design_document(Outlook(designed, {}))
+    weak = {entry["name"]: entry["rel_std"] for entry in document["weak"]}
+    for entry in document["parameters"]:
+        if entry["rel_std"] is not None:
+            assert (entry["rel_std"] >= 30) == (entry["name"] in weak)
+            assert weak.get(entry["name"], entry["rel_std"]) == pytest.approx(entry["rel_std"])
 
 
 def test_bodies_without_parameters_are_listed(tmp_path: Path) -> None:
@@ -297,24 +297,24 @@ def test_bodies_without_parameters_are_listed(tmp_path: Path) -> None:
     ("name", "advice"),
     [("gain_lef", r"did you mean 'gain_left'\?"), ("nonsense", "choose gains, condition, logdet, trace, or names of")],
 )
-def test_an_unknown_criterion_is_refused_shortly(found: Design, name: str, advice: str) -> None:
+def test_an_unknown_criterion_is_refused_shortly(designed: Design, name: str, advice: str) -> None:
     with pytest.raises(GtauError, match=f"there is no criterion or parameter '{name}'; {advice}") as refusal:
-        excite(found.task, name)
+        excite(designed.task, name)
     assert len(str(refusal.value)) < 200
 
 
-def test_weak_unknowns_come_with_a_motion_that_tells_them(found: Design) -> None:
-    weak = weak_unknowns(found, forecast(found.task, found.x))
+def test_weak_unknowns_come_with_a_motion_that_tells_them(designed: Design) -> None:
+    weak = weak_unknowns(designed, forecast(designed.task, designed.x))
     assert weak
-    for each in weak:
-        assert each.relative > 0.3
-        assert each.joint is None or each.then < 0.7 * each.relative
+    for entry in weak:
+        assert entry.relative > 0.3
+        assert entry.joint is None or entry.then < 0.7 * entry.relative
 
 
-def test_a_motion_that_tells_next_to_nothing_is_no_advice(found: Design, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_motion_that_tells_next_to_nothing_is_no_advice(designed: Design, monkeypatch: pytest.MonkeyPatch) -> None:
     weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
     monkeypatch.setattr("gtau.excitation.forecast.weak_unknowns", lambda design, expected: weak)
-    nothing, something = (each["advice"] for each in design_document(Outlook(found, {}))["weak"])
+    nothing, something = (entry["advice"] for entry in design_document(Outlook(designed, {}))["weak"])
     assert nothing.startswith("moving one joint alone within the limits does not help")
     assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")
 
@@ -336,8 +336,8 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     document = json.loads((tmp_path / "out" / "design.json").read_text())
-    assert [each["mass"] for each in document["payload_masses"]] == [0.5, 2.0]
-    light, heavy = (each["rms"] for each in document["payload_masses"])
+    assert [entry["mass"] for entry in document["payload_masses"]] == [0.5, 2.0]
+    light, heavy = (entry["rms"] for entry in document["payload_masses"])
     assert heavy < light
     log = read_log(tmp_path / "out" / "trajectory.csv", ("t", "q_left", "qd_left", "qdd_right")).arrays()
     assert np.diff(log["t"]) == pytest.approx(1 / 500)
@@ -372,10 +372,10 @@ def test_what_a_design_prints_fits_a_terminal(tmp_path: Path) -> None:
     assert max(map(len, lines)) <= 80
     assert any("(> 1000 %)" in line for line in lines)  # no number apart from its unit
     assert {row[1].split()[0] for row in table_of(outlook, "limits").rows} == {"between", "at"}  # at most, at least
-    shown, exceeded = next(each.items for each in design_page(outlook).sections if each.id == "masses")
+    shown, exceeded = next(entry.items for entry in design_page(outlook).sections if entry.id == "masses")
     assert [column.title for column in shown.columns][1:3] == ["as designed", "1 kg"]
     assert [row[0] for row in shown.rows] == ["rms", *joints]
-    rows = {each.name: each.relative for each in outlook.variants[1].forecast.gains}
+    rows = {entry.name: entry.relative for entry in outlook.variants[1].forecast.gains}
     assert [row[3] for row in shown.rows[1:]] == list(rows.values())
     assert exceeded.points[-1].startswith("with 60 kg this motion exceeds: ")
 

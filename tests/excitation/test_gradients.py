@@ -71,10 +71,10 @@ def test_gradients_of_criteria_agree_with_differences(task: DesignProblem, name:
     gradient = objective(points, chosen, name == "condition")[1]
     for _ in range(3):
         way = rng.normal(size=x.size)
-        found = slope(lambda x: objective(evaluate(task, x, grid, points), chosen, name == "condition")[0], x, way)
+        computed = slope(lambda x: objective(evaluate(task, x, grid, points), chosen, name == "condition")[0], x, way)
         # the condition number of the Orthoglide's 61 columns is 1e9, and its logarithm known to 1e-6 of a unit
         precision = 1e-2 if name == "condition" and task.pullback else 1e-6
-        assert gradient @ way == pytest.approx(found, rel=precision, abs=precision * np.linalg.norm(gradient))
+        assert gradient @ way == pytest.approx(computed, rel=precision, abs=precision * np.linalg.norm(gradient))
 
 
 def test_slopes_of_loads_agree_with_differences(task: DesignProblem, rng: np.random.Generator) -> None:
@@ -84,8 +84,8 @@ def test_slopes_of_loads_agree_with_differences(task: DesignProblem, rng: np.ran
     kinds = set()
     for load, after, before in zip(constraint_usages(points), ahead, behind, strict=True):
         expected = (after.values - before.values) / (2 * h)
-        found = load.rows() @ way
-        assert np.abs(found - expected).max() <= 3e-5 * (np.abs(expected).max() + 1e-3), load.what
+        computed = load.rows() @ way
+        assert np.abs(computed - expected).max() <= 3e-5 * (np.abs(expected).max() + 1e-3), load.what
         kinds.add(load.what.split()[0])
     assert {"position", "velocity", "acceleration", "jerk", "current", "x", "z", "speed", "time"} <= kinds
 
@@ -102,7 +102,7 @@ def test_slopes_through_closures_agree_with_differences(robot: Robot, rng: np.ra
     assert back is not None
     regressor = smooth_regressor(model, model.parameter_names, np.full(len(robot.joints), 0.3))
     samples = 8
-    states = [each.T.copy() for each in random_samples(robot, rng, samples)]
+    states = [state.T.copy() for state in random_samples(robot, rng, samples)]
     weights = rng.normal(size=(len(model.actuated), samples, len(model.parameter_names)))
 
     def value(states: list[np.ndarray]) -> np.ndarray:
@@ -111,15 +111,15 @@ def test_slopes_through_closures_agree_with_differences(robot: Robot, rng: np.ra
 
     motion = model.motion(*states)
     assert np.exp(back.condition(motion)[0]) == pytest.approx(motion.condition, rel=1e-6)
-    of_W, of_condition = regressor.slopes(motion, weights), back.condition(motion)[1]
-    found = back(motion, Slopes(of_W.c + 3 * of_condition.c, of_W.yd, of_W.ydd, of_W.J))
+    by_W, by_condition = regressor.slopes(motion, weights), back.condition(motion)[1]
+    computed = back(motion, Slopes(by_W.c + 3 * by_condition.c, by_W.yd, by_W.ydd, by_W.J))
     for order in range(3):
         for j in range(len(model.actuated)):
-            moved = [[each.copy() for each in states] for _ in range(2)]
+            moved = [[state.copy() for state in states] for _ in range(2)]
             moved[0][order][j] += 1e-5
             moved[1][order][j] -= 1e-5
             expected = (value(moved[0]) - value(moved[1])) / 2e-5
-            assert np.abs(found[order][j] - expected).max() < 1e-6 * max(1.0, np.abs(expected).max())
+            assert np.abs(computed[order][j] - expected).max() < 1e-6 * max(1.0, np.abs(expected).max())
 
 
 def test_smooth_regressor_is_the_regressor_away_from_reversals(rng: np.random.Generator) -> None:
@@ -142,7 +142,7 @@ def test_platform_space_is_the_inverse_of_joint_space(robot: Robot, rng: np.rand
     back = model.motion(motion.c[motors], motion.yd[motors], motion.ydd[motors])
     slots = model.layout.platforms[0]
     turns = [name for name in slots.platform.dof if name.startswith("r")]
-    if len(turns) < 3:  # rates of three turns are those of angles one after another, not of a twist
+    if len(turns) < 3:  # with three turns, the rates belong to successive angles, not to a twist
         order = [sorted(slots.platform.dof).index(dof) for dof in slots.platform.dof]
         assert sorted(np.abs(back.yd[slots.rates]).ravel()) == pytest.approx(sorted(np.abs(pd).ravel()), abs=1e-9), (
             order
@@ -167,8 +167,8 @@ def test_weights_fall_at_reversals_and_their_slopes_agree_with_differences(rng: 
     # what hardly moves beside its approach and return is lost, as identification loses it
     assert window.weights(0.01 * qd).mean(axis=1)[1] < 0.1 < window.weights(0.01 * qd).mean(axis=1)[0]
     seed, way = rng.normal(size=(2, *qd.shape))
-    found = np.sum(window.back(qd, seed) * way)
-    assert found == pytest.approx(slope(lambda x: np.sum(seed * window.weights(x)), qd, way), rel=1e-6)
+    computed = np.sum(window.back(qd, seed) * way)
+    assert computed == pytest.approx(slope(lambda x: np.sum(seed * window.weights(x)), qd, way), rel=1e-6)
 
 
 def test_trajectories_begin_at_rest_and_are_their_own_derivatives(rng: np.random.Generator) -> None:
@@ -184,7 +184,7 @@ def test_trajectories_begin_at_rest_and_are_their_own_derivatives(rng: np.random
     start, end = np.array([0.0, 0.5]), np.array([1.5, -0.4])
     span = move_duration(end - start, limits)
     moves = quintic(start, end, span, np.linspace(0, span, 2001))
-    used = [np.abs(each).max(axis=1) / limit for each, limit in zip(moves[1:], limits, strict=True)]
+    used = [np.abs(state).max(axis=1) / limit for state, limit in zip(moves[1:], limits, strict=True)]
     assert np.max(used) == pytest.approx(1.0, abs=1e-3)
     assert moves[0][:, -1] == pytest.approx(end)
 

@@ -63,9 +63,9 @@ def written(folder: Path, more: str = "", robot: str = "") -> Path:
     return folder / "design.yaml"
 
 
-def least_distance(found: Design, names: list[str]) -> float:
+def least_distance(designed: Design, names: list[str]) -> float:
     """Least distance by MuJoCo between all capsules of bodies that no joint joins, and from the plane of the floor."""
-    clearance = found.task.limits.clearance
+    clearance = designed.task.limits.clearance
     assert clearance is not None
     spec = mujoco.MjSpec()
     body, place = (
@@ -99,7 +99,7 @@ def least_distance(found: Design, names: list[str]) -> float:
     ]  # fmt: skip
     moving = [k for k, owner in enumerate(owners) if owner not in ("ground", "turret")]
     halves = np.where(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE, model.geom_size[:, 1], 0)
-    ((_, joints),) = sampled_motions(found.task, found.x)
+    ((_, joints),) = sampled_motions(designed.task, designed.x)
     for q in joints[0].T[::4]:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
@@ -114,10 +114,10 @@ def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
     assert task.limits.rates[0] == pytest.approx([1.6, 1.6, 2.4, 2.4])  # 80 %
     assert task.limits.torque == pytest.approx([160, 160, 72, 24])
     assert any(FLOOR in pair for pair in task.limits.clearance.pairs)
-    found = excite(task, starts=1)
-    assert least_distance(found, list(task.model.actuated)) >= task.limits.clearance.least - 1e-4
-    assert Outlook(found, {}).tool[0] <= 1.5
-    lines = plain(design_page(Outlook(found, {}))).splitlines()[:14]
+    designed = excite(task, starts=1)
+    assert least_distance(designed, list(task.model.actuated)) >= task.limits.clearance.least - 1e-4
+    assert Outlook(designed, {}).tool[0] <= 1.5
+    lines = plain(design_page(Outlook(designed, {}))).splitlines()[:14]
     first = " ".join(lines)
     for words in ("The tool moves at up to", "m/s",
                   "Floor: guessed at z = 0 m of the base; state 'limits: {floor: HEIGHT}'",
@@ -149,7 +149,7 @@ def test_closed_loops_are_neither_guessed_nor_forbidden(robot: str, tmp_path: Pa
 
 
 def test_a_stated_floor_is_kept_whatever_is_said_of_shapes(tmp_path: Path) -> None:
-    """Distances from it are those of the guard of all bodies, and the lowest body of the arm keeps above it."""
+    """Distances from the floor equal the guard with all bodies, and the lowest body of the arm stays above it."""
     full, _ = read_design(written(tmp_path, "limits: {floor: 0.0}"))
     task, _ = read_design(written(tmp_path, "limits: {floor: 0.0, shapes: none}"))
     kept = task.limits.clearance
@@ -251,15 +251,15 @@ def test_capsules_enclose_the_shapes_of_a_file(tmp_path: Path, rng: np.random.Ge
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
     (tmp_path / "pin.urdf").write_text(URDF.replace("package://shaped/", f"{tmp_path}/"))
     geometry = pin.buildGeomFromUrdf(model, str(tmp_path / "pin.urdf"), pin.GeometryType.COLLISION)
-    index = {each.name: k for k, each in enumerate(geometry.geometryObjects)}
+    index = {entry.name: k for k, entry in enumerate(geometry.geometryObjects)}
     for name in ("two_0", "tip_0"):
         geometry.addCollisionPair(pin.CollisionPair(index["base_0"], index[name]))
-    data, of_shapes = model.createData(), pin.GeometryData(geometry)
+    data, shape_data = model.createData(), pin.GeometryData(geometry)
     c = rng.uniform(-2, 2, (2, 50))
     ours = task.limits.clearance.nearest(c, pair).distance
     for k in range(50):
-        pin.computeDistances(model, data, geometry, of_shapes, c[:, k])
-        true = min(each.min_distance for each in of_shapes.distanceResults)
+        pin.computeDistances(model, data, geometry, shape_data, c[:, k])
+        true = min(entry.min_distance for entry in shape_data.distanceResults)
         assert ours[k] <= true + 1e-6
         assert ours[k] > true - 0.25
 
@@ -267,10 +267,10 @@ def test_capsules_enclose_the_shapes_of_a_file(tmp_path: Path, rng: np.random.Ge
 def test_a_capsule_bounds_points(rng: np.random.Generator) -> None:
     for spread in ((1, 1, 1), (3, 1, 0.2), (0, 0, 0), (1, 0, 0)):
         points = rng.normal(size=(30, 3)) * spread + [1, 2, 3]
-        found = bounding_capsule(points)
-        line = found.end - found.start
-        part = np.clip((points - found.start) @ line / max(line @ line, 1e-300), 0, 1)
-        assert np.linalg.norm(points - found.start - part[:, None] * line, axis=1).max() <= found.radius + 1e-9
+        enclosing = bounding_capsule(points)
+        line = enclosing.end - enclosing.start
+        part = np.clip((points - enclosing.start) @ line / max(line @ line, 1e-300), 0, 1)
+        assert np.linalg.norm(points - enclosing.start - part[:, None] * line, axis=1).max() <= enclosing.radius + 1e-9
 
 
 def level(folder: Path, effort: int) -> DesignProblem:
@@ -360,8 +360,8 @@ def test_limits_hold_at_the_worst_end_of_a_gain(tmp_path: Path) -> None:
     assert x is not None
     gains = tuple(KnownGain(10.0, (8.0, 12.0), "weak") for _ in range(4))
     exact, ranged = (
-        {usage.what: usage for usage in usages_of_motion(evaluate(each, x, design_grid(each))[0])}
-        for each in (task, replace(task, prior=replace(task.prior, known=gains)))
+        {usage.what: usage for usage in usages_of_motion(evaluate(entry, x, design_grid(entry))[0])}
+        for entry in (task, replace(task, prior=replace(task.prior, known=gains)))
     )
     assert {usage.unit for what, usage in exact.items() if what.startswith("torque")} == {"N m"}
     assert ranged["torque of joint 'forearm'"].excess == pytest.approx(1.2 * exact["torque of joint 'forearm'"].excess)

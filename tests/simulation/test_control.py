@@ -57,8 +57,8 @@ def step(length: float = 0.01, duration: float = 1.0) -> Reference:
     return Reference(time, q, np.zeros_like(q), np.zeros_like(q))
 
 
-def run(plant, controller, seed=0, **of_joint):
-    parts = hardware(("x",), {"x": JointHardware(gain=5.0, **of_joint)})
+def run(plant, controller, seed=0, **drive):
+    parts = hardware(("x",), {"x": JointHardware(gain=5.0, **drive)})
     return close_loop("r", plant, controller, parts, np.random.default_rng(seed), joints=("x",))
 
 
@@ -163,8 +163,8 @@ def test_sines_are_slower_rather_than_smaller(name):
     within = envelope(load_robot(name))
     q, qd, qdd = sines(within, 20.0, np.random.default_rng(1))(np.arange(0.0, 20.0, 0.002))
     reach, speed, acceleration = (
-        np.abs(each).max(axis=0) / most
-        for each, most in ((q - within.center, within.reach), (qd, within.velocity), (qdd, within.acceleration))
+        np.abs(entry).max(axis=0) / most
+        for entry, most in ((q - within.center, within.reach), (qd, within.velocity), (qdd, within.acceleration))
     )
     assert max(reach.max(), speed.max(), acceleration.max()) < 1.01
     assert np.maximum(reach, speed).min() > 0.75
@@ -223,7 +223,9 @@ def test_identification_finds_what_was_simulated(name, tmp_path):
         assert result.delays[joint].value == pytest.approx(0.5 / RATE, abs=5e-5)  # the held current
     standard = [chi.get(name, 0.0) for name in result.idm.parameter_names]
     true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
-    z = np.array([(each.value - true[x]) / each.std for x, each in result.parameters.items() if each.value is not None])
+    z = np.array(
+        [(entry.value - true[x]) / entry.std for x, entry in result.parameters.items() if entry.value is not None]
+    )
     assert np.sqrt(np.mean(z**2)) < 1.5
     assert np.abs(z).max() < 4.0
 
@@ -256,7 +258,7 @@ def test_the_command_writes_what_identify_reads(tmp_path):
     files = json.loads(done.stdout)["files"]
     assert [Path(file).name for file in files] == ["a.csv", "b.csv", "c.csv", "experiment.yaml"]
     experiment = read_experiment(files[-1])
-    assert [each.payload.mass if each.payload else 0 for each in (*experiment.runs, *experiment.validation)] == [
+    assert [entry.payload.mass if entry.payload else 0 for entry in (*experiment.runs, *experiment.validation)] == [
         0,
         None,
         2.0,

@@ -1,4 +1,4 @@
-"""Friction of a simulated robot: the law at the simulated positions, which holds, takes energy, and is that of C."""
+"""Friction of a simulated robot: the law at the simulated positions takes energy and agrees with the C code."""
 
 from __future__ import annotations
 
@@ -49,21 +49,23 @@ def five_bar() -> gtau.Result:
 
 
 def along(plant: Plant, state: PlantState, samples: int, force) -> list[tuple[PlantState, np.ndarray]]:
-    """States under held forces, with those where a joint turns, and the forces that act from each on."""
-    found = []
+    """States under held forces, including states at reversals, with the forces that act from then on."""
+    states = []
     for k in range(samples):
-        held, left = force(k), PERIOD
-        found.append((state, held))
-        after = plant.advance(state, held, left)
+        held, remaining = force(k), PERIOD
+        states.append((state, held))
+        after = plant.advance(state, held, remaining)
         turns = [
-            brentq(lambda t, s=state, f=held, j=j: plant.advance(s, f, t).qd[j] if t else s.qd[j], 0, left, xtol=1e-13)
+            brentq(
+                lambda t, s=state, f=held, j=j: plant.advance(s, f, t).qd[j] if t else s.qd[j], 0, remaining, xtol=1e-13
+            )
             for j in np.flatnonzero(after.qd * state.qd < 0)
         ]
         for turn, last in pairwise([0.0, *sorted(turns)]):
-            state, left = plant.advance(state, held, last - turn), left - last + turn
-            found.append((state, held))
-        state = plant.advance(state, held, left)
-    return found
+            state, remaining = plant.advance(state, held, last - turn), remaining - last + turn
+            states.append((state, held))
+        state = plant.advance(state, held, remaining)
+    return states
 
 
 @needs_gcc
@@ -96,7 +98,7 @@ def test_the_plant_the_law_and_the_c_code_agree_through_reversals(tmp_path: Path
 def test_friction_takes_energy(rng: np.random.Generator) -> None:
     """What the motors give less what the robot has grows, but for what presliding may store, height times width / 2."""
     result = five_bar()
-    shapes = {name: each for name, each in result.friction.items() if name.kind in ("width", "vs")}
+    shapes = {name: shape for name, shape in result.friction.items() if name.kind in ("width", "vs")}
     chi, friction = identified_friction(result.replaced(friction=shapes), WIDTH)
     plant = Plant(result.idm, chi, friction)
     state = plant.start(np.array([joint.home for joint in result.robot.joints if joint.actuated]))
@@ -163,8 +165,8 @@ HARDWARE = {joint: {"gain": gain, "position_quantum": 1e-6} for joint, gain in (
 def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> None:
     """And predicts what it simulates."""
     shapes = {Parameter("width", "left"): 1.5e-3, Parameter("vs", "right"): 0.2}
-    found = gtau.identify(robot(), experiment(shapes, {"fb_right": 0.6, "fl_left": 0.05}))
-    found.save(tmp_path / "model.json")
+    identified = gtau.identify(robot(), experiment(shapes, {"fb_right": 0.6, "fl_left": 0.05}))
+    identified.save(tmp_path / "model.json")
     runs = [{"name": "moves", "trajectory": {"moves": {"duration": 4}}}]
     document = {"robot": "five-bar", "model": tmp_path / "model.json", "drives": HARDWARE, "runs": runs,
                 "friction_width": {"revolute": 1e-4}}  # fmt: skip
@@ -172,12 +174,12 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     assert "robot: five-bar" in file.read_text()
     signals = {"time": "t", "position": {j: f"q{j}" for j in HARDWARE}, "current": {j: f"v{j}" for j in HARDWARE}}
     run = gtau.read_run(log, signals)
-    scaled = replace(run, command=run.command * [2.5, 4.0] / found.gains)
-    held = {joint: replace(each, value=PERIOD / 2) for joint, each in found.delays.items()}
-    left, right = found.replaced(delays=held).validate(scaled)
+    scaled = replace(run, command=run.command * [2.5, 4.0] / identified.gains)
+    held = {joint: replace(delay, value=PERIOD / 2) for joint, delay in identified.delays.items()}
+    left, right = identified.replaced(delays=held).validate(scaled)
     assert left.relative < 0.5
     assert left.relative_all < 3.5  # 3.0, as the path is smoothed against noise: docs/evidence/measured.md
-    assert 2 * left.relative_all < of_equations(found).replaced(delays=held).validate(scaled)[0].relative_all
+    assert 2 * left.relative_all < of_equations(identified).replaced(delays=held).validate(scaled)[0].relative_all
     assert right.relative < 0.5 < right.relative_all
     with pytest.raises(GtauError, match="identified with another robot than 'ur10e'"):
         simulate(document | {"robot": "ur10e", "drives": {
@@ -188,7 +190,7 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     ("change", "sentence"),
     [
         ({"parameters": {"fb_left": 0.1}}, "'fb_left' needs a speed over which it falls"),
-        ({"parameters": {"fl_left": 1.2}}, "'left' moves is 1.2 of the load"),
+        ({"parameters": {"fl_left": 1.2}}, "on motor 'left' is 1.2 of the load"),
         ({"parameters": {"fl_left_forearm": 0.1}}, "no single motor"),
         ({"parameters": {"fl_arm": 0.1}}, "no joint 'arm' for the friction"),
         ({"parameters": {"fs_left": 0.1, "fb_left": -0.2}}, "the friction at rest, 'fs_left'"),

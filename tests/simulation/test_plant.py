@@ -24,7 +24,7 @@ ROBOTS = [*(load_robot(name) for name in NAMES), seven_r(), four_bar()]
 FRICTIONLESS = ("fv", "fs", "off")
 
 
-def each(robots=ROBOTS):
+def pose(robots=ROBOTS):
     return pytest.mark.parametrize("robot", robots, ids=lambda robot: robot.name)
 
 
@@ -42,7 +42,7 @@ def random_states(model: InverseDynamics, rng: np.random.Generator, count: int) 
         return [PlantState(a, b, a, b) for a, b in zip(q, qd, strict=True)]
     c, reached = advance(model.loops, np.repeat(model.loops.home[:, None], count, axis=1), q.T)
     assert reached.all()
-    return [PlantState(a, b, each, b) for a, b, each in zip(q, qd, c.T, strict=True)]
+    return [PlantState(a, b, pose, b) for a, b, pose in zip(q, qd, c.T, strict=True)]
 
 
 def engine_acceleration(engine, robot, chi, state, force):
@@ -54,7 +54,7 @@ def engine_acceleration(engine, robot, chi, state, force):
 
 
 @pytest.mark.parametrize(("engine", "tolerance"), [(Pinocchio, 1e-10), (Mujoco, 1e-5)])
-@each()
+@pose()
 def test_accelerations_are_those_of_the_engines(robot, engine, tolerance, rng):
     """With friction: at these speeds tanh(v / width) is the engines' sign(v), but for joints that hardly move."""
     model, chi = InverseDynamics(robot), random_parameters(robot, rng)
@@ -65,7 +65,7 @@ def test_accelerations_are_those_of_the_engines(robot, engine, tolerance, rng):
         assert plant.acceleration(state, force) == pytest.approx(expected, abs=tolerance * np.abs(expected).max())
 
 
-@each()
+@pose()
 def test_the_energy_balance_holds_for_ten_seconds(robot, rng):
     """Without friction the energy changes by the work of the held forces, a sampled spring and damper about home."""
     model = InverseDynamics(robot)
@@ -129,7 +129,7 @@ def test_coulomb_friction_holds_what_it_can():
     assert state.qd[0] == pytest.approx(0.2 * 4.0 / 2.0, rel=0.02)
 
 
-@each([*(load_robot(name) for name in NAMES), seven_r()])
+@pose([*(load_robot(name) for name in NAMES), seven_r()])
 def test_mujoco_moves_alike(robot, rng):
     """Closures as MuJoCo's constraints, its own integration: the same motion within what those give way."""
     model, chi = InverseDynamics(robot), random_parameters(robot, rng)

@@ -24,12 +24,12 @@ def test_every_body_is_rigid() -> None:
 
 
 def test_two_points_about_a_frame() -> None:
-    found = body_parameters("b", np.array([1.0, 2.0]), np.array([[0.0, 1.0, 2.0], [3.0, 0.0, 0.0]]))
-    assert [found[f"{kind}_b"] for kind in INERTIAL] == pytest.approx([5, 0, 0, 22, -2, 19, 6, 1, 2, 3])
+    computed = body_parameters("b", np.array([1.0, 2.0]), np.array([[0.0, 1.0, 2.0], [3.0, 0.0, 0.0]]))
+    assert [computed[f"{kind}_b"] for kind in INERTIAL] == pytest.approx([5, 0, 0, 22, -2, 19, 6, 1, 2, 3])
 
 
 def test_only_parameters_of_the_model() -> None:
     model = InverseDynamics(load_robot("delta"))
-    found = random_parameters(model, np.random.default_rng(2))
-    assert found.keys() <= set(model.parameter_names)
-    assert {f"{kind}_{joint}" for kind in ("ia", "fv", "fs", "off") for joint in model.actuated} <= found.keys()
+    computed = random_parameters(model, np.random.default_rng(2))
+    assert computed.keys() <= set(model.parameter_names)
+    assert {f"{kind}_{joint}" for kind in ("ia", "fv", "fs", "off") for joint in model.actuated} <= computed.keys()
