@@ -382,6 +382,6 @@ def test_what_a_design_prints_fits_a_terminal(tmp_path: Path) -> None:
 
 def test_what_a_limit_is_called_does_not_change_what_is_reached() -> None:
     """A condition number is counted in logarithms, in whichever run and words."""
-    usage = ConstraintUsage("conditioning in run 2", 100.0, "", np.array([0.5, 1.5]), lambda: np.zeros(0))
+    usage = ConstraintUsage("condition", "conditioning in run 2", 100.0, "", np.array([0.5, 1.5]), lambda: np.zeros(0))
     assert usage.reached == pytest.approx(150.0)
     assert replace(usage, logarithmic=True).reached == pytest.approx(1000.0)
