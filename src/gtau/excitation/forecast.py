@@ -147,7 +147,7 @@ SPANS = {"over its whole range, slowly": (0.9, 0.2), "at its speed limit": (0.5,
 class Weak:
     """Unidentified unknown, its relative standard deviation, and ``then`` with the best single-joint motion added.
 
-    ``joint`` is None if no motion helps. Both deviations are infinite for an inseparable unknown.
+    ``joint`` is None if no motion helps. Both are infinite for an inseparable unknown.
     """
 
     name: str

@@ -100,6 +100,8 @@ class Program:
         if any(source.shape[1:] != (samples,) for source in sources) or sum(map(len, sources)) != self.inputs:
             shapes = ", ".join(str(source.shape) for source in sources)
             raise ValueError(f"expected inputs of shape ({self.inputs}, N), got {shapes}")
+        if len(sources) > SOURCES:
+            sources[SOURCES - 1 :] = [np.concatenate(sources[SOURCES - 1 :])]
         return (*sources, *[np.empty((0, samples))] * (SOURCES - len(sources))), samples
 
 
