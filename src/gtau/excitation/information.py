@@ -179,7 +179,7 @@ def information_of(
         for chi in (prior.chi, prior.cautious)
     )
     load = modelled(M, theta)
-    smooth = load * np.array([not name.startswith("fs_") for name in base.names])
+    smooth = load * np.array([name.kind != "fs" for name in base.standard])
     maps = np.zeros((runs, n, n_b, len(names)))
     for j in range(n):
         maps[:, j, :, names.theta] = -M[..., MODEL] / gains[j]

@@ -160,9 +160,6 @@ class _Function(ca.Callback):
     def get_n_in(self) -> int:
         return len(self._sizes)
 
-    def get_n_out(self) -> int:
-        return 1
-
     def get_sparsity_in(self, k: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self._sizes[k], 1)
 
