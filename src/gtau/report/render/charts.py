@@ -36,6 +36,7 @@ NARROW, WIDE, INCH = (
     90.0,
 )  # points: width of panels of a page, side by side or alone; an inch of height
 NAMES, SMALLEST = 220.0, 5.5  # points: room for the names along an axis, and their smallest size
+LETTER = 0.56  # width of a letter over the size of its font
 LEVEL = 36  # letters of names that fit side by side below an axis
 STEPS = [1, 2, 2.5, 5, 10]  # of a decade, between ticks
 HALO = 2.4  # points, of the page's colour around words
@@ -145,10 +146,24 @@ def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
     colours = page_palette()
     heading = {"axes.titlecolor": colours["soft"], "axes.titlesize": 10, "axes.titleweight": "normal"}
     with styled(colours, **heading, **{"font.size": 10, "axes.titlepad": 5}):
-        figure = Figure(figsize=(width / 72, height / 72), layout="constrained")
+        figure = Figure(figsize=(width / 72, height / 72))
         title_above = replace(panel, title=panel.y.label, y=replace(panel.y, label=""))
-        _draw(figure.subplots(), title_above, colours)
+        _draw(figure.subplots(gridspec_kw=_margins(panel, width, height)), title_above, colours)
         return _inline(figure, "; ".join(filter(None, (title, axes, key))))
+
+
+def _margins(panel: Panel, width: float, height: float) -> dict[str, float]:
+    """Leave room around a panel for its labels, as shares of its size in points.
+
+    The room follows from the letters, as a layout by Matplotlib takes as long as the drawing itself.
+    """
+    rows, columns = panel.y.names.values(), panel.x.names.values()
+    left = 10 + LETTER * (_size_of_names(panel.y) * max(map(len, rows)) if rows else 55)
+    upright = sum(len(name) + 1 for name in columns) > LEVEL
+    below = LETTER * _size_of_names(panel.x) * max(map(len, columns)) if upright else 10
+    bottom = 14 + below + (14 if panel.x.label else 0)
+    top = 22 if panel.y.label else 8
+    return {"left": min(left / width, 0.6), "right": 1 - 10 / width, "bottom": bottom / height, "top": 1 - top / height}
 
 
 def svg_of_sketch(sketch: Sketch, title: str) -> str:
@@ -162,9 +177,6 @@ def svg_of_sketch(sketch: Sketch, title: str) -> str:
 def _inline(figure: Figure, label: str) -> str:
     """Write a figure as compact SVG whose colours and font come from the page around it."""
     content = StringIO()
-    if (layout := figure.get_layout_engine()) is not None:  # once; while saving it would draw twice
-        layout.execute(figure)
-        figure.set_layout_engine("none")
     for patch in (figure.patch, *(axes.patch for axes in figure.axes)):
         patch.set_visible(False)
     figure.savefig(content, format="svg", metadata={"Date": None})
@@ -245,12 +257,17 @@ def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
         ticks.set_major_locator(MaxNLocator(5, steps=STEPS))
     if axis.names:
         shown = list(axis.names.items())[:: ceil(SMALLEST * len(axis.names) / NAMES)]
-        size = min(rcParams["font.size"], max(SMALLEST, NAMES / len(axis.names)))
-        ticks.set_ticks([place for place, _ in shown], [name for _, name in shown], fontsize=size)
+        names = [name for _, name in shown]
+        ticks.set_ticks([place for place, _ in shown], names, fontsize=_size_of_names(axis))
         long = sum(len(name) + 1 for _, name in shown) > LEVEL
         ticks.set_tick_params(rotation=90 if which == "x" and long else 0)
     if any(end is not None for end in axis.limits):
         axes.set(**{f"{which}lim": axis.limits})
+
+
+def _size_of_names(axis: Axis) -> float:
+    """Choose the font size at which the names along an axis fit, points."""
+    return min(float(rcParams["font.size"]), max(SMALLEST, NAMES / len(axis.names)))
 
 
 def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
