@@ -16,10 +16,9 @@ from xml.etree.ElementTree import Comment
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.result import Result
 from gtau.model.singularities import random_motion
-from gtau.robots.parameter import Parameter, torque_unit
+from gtau.robots.parameter import KINDS, Parameter, torque_unit
 from gtau.robots.robot import Robot
 from gtau.uses.identified import identified, torques_of
 
@@ -134,9 +133,7 @@ def term_notes(model: ConsistentModel, target: str, expressed: Mapping[str, floa
     left_out = [name for joint in model.cubic if (name := Parameter("f3", joint)) not in expressed]
     left_out += [name for name in result.friction_parameters if name.kind not in (*PLAIN, "f3", "fb")]
     if left_out:
-        kinds = {"f3": "cubic in speed", "fl": "proportional to the load"}
-        kinds |= dict.fromkeys(TEMPERATURE_TERMS, "by temperature")
-        named = ", ".join(f"{name} ({kinds[name.kind]})" for name in left_out)
+        named = ", ".join(f"{name} ({KINDS[name.kind].words})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")
     late = [f"{1e3 * delay.value:.2g} ms ('{joint}')" for joint, delay in result.delays.items() if delay.value]
     if late and not delays:

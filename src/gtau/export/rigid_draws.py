@@ -19,8 +19,8 @@ from gtau.estimation.estimators.standard_parameters import BASIS, SLENDER, natur
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.parameter import Parameter
-from gtau.robots.robot import DAMPING, INERTIAL
+from gtau.robots.parameter import DISSIPATING, Parameter
+from gtau.robots.robot import INERTIAL
 
 TRUST = 0.3  # relative standard deviation of a body's mass where the data say nothing, as --prior-inertias 0.3
 FREEDOM = 2 / TRUST**2  # of the Wishart distribution, whose diagonal has the relative variance 2 / freedom
@@ -46,7 +46,6 @@ TOO_FAR = (
     "no rigid bodies near the robot file have the identified parameters, so there is nothing to draw; settle "
     "what contradicts in the result and the file, or leave out --samples."
 )
-POSITIVE = ("ia", "fv", "fs", DAMPING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +217,7 @@ def target_of(result: Result, estimates: Mapping[Parameter, Estimate]) -> tuple[
             _plausible(stated, THINNER * length) if stated[-1] > 0 else _plausible(y[at] * unit[at], SLENDER * length)
         )
         y[at] /= unit[at]
-    positive = np.flatnonzero([name.kind in POSITIVE for name in names])
+    positive = np.flatnonzero([name.kind in DISSIPATING for name in names])
     y[positive] = np.maximum(y[positive], SMALL)
     basis = BASIS * unit[places][:, :, None, None]
     scaled = S / std[:, None]

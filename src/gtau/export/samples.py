@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.export.consistent import PLAIN, consistent_model
 from gtau.export.rigid_draws import target_of
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import SHAPES, Parameter
 
 ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was identified
 

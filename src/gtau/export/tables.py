@@ -21,7 +21,7 @@ from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import wrapped
 from gtau.findings import Grade
 from gtau.model.base_parameters import regrouped
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import KINDS, Parameter
 from gtau.robots.robot import GROUND, Mdh, Robot
 
 YAML_HEAD = """\
@@ -29,7 +29,6 @@ YAML_HEAD = """\
 # Torque of a joint = drive gain x current. Base parameters ending in R stand for the sum under 'regrouping'.
 {friction}
 """
-SYMBOLS = {"ia": "ia", "fv": "fv", "fs": "fs", "f3": "f_3", "f0": "f_0", "fl": r"f_{\ell}"}
 UNITS = {"kg m2": r"kg\,m$^2$", "kg m": r"kg\,m", "N m": r"N\,m", "N m s/rad": r"N\,m\,s/rad", "N s/m": r"N\,s/m"}
 SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -116,7 +115,7 @@ def symbol(name: Parameter, label: Mapping[str, str] = MappingProxyType({})) -> 
     subscript = in_latex_index(label.get(name.body, name.body)) + ("R" if name.regrouped else "")
     if name.kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
-    return rf"{{{SYMBOLS.get(name.kind, in_latex(name.kind))}}}_{{{subscript}}}"
+    return rf"{{{KINDS[name.kind].latex or in_latex(name.kind)}}}_{{{subscript}}}"
 
 
 def _number(value: float | None, digits: int = 4) -> str:

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
+from gtau.estimation.regression.friction_terms import SLOPES
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.table import estimates_table
@@ -16,13 +16,12 @@ from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
-from gtau.robots.parameter import Parameter, position_unit, torque_unit
+from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, position_unit, torque_unit
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
 
 GROUPS = ("base parameter", "friction", *(kind.name for kind in LINK_SIDE))
-KINDS = ("width", "vs", "fv", "fs", "fb", "fl", "off")
-NAMES = {"width": "presliding", "vs": "v_s"}
+LAW = [kind for kind in KINDS.values() if kind.friction and not kind.slope_of and kind.symbol not in SLOPES]
 POINTS = 3000  # most points in a panel
 CONTRADICTED = 6  # most parameters on a short page
 ORDER = ("contradicted", "agrees", "not stated", "not identifiable")
@@ -106,7 +105,7 @@ def curves_table(result: Result) -> Table:
     return table_of(
         result.curves.values(),
         (Column("joint"), lambda curve: joint_label(curve.joint)),
-        *((Column(NAMES.get(kind, kind), Kind.SPREAD), partial(value, kind)) for kind in KINDS),
+        *((Column(kind.heading or kind.symbol, Kind.SPREAD), partial(value, kind.symbol)) for kind in LAW),
         (Column("shown by", wide=True), evidence),
         (Column("error, %", Kind.NUMBER, decimals=1), "error"),
         (Column("plain law, %", Kind.NUMBER, decimals=1), "plain_error"),

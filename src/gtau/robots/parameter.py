@@ -1,9 +1,15 @@
-"""Parameters of the model by kind, body and run, their names and SI units, and the rigid bodies that ten describe."""
+"""Parameters of the model by kind, body and run, what each kind is, and the rigid body that ten parameters describe.
+
+``KINDS`` is the table of the kinds. Another friction term takes a row there, and its formula in
+:mod:`gtau.estimation.regression.friction_terms`; a term of the friction on all samples also takes a field of
+:class:`gtau.estimation.friction.selection.Structure`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -61,24 +67,104 @@ def payload_label(robot: Robot, run: int) -> str:
     return label
 
 
+@dataclass(frozen=True)
+class Kind:
+    """What a kind of parameter is.
+
+    Attributes
+    ----------
+    symbol : str
+        The kind in the names of parameters.
+    words : str
+        What it is, in notes on exports and on pages.
+    units : tuple of str
+        SI unit at a revolute and at a prismatic joint; per unit of temperature for a temperature slope.
+    latex, heading : str
+        Symbol in formulas and in the head of a table, where it differs from ``symbol``.
+    nonnegative : bool
+        Whether physics forbids negative values.
+    friction : str
+        For friction its part: "plain" among the standard parameters, a further "term" of the equations, a "curve" of
+        the friction on all samples alone, or a "shape" in which friction is nonlinear; else empty.
+    dry : bool
+        Whether it acts by the direction of the speed, whatever its size.
+    drifts : bool
+        Whether its value may differ from run to run.
+    by_load : bool
+        Whether it grows with the torque that the joint transmits.
+    slope_of : str
+        The kind that changes by it with the temperature.
+    """
+
+    symbol: str
+    words: str
+    units: tuple[str, str]
+    latex: str = ""
+    heading: str = ""
+    nonnegative: bool = False
+    friction: Literal["", "plain", "term", "curve", "shape"] = ""
+    dry: bool = False
+    drifts: bool = False
+    by_load: bool = False
+    slope_of: str = ""
+
+
+_INERTIA, _TORQUE, _VISCOUS = ("kg m2", "kg m2"), ("N m", "N"), ("N m s/rad", "N s/m")
+KINDS: Mapping[str, Kind] = {
+    kind.symbol: kind
+    for kind in (
+        *(Kind(symbol, "moment of inertia", _INERTIA, nonnegative=True) for symbol in ("xx", "yy", "zz")),
+        *(Kind(symbol, "product of inertia", _INERTIA) for symbol in ("xy", "xz", "yz")),
+        *(Kind(symbol, "first moment", ("kg m", "kg m")) for symbol in ("mx", "my", "mz")),
+        Kind("m", "mass", ("kg", "kg"), nonnegative=True),
+        Kind("ia", "rotor inertia", ("kg m2", "kg"), nonnegative=True),
+        Kind(STIFFNESS, "stiffness", ("N m/rad", "N/m")),
+        Kind(PRELOAD, "preload", _TORQUE, latex="f_0"),
+        Kind(DAMPING, "damping", _VISCOUS, nonnegative=True),
+        Kind("width", "before sliding", ("rad", "m"), heading="presliding", friction="shape"),
+        Kind("vs", "speed of the bend", ("rad/s", "m/s"), heading="v_s", friction="shape"),
+        Kind("fv", "viscous", _VISCOUS, nonnegative=True, friction="plain", drifts=True),
+        Kind("fs", "Coulomb", _TORQUE, nonnegative=True, friction="plain", dry=True, drifts=True),
+        Kind("fb", "beyond sliding, at rest", _TORQUE, friction="curve", dry=True),
+        Kind("f3", "cubic in speed", ("N m s3/rad3", "N s3/m3"), latex="f_3", friction="term"),
+        Kind("fl", "proportional to the load", ("1", "1"), r"f_{\ell}", "", True, "term", dry=True, by_load=True),
+        Kind("off", "offset", _TORQUE, friction="plain"),
+        Kind("fvt", "by temperature", _VISCOUS, friction="term", slope_of="fv"),
+        Kind("fst", "by temperature", _TORQUE, friction="term", dry=True, slope_of="fs"),
+    )
+}
+
+
+def kinds_where(holds: Callable[[Kind], object]) -> tuple[str, ...]:
+    """List the symbols of the kinds for which ``holds`` is true, in the order of the table."""
+    return tuple(kind.symbol for kind in KINDS.values() if holds(kind))
+
+
+TERMS = kinds_where(lambda kind: kind.friction == "term" and not kind.slope_of)
+"""Further friction in the equations of identification, each with a column of its own."""
+TEMPERATURE_TERMS = {symbol: KINDS[symbol].slope_of for symbol in kinds_where(lambda kind: kind.slope_of)}
+"""Changes of friction with the temperature, and the kinds that they change."""
+SHAPES = kinds_where(lambda kind: kind.friction == "shape")
+"""Kinds in which a joint's friction is nonlinear.
+
+The width of presliding, rad or m, and the speed v_s, rad/s or m/s, over which friction at rest becomes the friction of
+sliding.
+"""
+FURTHER_FRICTION = kinds_where(lambda kind: kind.friction and kind.friction != "plain")
+"""Friction that is not among the standard parameters."""
+DRY = kinds_where(lambda kind: kind.dry)
+DRIFTING = kinds_where(lambda kind: kind.drifts)
+"""Friction that warm-up changes from run to run, and that the bearing of a torque sensor may have too."""
+BY_LOAD = kinds_where(lambda kind: kind.by_load)
+DISSIPATING = kinds_where(lambda kind: kind.nonnegative and kind.symbol not in INERTIAL)
+"""Parameters of drives and springs that cannot be negative."""
+
+
 def unit_of(kind: str, robot: Robot, joint: str) -> str:
     """Return the SI unit of a parameter of ``kind`` at a joint, a platform or a spring."""
     if any(spring.name == joint for spring in robot.springs):
-        return {PRELOAD: "N", STIFFNESS: "N/m", DAMPING: "N s/m"}[kind]
-    if kind in ("xx", "xy", "xz", "yy", "yz", "zz"):
-        return "kg m2"
-    if kind in ("mx", "my", "mz"):
-        return "kg m"
-    if kind == "m":
-        return "kg"
-    turns = robot.joint(joint).turns
-    if kind == "ia":
-        return "kg m2" if turns else "kg"
-    if kind == STIFFNESS:
-        return "N m/rad" if turns else "N/m"
-    if kind == "fv":
-        return "N m s/rad" if turns else "N s/m"
-    return torque_unit(robot, joint)
+        return KINDS[kind].units[1]
+    return KINDS[kind].units[kind not in INERTIAL and not robot.joint(joint).turns]
 
 
 def position_unit(robot: Robot, joint: str) -> str:

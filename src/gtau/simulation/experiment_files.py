@@ -26,7 +26,7 @@ from gtau.robots.readers.native_text import native_text
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import Engine, Hardware, Simulated, close_loop, hardware, pid, sample, write_log
-from gtau.simulation.joint_friction import TERMS, JointFriction, identified_friction
+from gtau.simulation.joint_friction import STATED, JointFriction, identified_friction
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
 from gtau.simulation.simulation_file import SimulatedRun, Simulation, as_simulation, check_joints
@@ -59,7 +59,7 @@ def truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, flo
     stated |= {Parameter("vs", joint): curve.speed for joint, curve in curves}
     shapes = {name: value for name, value in stated.items() if value}
     friction = JointFriction(FrictionLaw(model, {}, shapes), values, smoothing)
-    return {name: value for name, value in values.items() if parameter_of(name).kind not in TERMS}, friction
+    return {name: value for name, value in values.items() if parameter_of(name).kind not in STATED}, friction
 
 
 def apparatus(

@@ -15,15 +15,17 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import FrictionLaw
+from gtau.estimation.friction.law import OF_JOINTS, FrictionLaw
+from gtau.estimation.regression.friction_terms import FORMULAS
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import BY_LOAD, Parameter, parameter_of
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.uses.prediction import friction_values, loaded_parameters
 
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: sign(v) is tanh(v / width)
-TERMS = ("fb", "fl")
-"""Kinds of friction beyond the standard parameters of the plain law."""
+STATED = tuple(kind for kind in OF_JOINTS if kind not in PLAIN_FRICTION)
+"""Friction that a simulation may have beyond the standard parameters."""
 MISSED = 1e-9  # largest overshoot of a reversal within a step, over the width of presliding
 BALANCES = 3  # iterations that scale propelling terms to the resulting load
 
@@ -55,13 +57,13 @@ class JointFriction:
         for name, value in self.values.items():
             parameter = parameter_of(name)
             kind, joint = parameter.kind, parameter.body
-            if kind in TERMS and joint not in joints:
+            if kind in STATED and joint not in joints:
                 raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
             if kind == "fb" and value and Parameter("vs", joint) not in self.law.shapes:
                 raise GtauError(
                     f"friction '{name}' needs a speed over which it falls; give the 'speed' of joint '{joint}'."
                 )
-            if kind == "fl" and value:
+            if kind in BY_LOAD and value:
                 motor = self.law.motor_of(joint)
                 if motor is None:
                     raise GtauError(
@@ -84,8 +86,9 @@ class JointFriction:
     @cached_property
     def propels(self) -> bool:
         """Whether a term of the law may propel and needs scaling down."""
-        fv, fs, fb, fl, f3 = map(self._by_joint, ("fv", "fs", "fb", "fl", "f3"))
-        return bool(np.min([fv, fs, fs + fb, fl, f3]) < 0)
+        at_rest = self._by_joint("fs") + self._by_joint("fb")
+        others = [self._by_joint(kind) for kind in FORMULAS if kind != "fb"]
+        return bool(np.min([at_rest, *others]) < 0)
 
     @cached_property
     def offsets(self) -> np.ndarray:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from gtau.errors import GtauError, missing_extra
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, PlatformSlots
-from gtau.robots.parameter import Parameter, parameter_of, rigid_body
+from gtau.robots.parameter import BY_LOAD, Parameter, parameter_of, rigid_body
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
@@ -59,7 +59,7 @@ class MujocoPlant:
             )
         chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         friction = friction or plain_friction(model, chi)
-        if by_load := [name for name, value in friction.values.items() if value and parameter_of(name).kind == "fl"]:
+        if by_load := [name for name, value in friction.values.items() if value and parameter_of(name).kind in BY_LOAD]:
             raise GtauError(
                 f"friction by load ('{by_load[0]}') is not supported by the engine 'mujoco'; use the engine 'gtau'."
             )

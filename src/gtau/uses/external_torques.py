@@ -28,7 +28,7 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import Result
 from gtau.robots.floating import refuse_floating
-from gtau.robots.parameter import torque_unit
+from gtau.robots.parameter import BY_LOAD, torque_unit
 from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 from gtau.uses.identified import OBSERVED, functions, identified
@@ -110,7 +110,7 @@ def torques_along_log(
 def predict_under_load(result: Result, run: Run) -> Prediction:
     """Predict torques where friction that depends on the load feels the external torques too."""
     prediction = predict(result, run)
-    for _ in range(PASSES * any(name.kind == "fl" for name in result.friction_parameters)):
+    for _ in range(PASSES * any(name.kind in BY_LOAD for name in result.friction_parameters)):
         behind = prediction.in_band
         prediction = predict(result, run, behind.predicted - behind.measured)
     return prediction

@@ -18,15 +18,14 @@ import casadi as ca
 import numpy as np
 
 from gtau.documents.files import identifier
-from gtau.estimation.friction.law import SHAPES, transmitted
-from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
+from gtau.estimation.friction.law import transmitted
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.model import dynamics
 from gtau.model.closures import closed_motion, newton_step
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter, parameter_of, torque_unit
+from gtau.robots.parameter import SHAPES, TEMPERATURE_TERMS, Parameter, parameter_of, torque_unit
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.uses.prediction import on_tool, require_all_parameters, torques_along
 

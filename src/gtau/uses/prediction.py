@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import SHAPES, transmitted
-from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, known_values
+from gtau.estimation.friction.law import transmitted
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.rows import Law, instants, stream_torques
@@ -23,7 +23,7 @@ from gtau.estimation.results.result import Result
 from gtau.findings import Grade
 from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import SHAPES, TEMPERATURE_TERMS, Parameter
 from gtau.signals.preparation.bandwidth import position_noise
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare

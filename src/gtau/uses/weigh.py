@@ -24,7 +24,6 @@ from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.regression.reference import ReferenceModel
-from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate
@@ -32,7 +31,7 @@ from gtau.estimation.results.result import Result
 from gtau.findings import Finding, Grade
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import TERMS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run

@@ -26,6 +26,7 @@ from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding
 from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
+from gtau.robots.parameter import BY_LOAD
 
 REFUTED_SHARE = 0.05  # share of the residual variance that a description alternative explains
 GRAVITY_SHARE = 0.5  # share of the residual variance that gravity along another axis takes away
@@ -65,7 +66,7 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
         model = model.altered(gravity=tuple(gravity.tolist()))
         base = base_parameters(model, sensors=dataset.runs[0].sensors)
     gains = None if fit.free_gains else fit.gains
-    terms = tuple(term for term in fit.system.terms if term.kind != "fl")
+    terms = tuple(term for term in fit.system.terms if term.kind not in BY_LOAD)
     other = replace(dataset, model=model, base=base, factors=()).reduced()
     return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
 

@@ -19,7 +19,6 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import whitening
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import SIGNALS, triangle
-from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.regression.run_blocks import (
     WINDOWS,
     PreparedRuns,
@@ -30,6 +29,7 @@ from gtau.estimation.regression.run_blocks import (
     window_clusters,
 )
 from gtau.findings import Finding, Grade
+from gtau.robots.parameter import DRY, TERMS
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
 
@@ -136,7 +136,7 @@ def _pairs(fit: Fit, usual: Windows, further: Windows) -> list[tuple[np.ndarray,
     """
     pairs = []
     dry = [k for k, name in enumerate(fit.dataset.base.standard) if name.kind == "fs"]
-    dry.append(fit.dataset.base.count + TERMS.index("fl"))
+    dry += [fit.dataset.base.count + k for k, term in enumerate(TERMS) if term in DRY]
     for (run, window), (_, filtered) in zip(usual, further, strict=True):
         usual_window = FitWindow(fit, run, window)
         (A, keep), (Z, kept) = usual_window.rows(), FitWindow(fit, run, filtered).rows()

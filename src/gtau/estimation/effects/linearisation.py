@@ -20,6 +20,7 @@ from gtau.estimation.regression.rows import Rows, configurations, instants, stre
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
+from gtau.robots.parameter import BY_LOAD
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import SampleWindow
 
@@ -82,7 +83,7 @@ class FitWindow:
         Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
         """
         system, candidates = self.fit.system, offer and offer(self)
-        loaded = any(term.kind == "fl" for term in system.terms)
+        loaded = any(term.kind in BY_LOAD for term in system.terms)
         load = system.load(self.run, self.fit.solution.theta) if loaded else None
         rows, keep = [], []
         for part in stream_rows(self.fit.dataset.model, self.regressor, self.window, self.decimator, load):

@@ -8,13 +8,12 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
 from gtau.estimation.estimators.newton import delays_lost_in_noise
-from gtau.estimation.regression.column_blocks import BEARING, TEMPERATURE_TERMS, all_terms
+from gtau.estimation.regression.column_blocks import all_terms
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.rows import TERMS
 from gtau.progress import Progress
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import BY_LOAD, DRIFTING, TEMPERATURE_TERMS, TERMS, Parameter
 
 FRICTION_TERM_GAIN = 0.02  # share of a joint's residual that a friction term takes away
 FRICTION_TERM_STD = 1 / 3  # relative standard deviation of a friction term
@@ -34,16 +33,16 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
     sensors = [channel.name for channel in dataset.runs[0].channels if channel.kind.link_side]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
     of_temperature = all_terms(warm, TEMPERATURE_TERMS)
-    offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, BEARING))
+    offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, DRIFTING))
     terms, criterion = select_friction_terms(dataset.system(offered, per_run).problem)
     if warm and per_run:  # differences between runs may come from temperature alone
         alone, less = select_friction_terms(dataset.system(offered).problem)
         if less < criterion and set(alone) & set(of_temperature):
             terms, per_run = alone, False
-    if any(term.kind == "fl" for term in terms):
+    if any(term.kind in BY_LOAD for term in terms):
         # Until the torques are known the current stands for them, which explains itself where friction is most of it:
         # the terms are chosen again once a fit without load-dependent ones has given the torques.
-        without = tuple(term for term in offered if term.kind != "fl")
+        without = tuple(term for term in offered if term.kind not in BY_LOAD)
         plain, _ = select_friction_terms(dataset.system(without, per_run).problem)
         system, gains = dataset.system(plain, per_run), None
         for _ in range(LOAD_PASSES):
@@ -73,7 +72,7 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], floa
     total = 0.0
     for j, channel in enumerate(problem.channels):
         position = {name: k for k, name in enumerate(problem.parameters)}
-        kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.unknown_gain else BEARING
+        kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.unknown_gain else DRIFTING
         offered = [Parameter(term, channel.name) for term in kinds if Parameter(term, channel.name) in position]
         rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
         current = delayed_signal(problem.triangles[j], problem.own_delays[j])

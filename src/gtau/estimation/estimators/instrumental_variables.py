@@ -26,11 +26,11 @@ from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangles, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.estimation.regression.rows import TERMS, stream_rows
+from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.run_blocks import block_of
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import DRY, TERMS, Parameter
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 
@@ -168,7 +168,7 @@ def _reduced(
     regressor = idm.columns(columns)
     blocks = block_of(edges, decimator.outputs(len(measured)))
     n, b = len(idm.actuated), len(columns) + EXTRA - 3
-    dry = np.array([k for k, name in enumerate(columns) if name.startswith("fs_")] + [len(columns) + TERMS.index("fl")])
+    dry = np.flatnonzero([kind in DRY for kind in (*(name.kind for name in columns), *TERMS)])
     collected = Triangles([np.arange(2 * b + 3)] * n)
     streams = (stream_rows(idm, regressor, run, decimator, load) for run in (simulated, measured))
     for part, other in zip(*streams, strict=True):

@@ -27,6 +27,7 @@ from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.rows import instants
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Labels
+from gtau.robots.parameter import DRY, parameter_of
 from gtau.signals.preparation.bandwidth import spectra
 from gtau.signals.preparation.filters import below_nyquist, filter_edge, position_filter
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
@@ -132,7 +133,7 @@ def _disturbance(
     ahead of them.
     """
     q, qd, directed = (np.ascontiguousarray(rows.T) for rows in (*motion[:2], direction))
-    dry = np.array([name.startswith("fs_") for name in regressor.names])
+    dry = np.array([parameter_of(name).kind in DRY for name in regressor.names])
     c = idm.path(q, here, before)
     still = np.zeros_like(q)
     moving = idm.rates(c, qd, still, here)

@@ -18,8 +18,8 @@ from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
-from gtau.robots.parameter import Parameter
-from gtau.robots.robot import DAMPING, INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
+from gtau.robots.parameter import DISSIPATING, KINDS, Parameter
+from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import Prior
 
@@ -204,7 +204,7 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
     plausible[9] = mass / len(robot.bodies)
     for body in bodies:
         centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
-    dissipates = [name.kind in ("ia", "fv", "fs", "fl", DAMPING) and name.run is None for name in names]
+    dissipates = [name.kind in DISSIPATING and name.run is None for name in names]
     lower, upper = np.where(dissipates, 0.0, -np.inf), np.full(len(names), np.inf)
     place: dict[str, int] = {name: k for k, name in enumerate(names)}
     for stated, prior in priors.items():
@@ -279,6 +279,6 @@ def natural_size(name: Parameter, robot: Robot, mass: float, length: float, chan
     turns = robot.joint(joint).turns
     if kind == "ia":
         return mass * length**2 if turns else mass
-    if kind == "fl":
+    if KINDS[kind].units[0] == "1":
         return 1.0
     return mass * STANDARD_GRAVITY * (length if turns else 1.0)

@@ -25,7 +25,7 @@ amplifiers for instance: they do no work around a closed path, and stay as they 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import ModuleType
@@ -33,18 +33,14 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.regression.friction_terms import FORMULAS, SLOPES, Sliding
 from gtau.estimation.regression.plausibility import motor_to_joint_speed
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, PLAIN_FRICTION
 
-SHAPES = ("width", "vs")
-"""Kinds of the parameters in which a joint's friction is nonlinear.
-
-The width of presliding, rad or m, of one that does not slide at once; the speed v_s by which friction falls or rises
-from that at rest to that of sliding, rad/s or m/s, of friction with ``fb``.
-"""
+OF_JOINTS = [kind for kind in FORMULAS if kind not in SLOPES]
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
 SPEEDS = 200  # at which a straight line is fitted
 
@@ -108,7 +104,7 @@ class FrictionLaw:
     logged_speeds : dict
         Actuated joint to V, rad/s or m/s; 0 where it is missing, so that its ``f3`` does not count.
     shapes : dict
-        Widths and speeds by name, see ``SHAPES``; a joint without a width slides at once.
+        Widths and speeds by name, see :data:`.parameter.SHAPES`; a joint without a width slides at once.
     """
 
     model: InverseDynamics
@@ -179,22 +175,24 @@ class FrictionLaw:
         joints = self.model.robot.joints
         forces, speeds = [], [yd[row] for row in range(len(joints))]
         for row, (joint, speed) in enumerate(zip(joints, speeds, strict=True)):
-            viscous, height, more, of_load = (
-                values.get(Parameter(kind, joint.name), 0.0) for kind in ("fv", "fs", "fb", "fl")
-            )
-            if v_s := self.shapes.get(Parameter("vs", joint.name)):
-                height = height + more * math.exp(-math.fabs(speed) / v_s)
-            if (motor := self.motor(row)) is not None:
-                height = height + of_load * math.fabs(load[motor] / self.ratios[row, motor])
-            forces.append(viscous * speed + height * (math.sign(speed) if z is None else z[row]))
+            direction = math.sign(speed) if z is None else z[row]
+            motor = self.motor(row)
+            felt = 0.0 if motor is None else math.fabs(load[motor] / self.ratios[row, motor])
+            at = Sliding(speed, direction, felt, self._falling(math, speed, joint.name))
+            forces.append(_summed(values, joint.name, at, OF_JOINTS))
         for j, name in enumerate(self.model.actuated):
             speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
-            cubic = values.get(Parameter("f3", name), 0.0)
             within = math.fmax(math.fmin(speed, top), -top)
-            slope = math.fmax(3 * top**2 * cubic, -self._viscous(values, j))  # with fv, at least 0
-            forces.append(cubic * (within * within * within) + slope * (speed - within))
+            slope = sum(derivative(top) * values.get(Parameter(kind, name), 0.0) for kind, derivative in SLOPES.items())
+            slope = math.fmax(slope, -self._viscous(values, j))  # with fv, at least 0
+            forces.append(_summed(values, name, Sliding(within, 0.0), SLOPES) + slope * (speed - within))
             speeds.append(speed)
         return forces, speeds
+
+    def _falling(self, math: ModuleType, speed: Any, joint: str) -> Any:
+        """Compute the share of friction at rest that a speed leaves, 0 for a joint without v_s."""
+        v_s = self.shapes.get(Parameter("vs", joint))
+        return math.exp(-math.fabs(speed) / v_s) if v_s else 0.0
 
     def motor(self, row: int) -> int | None:
         """Return the motor that alone moves a joint, whose load is its own; None where several do, or none."""
@@ -231,10 +229,9 @@ class FrictionLaw:
         """
         from scipy.optimize import nnls
 
-        viscous, coulomb, more, cubic = (values.get(Parameter(k, joint), 0.0) for k in ("fv", "fs", "fb", "f3"))
         speed = np.linspace(0.0, self.fastest(joint), SPEEDS)[1:]
-        falling = np.exp(-speed / self.shapes.get(Parameter("vs", joint), np.inf)) if more else 0.0
-        friction = np.maximum(viscous * speed + coulomb + more * falling + cubic * speed**3, 0.0)
+        at = Sliding(speed, 1.0, 0.0, self._falling(np, speed, joint))
+        friction = np.maximum(_summed(values, joint, at, FORMULAS), 0.0)
         (viscous, coulomb), _ = nnls(np.stack([speed, np.ones_like(speed)], axis=1), friction)
         return float(viscous), float(coulomb)
 
@@ -275,6 +272,10 @@ class FrictionLaw:
         """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
         of_joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
         return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
+
+
+def _summed(values: Mapping[str, Any], joint: str, at: Sliding, kinds: Iterable[str]) -> Any:
+    return sum(values.get(Parameter(kind, joint), 0.0) * FORMULAS[kind](at) for kind in kinds)
 
 
 def transmitted(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:

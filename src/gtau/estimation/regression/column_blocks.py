@@ -25,24 +25,14 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.factors import EXTRA, FIXED, KNOWN, SIGNALS
-from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns
 from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter, payload_label
+from gtau.robots.parameter import DRIFTING, TEMPERATURE_TERMS, TERMS, Parameter, payload_label
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.signals.channel import Channel
 from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
-
-TEMPERATURE_TERMS = {"fvt": "fv", "fst": "fs"}
-DRIFTING = ("fv", "fs")
-BEARING = ("fv", "fs")
-UNITS = {
-    "revolute": {"f3": "N m s3/rad3", "fl": "1", "fvt": "N m s/rad", "fst": "N m"},
-    "prismatic": {"f3": "N s3/m3", "fl": "1", "fvt": "N s/m", "fst": "N"},
-}
-"""Units of the terms; those of ``fvt`` and ``fst`` per unit of the temperature."""
 
 INSTANTS = 50  # of a block, over which the mean is taken
 

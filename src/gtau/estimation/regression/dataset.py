@@ -40,7 +40,7 @@ from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import oddities, tool_note
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import BY_LOAD, Parameter
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
@@ -289,7 +289,7 @@ class System:
 
     def loads(self, theta: np.ndarray) -> list[np.ndarray | None]:
         """Return :meth:`load` of each run, None where no friction depends on it."""
-        loaded = any(term.kind == "fl" for term in self.terms)
+        loaded = any(term.kind in BY_LOAD for term in self.terms)
         return [self.load(run, theta) if loaded else None for run in range(len(self.dataset.factors))]
 
 

@@ -20,11 +20,11 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.regression.rows import FAST_SAMPLES, TERMS, Rows, stream_rows
+from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.singularities import singular_distances
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import TERMS, Parameter
 from gtau.signals.channel import Channel
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gtau.estimation.regression.friction_terms import term_columns
 from gtau.model.inverse_dynamics import PATH, InverseDynamics, Regressor
 from gtau.model.loops import Labels, Motion
 from gtau.signals.preparation.filters import Decimator
@@ -14,7 +15,6 @@ from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
-TERMS = ("f3", "fl")
 SHORT = 16384  # samples of a run that is prepared once: longer ones would fill the memory
 ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
@@ -26,7 +26,7 @@ class Rows:
 
     ``time`` (K,) in s; ``keep`` (c, K); ``entries`` of the regressor (entries, K); ``currents``
     (3, c, K): the command and its first two time derivatives, for a base its external forces; ``terms``
-    (2, n, K), the columns of further friction of the joints; ``external`` (n, K), the joint torques of
+    (terms, n, K), the columns of further friction of the joints; ``external`` (n, K), the joint torques of
     wrenches on bodies, 0 for a base; ``outputs`` their numbers in the run; ``motion`` of the whole tree
     at these instants; ``friction`` (n, K), where a law of it is given.
     """
@@ -80,7 +80,7 @@ def stream_rows(
         effort = currents[0, : len(qd)]
         if load is not None:
             effort = regressor.torques(entries, load, len(idm.actuated)) - external[0]
-        terms = np.stack([qd * qd * qd, np.abs(effort) * np.sign(qd)])  # a power would take ten times as long
+        terms = term_columns(qd, effort)
         yield Rows(
             window.time[kept],
             decimator.keep(window.usable, outputs).T,

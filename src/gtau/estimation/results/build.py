@@ -12,12 +12,10 @@ from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_sc
 from gtau.estimation.diagnostics.verdict import GOOD, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
-from gtau.estimation.friction.law import SHAPES
-from gtau.estimation.regression.column_blocks import BEARING, TEMPERATURE_TERMS, PayloadColumns, known_values
+from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.estimation.regression.rows import TERMS
 from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,
@@ -33,12 +31,9 @@ from gtau.estimation.results.payload_body import PayloadEstimate, Weighed
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import longest_placement
-from gtau.robots.parameter import Parameter, gain_unit, torque_unit, unit_of
+from gtau.robots.parameter import DRIFTING, FURTHER_FRICTION, Parameter, gain_unit, torque_unit, unit_of
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
-
-FURTHER_FRICTION = {"fb", *SHAPES, *TERMS, *TEMPERATURE_TERMS}
-"""Kinds of friction that are no base parameters."""
 
 
 def model_estimates(
@@ -237,7 +232,7 @@ def sensor_estimates(
         channel, joint = problem.channels[k], problem.channels[k].joint
         parameters = {
             name: _estimate(vector, name, unit_of(kind, robot, joint))
-            for kind in ("off", *BEARING)
+            for kind in ("off", *DRIFTING)
             if (name := Parameter(kind, channel.name)) in vector.unknowns.places
         }
         residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from gtau.estimation.diagnostics.log_checks import SMOOTHED
 from gtau.estimation.diagnostics.verdict import LONGER
-from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.estimation.results.torque_scale import listed, torque_headline
 from gtau.findings import Finding, Grade
 from gtau.findings.words import moment, percent_text
+from gtau.robots.parameter import TEMPERATURE_TERMS
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.notes import reading
 from gtau.signals.reading.statements import FIRST_MOMENTS

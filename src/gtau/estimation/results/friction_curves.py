@@ -25,10 +25,9 @@ from gtau.estimation.friction.selection import (
     shape_values,
     with_shapes,
 )
-from gtau.estimation.regression.column_blocks import TEMPERATURE_TERMS, UNITS
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
-from gtau.robots.parameter import Parameter, position_unit, unit_of
+from gtau.robots.parameter import TEMPERATURE_TERMS, Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 
 # Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
@@ -99,14 +98,9 @@ def reference_temperatures(fit: Fit) -> ReferenceTemperatures | None:
 
 
 def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperatures | None) -> str:
-    """Return the unit of a friction parameter; ``width`` is that of presliding, ``vs`` a speed."""
-    kind, joint = name.kind, name.body
-    if kind in ("width", "vs"):
-        return position_unit(robot, joint) + ("/s" if kind == "vs" else "")
-    of_terms = UNITS[robot.joint(joint).kind]
-    if kind not in of_terms:
-        return unit_of(kind, robot, joint)
-    return of_terms[kind] + (f"/{temperatures.per}" if temperatures and kind in TEMPERATURE_TERMS else "")
+    """Return the unit of a friction parameter, of a temperature slope per unit of the temperature."""
+    per_temperature = f"/{temperatures.per}" if temperatures and name.kind in TEMPERATURE_TERMS else ""
+    return unit_of(name.kind, robot, name.body) + per_temperature
 
 
 def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, float]]:

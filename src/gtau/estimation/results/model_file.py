@@ -11,11 +11,10 @@ from gtau.documents.files import MODEL, json_in, refuse_other_kind, system_refus
 from gtau.documents.validation import LARGEST, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import SHAPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_document import ModelDocument, described
 from gtau.estimation.results.result import Result
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import SHAPES, Parameter
 
 SCHEMA = "gtau-model/5"
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.friction.law import SHAPES, FrictionLaw
+from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Estimate,
@@ -27,7 +27,7 @@ from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import SHAPES, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
