@@ -35,7 +35,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
-from gtau.estimation.friction.selection import Candidate, choose
+from gtau.estimation.friction.selection import FrictionFit, choose
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.friction_curves import group_estimates
 from gtau.model.home import load_robot
@@ -138,7 +138,7 @@ def simulated(count: int) -> None:
             print(f"| {truth} | {error} | {shares} | {share} |", flush=True)
 
 
-def covered(group: FrictionGroup, candidate: Candidate, truth: str) -> list[bool]:
+def covered(group: FrictionGroup, candidate: FrictionFit, truth: str) -> list[bool]:
     """Whether each parameter is in its interval."""
     names, values, _, scatter = group_estimates(group, candidate)
     halves = stdtrit(len(group.G) - 1, 0.975) * np.sqrt(np.diag(scatter))

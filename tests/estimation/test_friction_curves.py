@@ -13,7 +13,7 @@ from models_to_export import of_equations
 import gtau
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState, stop
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
-from gtau.estimation.friction.selection import parameter_columns
+from gtau.estimation.friction.structure import Structure, parameter_columns
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 
@@ -132,11 +132,10 @@ def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Re
 
 
 def test_the_first_width_is_a_width() -> None:
-    """Its number is 0, which is not none."""
     joint = FrictionJoint("j", 0, np.ones(1), 0, 1.0, 1.0, ("off", "fv", "fs"), False)
     v, states = np.array([0.4]), np.arange(2.0, 3.0 + len(WIDTHS))[:, None]
     columns = joint.columns(v, states, 5.0, 0.0)[:, 0]
-    assert parameter_columns({"width": 0}, joint)["fs"] @ columns == states[1]
-    assert parameter_columns({}, joint)["fs"] @ columns == states[0]
-    assert "fl" not in parameter_columns({}, joint)
-    assert parameter_columns({"load": 0}, joint)["fl"] @ columns == 5.0 * states[0]
+    assert parameter_columns(Structure(width=float(joint.widths[0])), joint)["fs"] @ columns == states[1]
+    assert parameter_columns(Structure(), joint)["fs"] @ columns == states[0]
+    assert "fl" not in parameter_columns(Structure(), joint)
+    assert parameter_columns(Structure(load=True), joint)["fl"] @ columns == 5.0 * states[0]

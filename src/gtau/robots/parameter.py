@@ -2,7 +2,7 @@
 
 ``KINDS`` is the table of the kinds. Another friction term takes a row there, and its formula in
 :mod:`gtau.estimation.regression.friction_terms`; a term of the friction on all samples also takes a field of
-:class:`gtau.estimation.friction.selection.Structure`.
+:class:`gtau.estimation.friction.structure.Structure`.
 """
 
 from __future__ import annotations

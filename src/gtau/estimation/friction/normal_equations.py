@@ -14,9 +14,10 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import add_products, delayed_signal
+from gtau.estimation.regression.friction_terms import Sliding, column
 from gtau.estimation.regression.rows import Law, Rows, stream_rows
 from gtau.model.loops import Motion
-from gtau.robots.parameter import Parameter
+from gtau.robots.parameter import DRY, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.storage import Store, block, spans
@@ -33,8 +34,10 @@ MOST_BLOCKS = 60  # of all runs
 # motor 6 are 17.4, 11.5, 10.2 and 10.2 %, and from 3 on a wrist joint of the UR10e loses its presliding.
 FINER = 2
 RESTING = 0.01  # of the rms speed: a joint whose mean speed behind the filter is less rests, and slides nowhere
-PLAIN = ("off", "fv", "fvt")
-"""Kinds of the first columns of a joint."""
+SMOOTH = ("off", "fv", "fvt")
+"""Kinds of the first columns of a joint, without a direction."""
+WEIGHTS = tuple(weight for kind in DRY for weight in (kind,) * (len(SPEEDS) if kind == "fb" else 1))
+"""Kinds of the other columns, for sliding and for every width; ``fb`` for every speed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +49,7 @@ class FrictionJoint:
     ``plain`` are the kinds of its friction that are base parameters, of ``off``, ``fv`` and ``fs``; ``warm`` says
     whether its temperature is logged.
 
-    Its columns are those of ``PLAIN``, and then of each direction (sliding, and presliding of each width) times what
-    weighs it: 1, a fall with each speed, the load, and the temperature.
+    Its columns are ``SMOOTH``, and then ``WEIGHTS`` times each direction: sliding, and presliding of each width.
     """
 
     name: str
@@ -69,17 +71,22 @@ class FrictionJoint:
         """Candidates (s,) of v_s, rad/s or m/s."""
         return self.speed * SPEEDS
 
+    def tried(self, term: str) -> np.ndarray:
+        """Candidates of a ``width`` or ``speed``."""
+        return self.widths if term == "width" else self.speeds
+
     @property
     def count(self) -> int:
         """Number of columns."""
-        return len(PLAIN) + (1 + len(WIDTHS)) * (3 + len(SPEEDS))
+        return len(SMOOTH) + (1 + len(WIDTHS)) * len(WEIGHTS)
 
     def columns(self, v: np.ndarray, z: np.ndarray, load: np.ndarray | float, above: np.ndarray | float) -> np.ndarray:
         """Build the columns (., N) from speeds (N,), states (w + 1, N), torques transmitted and temperatures (N,)."""
         falling = np.exp(-np.abs(v) / self.speeds[:, None])
-        weighed = np.stack([np.ones_like(v), *falling, np.abs(load) + 0 * v, above + 0 * v])
-        plain = np.stack([np.ones_like(v), v, above * v])
-        return np.concatenate([plain, (z[:, None] * weighed).reshape(-1, v.shape[0])])
+        at, shape = Sliding(v, np.ones_like(v), np.abs(load), falling, above), (-1, len(v))
+        smooth = np.stack([np.ones_like(v), *(column(kind, at) for kind in SMOOTH[1:])])
+        weighed = np.concatenate([np.reshape(column(kind, at), shape) for kind in DRY])
+        return np.concatenate([smooth, (z[:, None] * weighed).reshape(shape)])
 
 
 def friction_joints(dataset: Dataset, law: FrictionLaw) -> tuple[FrictionJoint, ...]:

@@ -2,88 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.friction.normal_equations import PLAIN, SPEEDS, WIDTHS, FrictionGroup, FrictionJoint
+from gtau.estimation.friction.normal_equations import FrictionGroup
+from gtau.estimation.friction.structure import FREE, SHAPE_OF, WORDS, Structure, parameter_columns, with_term
 
 TERM_T = 2.5  # standard errors, over blocks left out, by which friction with a term is better
-POSSIBLE = 3.0  # friction at rest beyond that of sliding, in rms torques of the motor, from which it is not taken
+POSSIBLE = 3.0  # rms torques of the motor: a joint's friction at rest exceeds its sliding friction by less
 TERM_SHARE = 0.05  # share of the squared error of blocks left out that a term of friction takes away
 
 FEWEST_BLOCKS = 6
-KINDS = ("width", "speed", "load", "warm")
 STEPS = 6
-SLOW = 2  # number of the speed, 0.03 of the rms speed, up to which bending may be gradual presliding
+SLOW = 0.05  # of the rms speed, up to which bending may be gradual presliding
 TILT = 0.01  # of the way to the next width or speed tried, for derivatives
-WORDS = {"width": "presliding", "speed": "bent", "load": "load", "warm": "temperature"}
-
-
-Structure = Mapping[str, float]
-"""What a joint's friction has beyond the plain law: the numbers of a ``width`` and a ``speed`` among those tried, and
-``load`` and ``warm`` (temperature), 0.
-
-A number between two stands for a value between theirs, whose column is interpolated. ``gradual`` presliding has all
-widths at once; no friction has it in the end, but terms are to pay beyond it.
-"""
-
-
-def options(joint: FrictionJoint, kind: str) -> range:
-    """List the numbers that a term of a kind may have at a joint."""
-    numbers = {"width": len(WIDTHS), "speed": len(SPEEDS), "load": joint.motor is not None, "warm": joint.warm}
-    return range(numbers[kind])
-
-
-def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, np.ndarray]:
-    """Combine a joint's columns (p,) to those of the parameters of a structure, of which all but some are not negative.
-
-    ``fr`` is friction at rest, ``fs + fb``.
-    """
-    constant, load, warm = 0, 1 + len(SPEEDS), 2 + len(SPEEDS)  # what weighs a direction
-    width = structure.get("width")
-    z = np.eye(1 + len(WIDTHS))[0] if width is None else np.append(0.0, between(width, len(WIDTHS)))
-    weights = np.eye(3 + len(SPEEDS))
-
-    def sliding(weight: np.ndarray, direction: np.ndarray = z) -> np.ndarray:
-        return np.concatenate([np.zeros(len(PLAIN)), np.outer(direction, weight).ravel()])
-
-    alone = dict(zip(PLAIN, np.eye(len(PLAIN), joint.count), strict=True))
-    columns: dict[str, np.ndarray] = {kind: alone[kind] for kind in ("off", "fv") if kind in joint.plain}
-    if "fs" in joint.plain:
-        columns["fs"] = sliding(weights[constant])
-        if "speed" in structure:
-            columns["fr"] = sliding(np.pad(between(structure["speed"], len(SPEEDS)), (1, 2)))
-            columns["fs"] = columns["fs"] - columns["fr"]
-        if "gradual" in structure:
-            states = np.eye(1 + len(WIDTHS))
-            columns |= {f"z{k}": sliding(weights[constant], states[k]) for k in range(1, len(states)) if not z[k]}
-        if "load" in structure:
-            columns["fl"] = sliding(weights[load])
-    if "warm" in structure:
-        columns |= {"fvt": alone["fvt"], "fst": sliding(weights[warm])}
-    return columns
-
-
-def between(number: float, count: int) -> np.ndarray:
-    """Interpolate between ``count`` columns by a cubic through four: the share of each.
-
-    With half a decade between two speeds ``exp(-|v| / v_s)`` is off by at most 0.02.
-    """
-    shares = np.zeros(count)
-    if number == round(number):
-        shares[int(number)] = 1.0
-        return shares
-    begin = min(max(int(number) - 1, 0), count - 4)
-    nodes = range(begin, begin + 4)
-    for k in nodes:
-        shares[k] = np.prod([(number - other) / (k - other) for other in nodes if other != k])
-    return shares
-
-
-FREE = ("off", "fvt", "fst")
-"""Parameters of either sign."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,27 +111,25 @@ def gained(before: FrictionFit, after: FrictionFit) -> tuple[float, float]:
 def choose(group: FrictionGroup) -> tuple[FrictionFit, FrictionFit, dict[tuple[int, str], float]]:
     """Add one term after another while the errors on left-out blocks decrease.
 
-    Returns the candidate chosen, the plain one, and the gain of each term taken, in standard errors, by (joint, kind).
+    Returns the candidate chosen, the plain one, and the gain of each term taken, in standard errors, by (joint, term).
 
-    A term enters where it takes the squared error of blocks left out down by a share that the eye sees and by more
+    A term enters where it reduces the squared error of blocks left out noticeably and by more
     standard errors, over the blocks, than the best of many widths and speeds does by chance.
     """
-    plain = fit(group, ({},) * len(group.joints))
+    plain = fit(group, (Structure(),) * len(group.joints))
     best = plain
     evidence: dict[tuple[int, str], float] = {}
     if len(group.G) < FEWEST_BLOCKS:
         return best, plain, evidence
     while True:
         offers = []
-        for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in KINDS):
-            if kind not in best.structures[s]:
-                candidates = _with(group, best, s, kind)
-                if candidates:
-                    least = min(candidates, key=lambda candidate: candidate.errors.sum())
-                    t, share = gained(best, least)
-                    shown = kind != "speed" or (_beyond(group, least, s) and _possible(group, least, s))
-                    if t > TERM_T and share > TERM_SHARE and shown:
-                        offers.append((share, t, (s, kind), least))
+        for s, term in ((s, term) for s in range(len(group.joints)) for term in WORDS if (s, term) not in evidence):
+            if candidates := _with(group, best, s, term):
+                least = min(candidates, key=lambda candidate: candidate.errors.sum())
+                t, share = gained(best, least)
+                shown = term != "speed" or (_beyond(group, least, s) and _possible(group, least, s))
+                if t > TERM_T and share > TERM_SHARE and shown:
+                    offers.append((share, t, (s, term), least))
         if not offers:
             return refine(group, best), plain, evidence
         _, t, key, best = max(offers, key=lambda offer: offer[0])
@@ -211,18 +142,20 @@ def _beyond(group: FrictionGroup, after: FrictionFit, s: int) -> bool:
 
     Presliding of real joints, of LuGre's and of generalized Maxwell slip, turns into sliding gradually, while the joint
     is slow still. One stop turns at once, and friction that bends below a hundredth of the rms speed made up for it.
-    Faster ones are not asked: on motor 6 of a TX40 one takes the error of unused samples from 16.0 to 10.4 %.
+    Bends at higher speeds skip this test: on motor 6 of a TX40 one reduces the error of unused samples from 16.0 to
+    10.4 %.
     """
-    bent = {**after.structures[s], "gradual": 0.0}
-    if bent["speed"] > SLOW:
+    bent = replace(after.structures[s], gradual=True)
+    assert bent.speed is not None
+    if bent.speed > SLOW * group.joints[s].speed:
         return True
-    bare = {kind: number for kind, number in bent.items() if kind != "speed"}
+    bare = replace(bent, speed=None)
     t, share = gained(*(fit(group, _changed(after, s, structure)) for structure in (bare, bent)))
     return t > TERM_T and share > TERM_SHARE
 
 
 def _possible(group: FrictionGroup, candidate: FrictionFit, s: int) -> bool:
-    """Decide whether the motors' torques could be those of a joint's friction at rest beyond that of sliding.
+    """Decide whether the motors' torques could hold what a joint's friction at rest exceeds its sliding friction by.
 
     Motor 7 of an xMate7 Pro turned to one side most of the time: 8.3 N m, cancelled by an offset, explained its blocks,
     left out or not, and another log with an error of 2100 %.
@@ -233,9 +166,9 @@ def _possible(group: FrictionGroup, candidate: FrictionFit, s: int) -> bool:
     return bool(abs(excess) * np.abs(group.joints[s].ratios).max() < POSSIBLE * rms.max())
 
 
-def _with(group: FrictionGroup, candidate: FrictionFit, s: int, kind: str) -> list[FrictionFit]:
-    numbers = options(group.joints[s], kind)
-    return [fit(group, _changed(candidate, s, {**candidate.structures[s], kind: number})) for number in numbers]
+def _with(group: FrictionGroup, candidate: FrictionFit, s: int, term: str) -> list[FrictionFit]:
+    structures = with_term(candidate.structures[s], group.joints[s], term)
+    return [fit(group, _changed(candidate, s, structure)) for structure in structures]
 
 
 def _changed(candidate: FrictionFit, s: int, structure: Structure) -> tuple[Structure, ...]:
@@ -245,28 +178,28 @@ def _changed(candidate: FrictionFit, s: int, structure: Structure) -> tuple[Stru
 
 def _refined(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Choose widths and speeds again, given the terms added since."""
-    for s, kind in ((s, kind) for s in range(len(group.joints)) for kind in ("width", "speed")):
-        if kind in candidate.structures[s]:
-            candidate = min([candidate, *_with(group, candidate, s, kind)], key=lambda fit: float(fit.errors.sum()))
+    for s, term in ((s, term) for s in range(len(group.joints)) for term in SHAPE_OF):
+        if candidate.structures[s].value(term) is not None:
+            candidate = min([candidate, *_with(group, candidate, s, term)], key=lambda fit: float(fit.errors.sum()))
     return candidate
 
 
 def refine(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Refine widths and speeds between those tried by Gauss-Newton steps, where errors on left-out blocks decrease.
 
-    Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond those of
-    the log than of these, and on a UR10e other days were worse for its move (3.35 to 3.40, 4.57 to 4.74 % of torque).
+    Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond the
+    log than of logged speeds, and refining it made other days of a UR10e worse (3.35 to 3.40, 4.57 to 4.74 % of
+    torque).
     """
     best = candidate
     for _ in range(STEPS):
         shaped, count = with_shapes(group, best), len(best.names)
         structures, x = list(best.structures), dict(zip(best.names, best.x, strict=True))
-        for (s, kind), step in zip(shaped.names[count:], shaped.x[count:], strict=True):
-            values = shape_values(group, s, kind)
-            if kind == "speed" and x.get((s, "fr"), 0.0) < x.get((s, "fs"), 0.0):
+        for (s, term), step in zip(shaped.names[count:], shaped.x[count:], strict=True):
+            if term == "speed" and x.get((s, "fr"), 0.0) < x.get((s, "fs"), 0.0):
                 continue
-            moved = structures[s][kind] + np.clip(step / np.log(values[1] / values[0]), -1.0, 1.0)
-            structures[s] = {**structures[s], kind: float(np.clip(moved, 0, len(values) - 1))}
+            tried = group.joints[s].tried(term)
+            structures[s] = _moved(structures[s], term, tried, step / np.log(tried[1] / tried[0]))
         after = fit(group, tuple(structures))
         if after.errors.sum() >= best.errors.sum():
             break
@@ -278,28 +211,28 @@ def with_shapes(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Append derivatives by log widths and log speeds to a candidate's columns: names (joint, width or speed) and x."""
     names, columns = list(candidate.names), [candidate.M]
     for s, structure in enumerate(candidate.structures):
-        for kind in ("width", "speed"):
-            if kind not in structure:
+        for term in SHAPE_OF:
+            if structure.value(term) is None:
                 continue
-            number, values = structure[kind], shape_values(group, s, kind)
-            ends = [min(max(number + way, 0.0), len(values) - 1.0) for way in (-TILT, TILT)]
-            low, high = (_columns_with(group, candidate, s, kind, end) @ candidate.x for end in ends)
-            slope = (high - low) / ((ends[1] - ends[0]) * np.log(values[1] / values[0]))
+            tried = group.joints[s].tried(term)
+            ends = [_moved(structure, term, tried, step) for step in (-TILT, TILT)]
+            low, high = (_columns_with(group, candidate, s, end) @ candidate.x for end in ends)
+            slope = (high - low) / np.log(ends[1].value(term) / ends[0].value(term))
             if slope.any():
-                names.append((s, kind))
+                names.append((s, term))
                 columns.append(slope[:, None])
     M = np.hstack(columns)
     x, replicates, errors = left_out(reduced(group, M))
     return FrictionFit(candidate.structures, tuple(names), x, replicates, errors, M)
 
 
-def shape_values(group: FrictionGroup, s: int, kind: str) -> np.ndarray:
-    """Return the widths or speeds that are tried for a joint."""
-    return group.joints[s].widths if kind == "width" else group.joints[s].speeds
+def _moved(structure: Structure, term: str, tried: np.ndarray, step: float) -> Structure:
+    """Move a width or speed by ``step`` ways to the next that is tried, by one at most, and within those tried."""
+    moved = structure.value(term) * (tried[1] / tried[0]) ** np.clip(step, -1.0, 1.0)
+    return structure.changed(term, float(np.clip(moved, tried[0], tried[-1])))
 
 
-def _columns_with(group: FrictionGroup, candidate: FrictionFit, s: int, kind: str, number: float) -> np.ndarray:
-    """Build M (p, k) of a candidate's parameters with another width or speed of a joint."""
-    listed, M = columns_of(group, _changed(candidate, s, {**candidate.structures[s], kind: number}))
-    place = {name: k for k, name in enumerate(listed)}
-    return M[:, [place[name] for name in candidate.names]]
+def _columns_with(group: FrictionGroup, candidate: FrictionFit, s: int, structure: Structure) -> np.ndarray:
+    """Build M (p, k) of a candidate's parameters with another structure of a joint."""
+    listed, M = columns_of(group, _changed(candidate, s, structure))
+    return M[:, [listed.index(name) for name in candidate.names]]

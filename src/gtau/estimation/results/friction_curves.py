@@ -17,14 +17,11 @@ from gtau.estimation.friction.normal_equations import (
     normal_equations,
 )
 from gtau.estimation.friction.selection import (
-    KINDS,
-    WORDS,
     FrictionFit,
     choose,
-    parameter_columns,
-    shape_values,
     with_shapes,
 )
+from gtau.estimation.friction.structure import SHAPE_OF, WORDS, parameter_columns, place
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
 from gtau.robots.parameter import TEMPERATURE_TERMS, Parameter, unit_of
@@ -135,10 +132,11 @@ def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) ->
     One that is tried stands for all up to half the way to the next.
     """
     covariance = np.zeros_like(A)
-    for k, (s, kind) in enumerate(shaped.names):
-        if kind in BETWEEN:
-            tried, number = shape_values(group, s, kind), shaped.structures[s][kind]
-            std = np.log(tried[1] / tried[0]) / np.sqrt(12) if number == round(number) else BETWEEN[kind]
+    for k, (s, term) in enumerate(shaped.names):
+        if term in BETWEEN:
+            tried = group.joints[s].tried(term)
+            between = place(shaped.structures[s].value(term), tried) % 1 > 0
+            std = BETWEEN[term] if between else np.log(tried[1] / tried[0]) / np.sqrt(12)
             others = np.arange(len(A)) != k
             change = np.ones(len(A))
             change[others] = -np.linalg.lstsq(A[np.ix_(others, others)], A[others, k], rcond=1e-12)[0]
@@ -161,7 +159,7 @@ def group_estimates(
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (shaped.M.T @ group.cross / size) / size
     factor = sandwich_factor([group.residuals]) if group.residuals.size else 1.0
     covariance = factor**2 * jackknife(shaped.replicates) + _between_values(group, shaped, A)
-    place = {name: k for k, name in enumerate(shaped.names)}
+    position = {name: k for k, name in enumerate(shaped.names)}
     names: list[Parameter] = []
     values: list[float] = []
     rows: list[np.ndarray] = []
@@ -169,8 +167,8 @@ def group_estimates(
     def add(name: Parameter, value: float, factors: Mapping[tuple[int, str], float]) -> None:
         row = np.zeros(len(shaped.names))
         for unknown, factor in factors.items():
-            if unknown in place:
-                row[place[unknown]] = factor
+            if unknown in position:
+                row[position[unknown]] = factor
         names.append(name)
         values.append(value)
         rows.append(row)
@@ -183,11 +181,9 @@ def group_estimates(
                 add(Parameter("fb", joint.name), excess, {(s, "fr"): 1.0, (s, "fs"): -1.0})
             else:
                 add(Parameter(kind, joint.name), x.get((s, kind), 0.0), {(s, kind): 1.0})
-        for kind, shape in (("width", "width"), ("speed", "vs")):
-            if (number := structure.get(kind)) is not None:
-                tried = shape_values(group, s, kind)
-                value = float(tried[0] * (tried[1] / tried[0]) ** number)
-                add(Parameter(shape, joint.name), value, {(s, kind): value})  # its logarithm is estimated
+        for term, shape in SHAPE_OF.items():
+            if (value := structure.value(term)) is not None:
+                add(Parameter(shape, joint.name), value, {(s, term): value})  # its logarithm is estimated
     T = np.array(rows).reshape(len(names), len(shaped.names))
     return names, np.array(values), T @ S, T @ covariance @ T.T
 
@@ -201,7 +197,7 @@ def _curves(
     return {
         joint.name: FrictionCurve(
             joint.name,
-            {WORDS[kind]: float(evidence[s, kind]) for kind in KINDS if (s, kind) in evidence},
+            {word: float(evidence[s, term]) for term, word in WORDS.items() if (s, term) in evidence},
             error,
             plain_error,
         )
