@@ -29,7 +29,6 @@ YAML_HEAD = """\
 # Torque of a joint = drive gain x current. Base parameters ending in R stand for the sum under 'regrouping'.
 {friction}
 """
-UNITS = {"kg m2": r"kg\,m$^2$", "kg m": r"kg\,m", "N m": r"N\,m", "N m s/rad": r"N\,m\,s/rad", "N s/m": r"N\,s/m"}
 SPECIAL = {
     "\\": r"\textbackslash{}",
     "^": r"\textasciicircum{}",
@@ -191,7 +190,8 @@ def _parameters(result: Result, label: Mapping[str, str]) -> str:
 def _line(name: str, estimate: Estimate) -> tuple[str, ...]:
     per_cent = estimate.rel_std
     relative = "--" if per_cent is None else f"{per_cent:.2f}" if per_cent < 1000 else "$> 1000$"
-    unit = UNITS.get(estimate.unit, estimate.unit.replace("N m", r"N\,m").replace("3", "$^3$"))
+    words = estimate.unit if " per " in estimate.unit else estimate.unit.replace(" ", r"\,")
+    unit = re.sub("(?<=[a-z])[23]", r"$^\g<0>$", words)
     return f"${name}$", _number(estimate.value), _number(estimate.std, 2), relative, unit
 
 

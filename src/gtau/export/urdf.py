@@ -24,12 +24,10 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Export, Exported, digits, written, xml_text
 from gtau.export.input_file import InputFile, input_file
-from gtau.robots.parameter import RigidBody, gain_unit, rigid_body, torque_unit, unit_of
+from gtau.robots.parameter import KINDS, RigidBody, gain_unit, rigid_body, torque_unit, unit_of
 from gtau.robots.placement import compose, pose_of, turn
 from gtau.robots.robot import (
-    DAMPING,
     GROUND,
-    PRELOAD,
     ROTATIONS,
     STIFFNESS,
     TRANSLATIONS,
@@ -228,11 +226,10 @@ def drives_text(model: ConsistentModel) -> str:
     robot = model.result.robot
     document: dict[str, Any] = {"robot": robot.name, "joints": {}}
     for joint in robot.joints:
-        name, unit, turns = joint.name, torque_unit(robot, joint.name), joint.turns
+        name, unit = joint.name, torque_unit(robot, joint.name)
         quantities: dict[str, tuple[float | None, str]] = {
-            "armature": (model.of("ia", name) or None, "kg m2" if turns else "kg"),
-            "offset": (model.of("off", name) or None, unit),
-            "cubic_friction": (model.of("f3", name) or None, "N m s3/rad3" if turns else "N s3/m3"),
+            key: (model.of(kind, name) or None, unit_of(kind, robot, name))
+            for key, kind in (("armature", "ia"), ("offset", "off"), ("cubic_friction", "f3"))
         }
         if name in model.gains:
             gain = (model.gains[name], gain_unit(robot, name, model.result.kind))
@@ -256,9 +253,8 @@ def _spring_data(model: ConsistentModel, spring: Spring) -> dict[str, object]:
     for end in (spring.a, spring.b):
         parent, placement = _on(end.body, end.placement, _to_vertical(robot))
         ends.append({"link": parent, "xyz": [float(component) for component in placement.position]})
-    words = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
     units = {kind: unit_of(kind, robot, spring.name) for kind in spring.parameters}
-    values = {words[kind]: {"value": model.of(kind, spring.name), "unit": unit} for kind, unit in units.items()}
+    values = {KINDS[kind].words: {"value": model.of(kind, spring.name), "unit": unit} for kind, unit in units.items()}
     return {"between": ends, **values}
 
 

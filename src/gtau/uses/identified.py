@@ -19,6 +19,7 @@ import numpy as np
 
 from gtau.documents.files import identifier
 from gtau.estimation.friction.law import transmitted
+from gtau.estimation.regression.friction_terms import SLOPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
 from gtau.model import dynamics
@@ -115,7 +116,7 @@ def notes_on(model: Identified) -> tuple[str, ...]:
     result = model.result
     lost = [name for name, estimate in result.parameters.items() if estimate.value is None]
     notes = [f"not identifiable from the logs and exported as zero: {', '.join(lost)}"] if lost else []
-    bent = [name for name in model.terms if name.kind == "f3"]
+    bent = [name for name in model.terms if name.kind in SLOPES]
     values = dict(zip((*result.base.names, *model.terms), model.values, strict=True))
     bent += [name for name, value in values.items() if name.kind == "fv" and value < 0]
     joints = dict.fromkeys(name.body for name in bent)
