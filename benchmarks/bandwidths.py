@@ -27,11 +27,12 @@ from zoo import ENTRIES
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.regression.factors import SIGNAL, equations
 from gtau.estimation.regression.plausibility import sensors_of
 from gtau.estimation.regression.rows import stream_rows
+from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.filters import Decimator, filter_edge, low_pass
@@ -103,9 +104,9 @@ def solved(W: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 def rows(robot: Robot, run: Run, cutoff: float, of_command: float, load: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows of every joint (n, K, p) and its command (n, K), positions and commands behind their low-passes."""
-    model = model_of(robot)
+    model = InverseDynamics(robot)
     run = run.ordered(model.actuated)
-    n, names = len(model.actuated), base_of(robot, sensors_of(robot, [run])).standard
+    n, names = len(model.actuated), base_parameters(model, sensors=sensors_of(robot, [run])).standard
     kept = inner(run)
     still = Preparation(cutoff, cutoff, Decimator(1), 0.0)
     prepared = PreparedRun(run, still, kept, np.ones(n, bool), np.eye(n), np.eye(n), np.zeros((1, n)))

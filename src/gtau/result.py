@@ -49,7 +49,7 @@ class Result(results.Result):
     @classmethod
     def of(cls, model: results.Result) -> Result:
         """Give an identified model the methods of this class."""
-        return cls(model.robot, model.estimates, model.fit, model.evidence)
+        return cls(model.equations, model.estimates, model.fit, model.evidence)
 
     def summary(self, verbose: bool = True) -> str:
         """Summarise the result as text: one screen, or with ``verbose`` all of it."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gtau.estimation.regression.dataset import model_of, preparation_of
+from gtau.estimation.regression.dataset import preparation_of
+from gtau.model.base_parameters import Equations
 from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.run import Run
@@ -26,7 +28,7 @@ def ramps(robot: Robot, name: str, hunting: float, rng: np.random.Generator) -> 
     phase = time % 5.0
     q = 0.8 * np.minimum(phase, 5.0 - phase)
     qd = np.where(phase < 2.5, 0.8, -0.8)
-    tau = model_of(robot).torques(q[:, None], qd[:, None], np.zeros((len(q), 1)), CHI)
+    tau = InverseDynamics(robot).torques(q[:, None], qd[:, None], np.zeros((len(q), 1)), CHI)
     tau = tau + 0.005 * rng.standard_normal(tau.shape)
     shaken = q + hunting * np.sin(2 * np.pi * 41 * time) + 1e-5 * rng.standard_normal(len(q))
     return Run(name, ("arm",), time, shaken[:, None], tau, "torque")
@@ -34,7 +36,7 @@ def ramps(robot: Robot, name: str, hunting: float, rng: np.random.Generator) -> 
 
 def test_hunting_of_a_controller_is_no_motion(bench: Robot, rng: np.random.Generator) -> None:
     runs = [ramps(bench, "smooth", 0.0, rng), ramps(bench, "hunting", 0.01, rng)]
-    of_spectra, tried = choose_preparation(runs), preparation_of(bench, runs)
+    of_spectra, tried = choose_preparation(runs), preparation_of(Equations(InverseDynamics(bench)), runs)
     assert of_spectra.bandwidth > 35
     assert of_spectra.cutoff is None
     assert tried.bandwidth < 12
@@ -46,7 +48,7 @@ def test_hunting_of_a_controller_is_no_motion(bench: Robot, rng: np.random.Gener
 def test_a_choice_by_hand_is_kept(bench: Robot, rng: np.random.Generator) -> None:
     run = ramps(bench, "hunting", 0.01, rng)
     run = Run(run.name, run.joints, run.time, run.position, run.command, run.kind, settings=_settings(45.0))
-    assert preparation_of(bench, [run]).bandwidth == 45.0
+    assert preparation_of(Equations(InverseDynamics(bench)), [run]).bandwidth == 45.0
 
 
 def _settings(bandwidth: float) -> object:

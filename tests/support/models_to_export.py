@@ -13,7 +13,7 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
 from gtau.estimation.results.groups import FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.model.base_parameters import base_parameters
+from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import Result
 from gtau.robots.parameter import Parameter, torque_unit, unit_of
@@ -33,7 +33,8 @@ def model_of(
     standard = dict.fromkeys(model.parameter_names, 0.0) | (random_parameters(robot, rng) if chi is None else chi)
     size = {"k": 3.0, "f0": 2.0, "c": 0.4}
     standard |= {name: size[name.split("_")[0]] for name in standard if name.split("_")[0] in size}
-    base = base_parameters(model)
+    equations = Equations(model)
+    base = equations.base
     values = base.matrix @ [standard[name] for name in model.parameter_names]
     joints, units = robot.actuated, [torque_unit(robot, joint) for joint in robot.actuated]
     gains = rng.uniform(1.5, 4.0, len(joints)) * np.where(np.arange(len(joints)) % 3 == 1, -1.0, 1.0)
@@ -86,7 +87,7 @@ def model_of(
         logged_speeds=dict.fromkeys(joints, 100.0),
         statistics={"lack_of_fit": 1.0, "reduction_loss": 0.0},
     )
-    return Result(robot, estimates, fit)
+    return Result(equations, estimates, fit)
 
 
 def preslid(result: Result) -> Result:

@@ -119,7 +119,7 @@ def expected_width(candidate: Candidate | None, result: Result, seed: int) -> fl
     try:
         runs = () if candidate is None else _simulated(candidate, result, seed)
         with single_threaded_blas():
-            dataset = reduce_runs(result.robot, [*result.data, *runs])
+            dataset = reduce_runs(result.robot, [*result.data, *runs], model=result.idm)
             fit = estimator.fit(select_friction(dataset, estimator.solver(None), silent), None, silent)
             estimates = estimates_of(fit, Examination(mixed=estimate_effects(fit)), correlated=True, moved=True)
     except GtauError:

@@ -31,13 +31,14 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
-from gtau.estimation.regression.dataset import Dataset, System, model_of, preparation_of, robot_notes
-from gtau.estimation.regression.plausibility import prepare_runs
+from gtau.estimation.regression.dataset import Dataset, System, preparation_of, robot_notes
+from gtau.estimation.regression.plausibility import prepare_runs, sensors_of
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import NearestPose, distances_along, nearest_poses
 from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity
+from gtau.model.base_parameters import Equations
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import singular_distances
@@ -167,7 +168,7 @@ def check(
     """
     options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
     subject = describe(source, runs, options)
-    robot, experiment, model = subject.robot, subject.experiment, model_of(subject.robot)
+    robot, experiment, model = subject.robot, subject.experiment, InverseDynamics(subject.robot)
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
     notes = robot_notes(robot, loaded=any(run.payload for run in listed))
     count, listed = len(listed), (*listed, *(experiment.validation if experiment else ()))
@@ -184,7 +185,7 @@ def check(
     notes += doubtful_currents(used, robot.base)
     notes += doubtful_gravity(robot)
     notes += doubtful_payloads(robot, (run.payload for run in used))
-    preparation, checked = preparation_of(robot, used), []
+    preparation, checked = preparation_of(Equations(model, sensors_of(robot, used)), used), []
     every = [(k, run) for k, runs in enumerate(read) for run in runs]
     for k, run in every:
         progress("checking logs", k, len(read))

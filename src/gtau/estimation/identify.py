@@ -164,7 +164,7 @@ def estimate(
     sensors = sensor_estimates(plain, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
     described = model_estimates(fit, estimates, predicting, verdicts, payloads, essential)
     return Result(
-        dataset.robot,
+        dataset.equations,
         replace(described, consistency=bodies, sensors=sensors),
         fit_record(fit, estimator.name, errors, figures),
         replace(evidence(fit, estimates, examined, findings, curves), audit=audit),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -137,6 +138,23 @@ def base_parameters(
     inertial_count = len(independent_columns(R[:, inertial])[0])
     without_effect = tuple(order[k] for k in idle)
     return BaseParameters(tuple(names), tuple(standard), regroupings, matrix, without_effect, inertial_count)
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """A robot's model, and the base parameters of its motors and ``sensors``, computed when first needed.
+
+    ``known`` are the base parameters if they have been computed already.
+    """
+
+    model: InverseDynamics
+    sensors: tuple[str, ...] = ()
+    known: BaseParameters | None = None
+
+    @cached_property
+    def base(self) -> BaseParameters:
+        """Base parameters of motors and torque sensors together."""
+        return base_parameters(self.model, sensors=self.sensors) if self.known is None else self.known
 
 
 def _settled_triangle(

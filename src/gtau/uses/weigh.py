@@ -167,7 +167,7 @@ def _prior_gains(model: Result, subject: Subject, where: str) -> tuple[np.ndarra
 
 def _reduced(model: Result, runs: Sequence[Run], progress: Progress) -> Dataset:
     ordered = tuple(run.ordered(run.joints, link_side=False) for run in runs)  # the model's gains say as much
-    return reduce_runs(model.robot, ordered, at_rate_of(ordered, model.preparation), progress=progress)
+    return reduce_runs(model.robot, ordered, at_rate_of(ordered, model.preparation), progress=progress, model=model.idm)
 
 
 def _moved(model: Result, system: System, step: np.ndarray) -> Problem:

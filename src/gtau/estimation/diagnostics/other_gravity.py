@@ -24,7 +24,6 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding
-from gtau.model.base_parameters import base_parameters
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import BY_LOAD
 
@@ -61,13 +60,12 @@ def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress 
 def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
     """Fit with another gravity; raises GtauError where the data do not determine the gains with it."""
     dataset = fit.dataset
-    model, base = dataset.model, dataset.base
+    equations = dataset.equations
     if not np.array_equal(gravity, dataset.robot.gravity):
-        model = model.altered(gravity=tuple(gravity.tolist()))
-        base = base_parameters(model, sensors=dataset.runs[0].sensors)
+        equations = replace(equations, model=dataset.model.altered(gravity=tuple(gravity.tolist())), known=None)
     gains = None if fit.free_gains else fit.gains
     terms = tuple(term for term in fit.system.terms if term.kind not in BY_LOAD)
-    other = replace(dataset, model=model, base=base, factors=()).reduced()
+    other = replace(dataset, equations=equations, factors=()).reduced()
     return fit_by(ml_or_wls(gains), fit.system.again(other, terms), fit.free_gains)
 
 

@@ -37,7 +37,8 @@ def other_body(fit: Fit) -> EstimatedEffect | None:
     robot, best, remains = model.robot, unaltered, float(LOAD_LEFT)
     for body in robot.bodies:
         if body != robot.tool and Parameter("m", body) in model.parameter_names and fit.system.payloads:
-            other = refitted(fit, dataset=replace(fit.dataset, model=model.altered(named_tool=body)))
+            equations = replace(fit.dataset.equations, model=model.altered(named_tool=body), known=fit.dataset.base)
+            other = refitted(fit, dataset=replace(fit.dataset, equations=equations))
             if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
                 best, remains = other, ratio
     if best is unaltered:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, replace
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -36,7 +36,7 @@ from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
 from gtau.findings import Finding, Grade
-from gtau.model.base_parameters import BaseParameters, base_parameters
+from gtau.model.base_parameters import BaseParameters, Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import oddities, tool_note
@@ -51,23 +51,6 @@ if TYPE_CHECKING:
     from gtau.estimation.regression.reference import ReferenceModel
 
 
-def model_of(robot: Robot) -> InverseDynamics:
-    """Return the model of a robot, built once."""
-    # robots are equal whose files state other inertias, notes or constants; a model knows its robot's
-    return _model_of(robot, astuple(robot.file))
-
-
-@lru_cache(maxsize=8)
-def _model_of(robot: Robot, written: tuple[Any, ...]) -> InverseDynamics:
-    return InverseDynamics(robot)
-
-
-@lru_cache(maxsize=8)
-def base_of(robot: Robot, sensors: tuple[str, ...] = ()) -> BaseParameters:
-    """Return the base parameters of a robot's motors and ``sensors``, found once."""
-    return base_parameters(model_of(robot), sensors=sensors)
-
-
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """All runs of an experiment, read and reduced, with the priors, before any estimation.
@@ -77,14 +60,23 @@ class Dataset:
     model of the same robot whose parameters count as known with their covariance.
     """
 
-    model: InverseDynamics
-    base: BaseParameters
+    equations: Equations
     preparation: Preparation
     prepared: PreparedRuns
     factors: tuple[Factors, ...] = ()
     priors: Mapping[str, Prior] = field(default_factory=dict)
     prior_inertias: float = 0.0
     reference: ReferenceModel | None = None
+
+    @property
+    def model(self) -> InverseDynamics:
+        """The robot's model."""
+        return self.equations.model
+
+    @property
+    def base(self) -> BaseParameters:
+        """Base parameters of motors and torque sensors together."""
+        return self.equations.base
 
     @property
     def robot(self) -> Robot:
@@ -300,13 +292,14 @@ def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
     return [Finding("robot description", text=note, grade=Grade.INFORMATION, source=source) for note in notes]
 
 
-def preparation_of(robot: Robot, runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir") -> Preparation:
+def preparation_of(
+    equations: Equations, runs: Sequence[Run], decimator: Literal["fir", "chebyshev"] = "fir"
+) -> Preparation:
     """Choose the preparation of runs by their spectra, and by trials along the robot's equations; raises GtauError."""
     if decimator == "chebyshev":
         return choose_preparation(runs, decimator)
-    model = model_of(robot)
+    model, base = equations.model, equations.base
     runs = [run.ordered(model.actuated) for run in runs]
-    base = base_of(robot, sensors_of(robot, runs))
     return choose_preparation(runs, decimator, lambda chosen: best_of_trials(model, base, runs, chosen))
 
 
@@ -323,12 +316,13 @@ def reduce_runs(
     progress: Progress = silent,
     priors: Mapping[str, Prior] | None = None,
     prior_inertias: float = 0.0,
+    model: InverseDynamics | None = None,
 ) -> Dataset:
     """Prepare all runs and reduce them to triangular factors; raises GtauError.
 
-    ``priors`` are those of parameters; see :class:`Dataset`.
+    ``priors`` constrain parameters; see :class:`Dataset`. A ``model`` of the robot that exists is not built again.
     """
-    model = model_of(robot)
+    model = model or InverseDynamics(robot)
     runs = tuple(run.ordered(model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:
         raise GtauError("some runs hold currents and others torques; identify them separately.")
@@ -337,8 +331,8 @@ def reduce_runs(
     for run in runs:
         check_wrenches(robot, run)
     progress("base parameters", 0, 1)
-    base = base_of(robot, sensors_of(robot, runs))
-    preparation = preparation or preparation_of(robot, runs, decimator)
+    equations = Equations(model, sensors_of(robot, runs))
+    preparation = preparation or preparation_of(equations, runs, decimator)
     prepared = prepare_runs(model, runs, preparation)
-    dataset = Dataset(model, base, preparation, prepared, (), priors or {}, prior_inertias)
+    dataset = Dataset(equations, preparation, prepared, (), priors or {}, prior_inertias)
     return dataset.reduced(progress=progress)

@@ -48,6 +48,8 @@ from gtau.estimation.results.result import Result
 from gtau.extensions import registered
 from gtau.findings import Finding, Grade
 from gtau.findings.finding import finding_document, note_document, read_note
+from gtau.model.base_parameters import Equations
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
 from gtau.robots.readers.native import parse_native
 from gtau.robots.readers.native_text import native_text
@@ -328,7 +330,8 @@ class ModelDocument(_Group):
             {field.name: values[field.name] for field in fields(group) if field.name in values}
             for group in (ModelEstimates, FitRecord, Evidence)
         )
-        return Result(robot, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
+        equations = Equations(InverseDynamics(robot), tuple(sensor.joint for sensor in values["sensors"]))
+        return Result(equations, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
 
 
 def described(result: Result) -> ModelDocument:

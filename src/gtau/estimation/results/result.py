@@ -11,7 +11,6 @@ import numpy as np
 
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.regression.dataset import base_of, model_of
 from gtau.estimation.results.estimate import (
     Estimate,
     FrictionCurve,
@@ -25,7 +24,7 @@ from gtau.estimation.results.estimate import (
 from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.findings import Finding, Grade
-from gtau.model.base_parameters import BaseParameters
+from gtau.model.base_parameters import BaseParameters, Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import SHAPES, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
@@ -64,10 +63,15 @@ class Result:
     All fields of these groups are properties of the result, too.
     """
 
-    robot: Robot
+    equations: Equations
     estimates: ModelEstimates
     fit: FitRecord
     evidence: Evidence = field(default_factory=Evidence)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.equations.model.robot
 
     @property
     def drive_gains(self) -> Named[str]:
@@ -229,15 +233,15 @@ class Result:
             groups.setdefault(GROUPS[name], {})[name] = value
         return replace(self, **{group: replace(getattr(self, group), **fields) for group, fields in groups.items()})
 
-    @cached_property
+    @property
     def idm(self) -> InverseDynamics:
         """Inverse dynamic identification model of the robot."""
-        return model_of(self.robot)
+        return self.equations.model
 
-    @cached_property
+    @property
     def base(self) -> BaseParameters:
         """Base parameters of motors and torque sensors together."""
-        return base_of(self.robot, tuple(sensor.joint for sensor in self.sensors))
+        return self.equations.base
 
     @cached_property
     def friction_law(self) -> FrictionLaw:
