@@ -192,8 +192,8 @@ def export_isaaclab(result: Result, out: Path) -> Exported:
     bodies, motors = urdf.export(result, out), actuators(model)
     entries = {motor.joint: _fields(motor) for motor in motors}
     actuator: dict[str, Any] = {"joint_names_expr": list(entries)}
-    for field, of_mjlab in ISAACLAB.items():
-        if values := {joint: entry[of_mjlab] for joint, entry in entries.items() if of_mjlab in entry}:
+    for field, key in ISAACLAB.items():
+        if values := {joint: entry[key] for joint, entry in entries.items() if key in entry}:
             actuator[field] = values
     actuator["min_delay"] = min(entry["delay_min_lag"] for entry in entries.values())
     actuator["max_delay"] = max(entry["delay_max_lag"] for entry in entries.values())

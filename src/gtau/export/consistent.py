@@ -19,12 +19,11 @@ from gtau.errors import GtauError
 from gtau.estimation.results.result import Result
 from gtau.model.singularities import random_motion
 from gtau.robots.parameter import KINDS, Parameter, torque_unit
-from gtau.robots.robot import Robot
+from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.uses.identified import identified, torques_of
 
 STATES = 500
 POSES = 200  # at random within the workspace
-PLAIN = ("fv", "fs", "off")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +62,7 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
     terms = {name: term.value or 0.0 for name, term in result.friction_parameters.items()}
     for joint in (joint.name for joint in result.robot.joints):
         if joint in result.curves:  # its friction comes from the model, not from the fit of rigid bodies
-            values |= {name: terms[name] for kind in PLAIN if (name := Parameter(kind, joint)) in terms}
+            values |= {name: terms[name] for kind in PLAIN_FRICTION if (name := Parameter(kind, joint)) in terms}
         viscous, coulomb, cubic = (Parameter(kind, joint) for kind in ("fv", "fs", "f3"))
         identified_friction = values | terms
         least = min(identified_friction.get(name, 0.0) for name in (viscous, coulomb, cubic))
@@ -131,7 +130,7 @@ def term_notes(model: ConsistentModel, target: str, expressed: Mapping[str, floa
     if held := [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]:
         notes.append(f"{target} has no friction before sliding, of these widths: {', '.join(held)}")
     left_out = [name for joint in model.cubic if (name := Parameter("f3", joint)) not in expressed]
-    left_out += [name for name in result.friction_parameters if name.kind not in (*PLAIN, "f3", "fb")]
+    left_out += [name for name in result.friction_parameters if name.kind not in (*PLAIN_FRICTION, "f3", "fb")]
     if left_out:
         named = ", ".join(f"{name} ({KINDS[name.kind].words})" for name in left_out)
         notes.append(f"{target} cannot express this friction, left out: {named}")

@@ -118,7 +118,7 @@ def export_model(
     model : Result or path
         A result, or its ``model.json``.
     kind : str
-        One of those that ``gtau export --help`` lists, ``c`` for instance.
+        One of the kinds that ``gtau export --help`` lists, ``c`` for instance.
     out : path
         Folder of the files.
     into : path, optional

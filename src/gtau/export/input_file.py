@@ -125,12 +125,12 @@ def _tag_end(content: bytes, start: int) -> int:
     return tag.end()
 
 
-def _difference(of_file: Robot, robot: Robot) -> str:
+def _difference(file_robot: Robot, robot: Robot) -> str:
     """Describe the difference between two robots' bodies, if any."""
-    if of_file.bodies != robot.bodies:
-        missing = [name for name in robot.bodies if name not in of_file.bodies]
-        return f"'{missing[0]}' is missing there" if missing else f"it has {len(of_file.bodies)} bodies"
-    for one, other in zip(of_file.joints, robot.joints, strict=True):
+    if file_robot.bodies != robot.bodies:
+        missing = [name for name in robot.bodies if name not in file_robot.bodies]
+        return f"'{missing[0]}' is missing there" if missing else f"it has {len(file_robot.bodies)} bodies"
+    for one, other in zip(file_robot.joints, robot.joints, strict=True):
         if (one.antecedent, one.kind) != (other.antecedent, other.kind):
             return f"joint '{one.name}' has another parent or is of another kind"
         a, b = (np.vstack([joint.placement.rotation, joint.placement.position, joint.axis]) for joint in (one, other))

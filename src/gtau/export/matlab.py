@@ -27,8 +27,8 @@ def matlab_files(model: Identified) -> dict[str, str]:
     made, files = fields["made"], {}
     for kind, description in OUTPUTS.items():
         arguments, kernel = ARGUMENTS.get(kind, "c, qd, qdd, p"), _kernel(made.outputs[kind], "kernel")
-        of_kind = {"kind": kind, "arguments": arguments, "description": description, "kernels": kernel}
-        files[f"{model.name}_{kind}.m"] = filled("function.m", fields | of_kind)
+        more = {"kind": kind, "arguments": arguments, "description": description, "kernels": kernel}
+        files[f"{model.name}_{kind}.m"] = filled("function.m", fields | more)
     steps = {"newton": made.step, "last_newton": made.last_step}
     fields["kernels"] = "".join(_kernel(step, name) for name, step in steps.items() if step is not None)
     for kind in ("currents", "move", "start", "rest", "parameters"):

@@ -123,11 +123,11 @@ class Target:
 
     def mode(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Find the mode and the Hessian there of normal estimates, from ``y`` within the cone."""
-        of_data = self.S.T @ self.information @ self.S + np.diag(self.stiffness)
+        data_precision = self.S.T @ self.information @ self.S + np.diag(self.stiffness)
         for _ in range(STEPS):
             now, gradient = self.energy(y, normal=True)
             turned = np.einsum("bij,bkjl->bkil", np.linalg.inv(self.bodies(y)), self.basis)
-            H = of_data.copy()
+            H = data_precision.copy()
             H[self.places[:, :, None], self.places[:, None, :]] += EXPONENT * np.einsum(
                 "bkij,blji->bkl", turned, turned
             )

@@ -17,9 +17,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result
-from gtau.export.consistent import PLAIN, consistent_model
+from gtau.export.consistent import consistent_model
 from gtau.export.rigid_draws import target_of
-from gtau.robots.parameter import SHAPES, Parameter
+from gtau.robots.parameter import DISSIPATING, SHAPES, Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 
 ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was identified
 
@@ -137,7 +138,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Draws:
     changes = dict(zip(list(estimates)[len(estimates) - y.shape[1] + n :], (y[:, n:]).T, strict=True))
     unchanged = np.zeros(count)
 
-    def of_joints(kind: str, values: Iterable[float | None]) -> np.ndarray:
+    def by_joint(kind: str, values: Iterable[float | None]) -> np.ndarray:
         joints = zip(result.idm.actuated, values, strict=True)
         return np.column_stack([(v or 0.0) + changes.get(Parameter(kind, joint), unchanged) for joint, v in joints])
 
@@ -150,11 +151,12 @@ def draw(result: Result, count: int, seed: int = 0) -> Draws:
         for name, estimate in result.friction_parameters.items()
     }
     for name, values in friction.items():
-        if name.kind in PLAIN[:2] and (result.friction_parameters[name].value or 0.0) >= 0:
+        dissipates = name.kind in PLAIN_FRICTION and name.kind in DISSIPATING
+        if dissipates and (result.friction_parameters[name].value or 0.0) >= 0:
             friction[name] = np.maximum(values, 0.0)
     shifts = dict(zip(estimates, map(float, np.abs(deviations.mean(axis=0))), strict=True))
-    gains = of_joints("gain", result.gains)
-    delays = of_joints("delay", (delay.value for delay in result.delays.values()))
+    gains = by_joint("gain", result.gains)
+    delays = by_joint("delay", (delay.value for delay in result.delays.values()))
     return Draws(result, x, base_values, gains, delays, friction, target.outside(deviations), shifts, seed)
 
 

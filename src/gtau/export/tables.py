@@ -1,6 +1,6 @@
 """Tables of gains, delays, friction, base parameters and payloads: in CSV, YAML and LaTeX.
 
-Those in LaTeX are in the field's notation, with the geometry (MDH) and the regroupings.
+Tables in LaTeX are in the field's notation, with the geometry (MDH) and the regroupings.
 """
 
 from __future__ import annotations

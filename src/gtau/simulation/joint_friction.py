@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.friction.law import OF_JOINTS, FrictionLaw
+from gtau.estimation.friction.law import JOINT_TERMS, FrictionLaw
 from gtau.estimation.regression.friction_terms import FORMULAS
 from gtau.estimation.results.result import Result
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -24,7 +24,7 @@ from gtau.robots.robot import PLAIN_FRICTION
 from gtau.uses.prediction import friction_values, loaded_parameters
 
 WIDTH = {"prismatic": 1e-3, "revolute": 2e-3}  # m/s, rad/s: sign(v) is tanh(v / width)
-STATED = tuple(kind for kind in OF_JOINTS if kind not in PLAIN_FRICTION)
+STATED = tuple(kind for kind in JOINT_TERMS if kind not in PLAIN_FRICTION)
 """Friction that a simulation may have beyond the standard parameters."""
 MISSED = 1e-9  # largest overshoot of a reversal within a step, over the width of presliding
 BALANCES = 3  # iterations that scale propelling terms to the resulting load

@@ -67,7 +67,7 @@ class Identified:
 
     @property
     def values(self) -> np.ndarray:
-        """Values (n_p,) of the parameters, zero for those not identifiable."""
+        """Values (n_p,) of the parameters, zero where not identifiable."""
         return np.array([parameter.value or 0.0 for parameter in self.parameters])
 
     @property

@@ -192,7 +192,7 @@ def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
         solution,
         values=solution.values + K @ (gains - solution.values[at]),
         replicates=lambda: solution.replicates() @ kept.T,
-        of_prior=kept @ np.asarray(solution.of_prior) @ kept.T + K @ prior @ K.T,
+        prior_covariance=kept @ np.asarray(solution.prior_covariance) @ kept.T + K @ prior @ K.T,
     )
 
 

@@ -180,7 +180,7 @@ def estimates_of(
     if not correlated:
         parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
         return Estimates(problem.unknowns, solution.values, *parts, None)
-    of_file = solution.of_prior if fit.dataset.scaled_by_file else 0.0
+    of_file = solution.prior_covariance if fit.dataset.scaled_by_file else 0.0
     model = np.zeros_like(of_scale) if mixed is None else mixed.covariance - mixed.random
     if mixed is not None and moved:
         ratio = np.divide(mixed.values, solution.values, out=np.ones(len(mixed.values)), where=solution.values != 0)

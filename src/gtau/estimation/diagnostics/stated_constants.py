@@ -97,8 +97,8 @@ def stated_constants(system: System) -> list[StatedConstant]:
     for k in problem.sensor_channels:
         channel = problem.channels[k]
         add(f"{channel.kind.name} of '{channel.joint}'", 1.0, channel.std, 0.0, of_channels[k], 0.0)
-    if problem.base or system.of_wrenches is not None:
-        torques = 0.0 if system.of_wrenches is None else system.of_wrenches
+    if problem.base or system.wrench_columns is not None:
+        torques = 0.0 if system.wrench_columns is None else system.wrench_columns
         channels = system.dataset.runs[0].channels
         std = max((channel.std for channel in channels if not channel.kind.measures_joint), default=0.0)
         add(_wrenches(problem), 1.0, std, torques, of_channels[problem.base].sum(axis=0), 0.0)

@@ -45,7 +45,7 @@ class Mixed:
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
         # as many replicates on either side, whose jackknife is this covariance
         replicates = np.concatenate([root, -root]) * np.sqrt(len(root) / (2 * len(root) - 1))
-        solution = replace(solution, covariance=self.covariance, replicates=lambda: replicates, of_prior=0.0)
+        solution = replace(solution, covariance=self.covariance, replicates=lambda: replicates, prior_covariance=0.0)
         return replace(fit, solution=solution)
 
 

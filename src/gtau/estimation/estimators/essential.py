@@ -1,4 +1,4 @@
-"""Essential friction terms and parameters: those that the data support."""
+"""Essential friction terms and parameters, which the data support."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
     per_run = len(dataset.runs) > 1
     sensors = [channel.name for channel in dataset.runs[0].channels if channel.kind.link_side]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
-    of_temperature = all_terms(warm, TEMPERATURE_TERMS)
-    offered = (*all_terms(dataset.robot.motors), *of_temperature, *all_terms(sensors, DRIFTING))
+    temperature_terms = all_terms(warm, TEMPERATURE_TERMS)
+    offered = (*all_terms(dataset.robot.motors), *temperature_terms, *all_terms(sensors, DRIFTING))
     terms, criterion = select_friction_terms(dataset.system(offered, per_run).problem)
     if warm and per_run:  # differences between runs may come from temperature alone
         alone, less = select_friction_terms(dataset.system(offered).problem)
-        if less < criterion and set(alone) & set(of_temperature):
+        if less < criterion and set(alone) & set(temperature_terms):
             terms, per_run = alone, False
     if any(term.kind in BY_LOAD for term in terms):
         # Until the torques are known the current stands for them, which explains itself where friction is most of it:

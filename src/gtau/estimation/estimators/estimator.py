@@ -31,7 +31,7 @@ class Solution:
         Changes of the estimates when one unit after another is left out, (U, k); called for the jackknife.
     statistics : Mapping
         Further figures that the method offers, such as ``singular_ratio``.
-    of_prior : ndarray or float
+    prior_covariance : ndarray or float
         Contribution of priors to the covariance, which no unit of the data contains.
     converged : bool
         Whether the iteration converged.
@@ -43,7 +43,7 @@ class Solution:
     covariance: np.ndarray
     replicates: Callable[[], np.ndarray]
     statistics: Mapping[str, float] = field(default_factory=dict)
-    of_prior: np.ndarray | float = 0.0
+    prior_covariance: np.ndarray | float = 0.0
     converged: bool = True
 
     @property
@@ -64,7 +64,7 @@ class Solution:
     @cached_property
     def jackknife(self) -> np.ndarray:
         """Compute the covariance (k, k) from the steps (U, k) that leaving out each unit makes."""
-        return jackknife(self.replicates()) + self.of_prior
+        return jackknife(self.replicates()) + self.prior_covariance
 
 
 def jackknife(replicates: np.ndarray) -> np.ndarray:

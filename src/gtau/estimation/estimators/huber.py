@@ -33,9 +33,9 @@ def reweighted(system: System, solve: Solve, progress: Progress) -> System:
         if gains is not None and np.allclose(solution.gains, gains, rtol=CONVERGED, atol=0):
             break
         gains, sigma = solution.gains, solution.sigma if sigma is None else sigma
-        of_row = np.hstack([-system.full(solution.theta) / gains[:, None], delayed(solution.delays)])
+        row_factors = np.hstack([-system.full(solution.theta) / gains[:, None], delayed(solution.delays)])
         runs = range(len(system.dataset.runs))
-        weigh = [(np.einsum("jpk,jk->jp", system.map(run), of_row), TUNING * sigma) for run in runs]
+        weigh = [(np.einsum("jpk,jk->jp", system.map(run), row_factors), TUNING * sigma) for run in runs]
         system = system.again(system.dataset.reduced(system.loads(solution.theta), progress, weigh))
         sigma = robust_sigma([run.residuals for run in system.dataset.factors])
         sigma = np.maximum(sigma, system.unreduced.smallest_sigma)
@@ -54,7 +54,7 @@ def sandwich_factor(residuals: Sequence[np.ndarray]) -> float:
     """Compute the ratio of the jackknife's steps to those with fixed weights, ``E[w] / E[psi']``, at least 1.
 
     Leaving out a row changes the weights of the others as well: the curvature of Huber's loss is 1 for the rows below
-    the limit and 0 above it, on average ``E[psi'] < E[w]``. The residuals (K, c) are those of the last pass.
+    the limit and 0 above it, on average ``E[psi'] < E[w]``. The residuals (K, c) come from the last pass.
     """
     limit = TUNING * robust_sigma(residuals)
     weights, curvature = 0.0, 0

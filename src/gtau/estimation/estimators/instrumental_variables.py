@@ -3,7 +3,7 @@
 Encoder noise is amplified twice by differentiation to accelerations. It enters the regressor, so least squares and
 maximum likelihood underestimate every parameter, the more so the poorer the filter. The method of Janot et al.
 multiplies the equations not by the Jacobian J of the errors e, but by the same Jacobian along a motion simulated with
-the current estimate, whose errors are uncorrelated with those of the equations:
+the current estimate, whose errors are uncorrelated with the errors of the equations:
 
     J_s^T e = 0    instead of    J^T e = 0 ,
 
@@ -62,7 +62,7 @@ class Pair:
 def instrumental(system: System, solution: Solution, free_gains: bool, progress: Progress) -> tuple[Pair, Solution]:
     """Estimate by instrumental variables from a ``solution`` without; return the equations with their instruments too.
 
-    Without ``free_gains`` those of ``solution`` stay. Raises GtauError.
+    Without ``free_gains`` the gains of ``solution`` stay. Raises GtauError.
     """
     for k in range(PASSES):
         progress("simulation", k, PASSES)
@@ -84,7 +84,7 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
     values = np.concatenate([np.zeros(problem.n_theta), start.gains, start.delays])
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Linearise: weighted errors (., n p), their Jacobian (., n p, k) and that of the instruments."""
+        """Linearise: weighted errors (., n p), their Jacobian (., n p, k) and the instruments' Jacobian."""
         e = residuals(blocks, values) * weights[:, None]
         J, Z = (jacobian(rows, values, problem, free) * weights[:, None, None] for rows in (blocks, instruments))
         axes = (*e.shape[:-2], -1)
@@ -142,12 +142,14 @@ def paired(system: System, solution: Solution) -> Pair:
     measured, instruments = (
         system.again(replace(dataset, factors=factors)).unreduced for factors in zip(*pairs, strict=True)
     )
-    of_motion, of_instruments, b = [], [], len(measured.parameters) + 1
+    motion_triangles, instrument_triangles, b = [], [], len(measured.parameters) + 1
     for j in range(len(measured.joints)):
         R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
-        of_motion.append(R[:, b:])
-        of_instruments.append(np.hstack([R[:, :b], R[:, SIGNALS]]))
-    return Pair(measured, instruments, (np.stack(of_motion), np.stack(of_instruments))).of(system.problem.parameters)
+        motion_triangles.append(R[:, b:])
+        instrument_triangles.append(np.hstack([R[:, :b], R[:, SIGNALS]]))
+    return Pair(measured, instruments, (np.stack(motion_triangles), np.stack(instrument_triangles))).of(
+        system.problem.parameters
+    )
 
 
 def _reduced(
@@ -161,7 +163,7 @@ def _reduced(
 ) -> tuple[Factors, Factors]:
     """Reduce a run along the measured and the simulated motion, with the same instants row by row.
 
-    The sign of a noisy speed is not that of the speed plus noise, so the columns of Coulomb friction are the
+    The sign of a noisy speed is not the sign of the speed plus noise, so the columns of Coulomb friction are the
     simulated ones. The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by
     columns.
     """

@@ -29,7 +29,7 @@ def likeliest(problem: Problem) -> Solution:
     """Iterate from 2SLS towards the maximum of the likelihood, converged or not.
 
     Friction terms are chosen by this: a UR10e's pair with a current halved in one run does not converge with all of
-    them, but does with those that the data support, and the cause is then named.
+    them, but does with the ones that the data support, and the cause is then named.
     """
     return solve(problem, two_stage(problem).values, problem.weights, True)
 

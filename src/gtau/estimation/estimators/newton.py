@@ -100,7 +100,7 @@ def solve(
         J = np.concatenate([J, J_known])
         e = (residuals(triangles, values) * weights[:, None]).reshape(-1)
         e = np.concatenate([e, P @ values[:end] - y])
-        # without parameters the whole signal is error, and its curvature that of no model
+        # without parameters the signal is error, with the curvature of no model
         curvature = curvature_of_delays(triangles, values, problem, weights) * values[:end].any()
         back = whitening(J, curvature)
         step = -back @ (back.T @ (J.T @ e))
@@ -143,25 +143,25 @@ def delays_lost_in_noise(problem: Problem, solution: Solution) -> np.ndarray:
     squares = np.einsum("ujp,ujp->uj", rate, rate)
     # what is not motion is noise n, of which n n'' takes away on average what n'^2 adds (parts integrated)
     e = problem.blocks[..., SIGNAL] - modelled(problem.blocks, solution.theta) / solution.gains[:, None]
-    of_motion = squares + np.einsum("ujp,ujp->uj", e, change)
-    share = of_motion.sum(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
+    motion_squares = squares + np.einsum("ujp,ujp->uj", e, change)
+    share = motion_squares.sum(axis=0) / np.maximum(squares.sum(axis=0), 1e-300)
     # the error of a ratio, from its scatter over the units
-    error = np.linalg.norm(of_motion - share * squares, axis=0)
+    error = np.linalg.norm(motion_squares - share * squares, axis=0)
     channels = zip(problem.own_currents, problem.own_delays, strict=True)
     errors = np.array([[np.linalg.norm(delayed_signal(T, d)) for d in (delay, -delay)] for T, delay in channels])
     mirrored = errors[:, 0] >= (1 - MIRRORED) * errors[:, 1]
-    return np.asarray((of_motion.sum(axis=0) <= DELAY_MOTION * error) & mirrored)
+    return np.asarray((motion_squares.sum(axis=0) <= DELAY_MOTION * error) & mirrored)
 
 
 def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     """Compute ``B`` (k, .) with ``B B^T = (rows^T rows)^-1``, its last diagonal entries raised by ``curvature``.
 
-    Directions without any effect are left out, and those of almost no curvature are given a small one.
+    Directions without any effect are left out, and directions of almost no curvature are given a small one.
     """
     norms = np.linalg.norm(rows, axis=0)
     norms[norms == 0] = 1.0
     back = _inverse(triangle(rows / norms)) / norms[:, None]
-    # the curvature is that of few directions, which are an orthonormal basis Q; all others stay as they are
+    # few directions have curvature; Q is their orthonormal basis, and all other directions stay as they are
     Q, S = np.linalg.qr(back[len(back) - len(curvature) :].T)
     values, vectors = np.linalg.eigh(np.eye(len(S)) + (S * curvature) @ S.T)
     root = (vectors / np.sqrt(np.maximum(values, FLATTEST))) @ vectors.T
@@ -210,9 +210,9 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
     # from whitened to physical parameters
     back = whitening(rows, curvature_of_delays(triangles, values, problem, weights))
     white = (J @ back * (sigma * weights)[:, None, None]).reshape(-1, back.shape[1])
-    of_prior = back @ (back.T @ (J_known.T @ J_known) @ back) @ back.T
+    prior_covariance = back @ (back.T @ (J_known.T @ J_known) @ back) @ back.T
     # eq. (27), with the errors' own variance in every joint
-    formula = back @ (white.T @ white) @ back.T + of_prior
+    formula = back @ (white.T @ white) @ back.T + prior_covariance
     T = to_gains(values, n, free_gains)
 
     def curvature(blocks: np.ndarray) -> np.ndarray:
@@ -230,8 +230,8 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
             blocks.append((np.eye(len(others)) - others, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T
 
-    formula, of_prior = T @ formula @ T.T, T @ of_prior @ T.T
-    return Solution(problem.unknowns, values, sigma, formula, replicates, {}, of_prior)
+    formula, prior_covariance = T @ formula @ T.T, T @ prior_covariance @ T.T
+    return Solution(problem.unknowns, values, sigma, formula, replicates, {}, prior_covariance)
 
 
 def to_gains(values: np.ndarray, channels: int, free_gains: bool) -> np.ndarray:
@@ -285,10 +285,10 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
         J = rows(block) @ back
         others = np.eye(J.shape[1]) - J.T @ J
         try:
-            of_rows = np.linalg.solve(others, J.T)
+            row_influence = np.linalg.solve(others, J.T)
         except np.linalg.LinAlgError:  # identified by this block alone
-            of_rows = np.linalg.pinv(others, rcond=1e-10, hermitian=True) @ J.T
-        variances.append(np.sum((named @ of_rows) ** 2, axis=1))
+            row_influence = np.linalg.pinv(others, rcond=1e-10, hermitian=True) @ J.T
+        variances.append(np.sum((named @ row_influence) ** 2, axis=1))
     total, squares = np.sum(variances, axis=0), np.sum(np.square(variances), axis=0)
     count = float(len(problem.units))
     share = np.divide(total**2, squares, out=np.full(len(total), count), where=squares > 0)

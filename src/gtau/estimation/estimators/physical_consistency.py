@@ -26,7 +26,7 @@ from gtau.estimation.estimators.standard_parameters import (
     pseudo_inertia,
     standard_unknowns,
 )
-from gtau.estimation.regression.assembly import of_theta
+from gtau.estimation.regression.assembly import theta_equations
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
@@ -81,14 +81,14 @@ class Consistency:
 def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool) -> Consistency:
     """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
-    ``solution`` is without constraints; ``priors`` are those of standard parameters. Raises GtauError where no rigid
+    ``solution`` is without constraints; ``priors`` constrain standard parameters. Raises GtauError where no rigid
     bodies agree with the priors and payloads, or the programme does not converge.
     """
     problem, n, base = system.unreduced, len(system.unreduced.joints), system.dataset.base
-    of_base = of_theta(base, system.dataset.model.parameter_names, problem.parameters, priors)
+    base_priors = theta_equations(base, system.dataset.model.parameter_names, problem.parameters, priors)
     unknowns, triangles = standard_unknowns(system, solution, priors), stacked(problem)
     free, channels = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays]), len(triangles)
-    stated = np.insert(of_base, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
+    stated = np.insert(base_priors, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
     values = free
     for _ in range(STEPS):
         weights = problem.weights(squared(triangles, values))
@@ -105,8 +105,8 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
             "data leave open."
         )
     gain_std = _gain_std(problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
-    if free_gains and np.ndim(solution.of_prior):  # leaving out data does not show the uncertainty of priors
-        gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.of_prior))[system.problem.gain_rows])
+    if free_gains and np.ndim(solution.prior_covariance):  # leaving out data does not show the uncertainty of priors
+        gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.prior_covariance))[system.problem.gain_rows])
     bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
     shares = 100 * (np.sqrt(squared(triangles, values) / squared(triangles, free))[:n] - 1)
     gains = zip(problem.joints, values[problem.gain_rows], gain_std, strict=True)

@@ -35,10 +35,10 @@ from gtau.signals.run import Run
 from gtau.signals.storage import Store, block, spans
 
 SMOOTH = 4.0  # cut-off of the reference over the bandwidth of the motion, at least
-# And over that of the rows' low-pass, which is at twice the bandwidth where reversals ask for no more rows: currents
-# hold what the rows do, and a reference that does not leaves the simulated accelerations short of it. With 9, 6 and 4
-# samples a row, on a run without and one with payload of the Orthoglide, gains are off by at most 0.20, 0.30 and 0.29 %
-# (by maximum likelihood 0.21, 0.31 and 0.22 %); behind four bandwidths they were by 0.5 to 1.1 %.
+# And over the bandwidth of the rows' low-pass, which is at twice the bandwidth where reversals ask for no more rows:
+# currents hold what the rows do, and a reference that does not leaves the simulated accelerations short of it. With 9,
+# 6 and 4 samples a row, on a run without and one with payload of the Orthoglide, gains are off by at most 0.20, 0.30
+# and 0.29 % (by maximum likelihood 0.21, 0.31 and 0.22 %); behind four bandwidths they were by 0.5 to 1.1 %.
 ROWS = 2.0
 POLE = 20.0  # of the loop, over the bandwidth of the motion
 PASSES = 20
@@ -47,7 +47,7 @@ MEASURED = ("command", "command_d", "command_dd", "usable")
 
 
 def resimulated_runs(system: System, solution: Solution) -> tuple[SampleWindow, ...]:
-    """Replace the motions of all runs by those of the simulated loop; see :func:`resimulated`."""
+    """Replace the motions of all runs by motions of the simulated loop; see :func:`resimulated`."""
     dataset = system.dataset
     if dataset.robot.floating:
         raise GtauError(
@@ -69,7 +69,7 @@ def resimulated_runs(system: System, solution: Solution) -> tuple[SampleWindow, 
 def resimulated(
     idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
 ) -> SampleWindow:
-    """Replace a run's motion by that of the simulated loop; rows in the reference's ends are left out too.
+    """Replace a run's motion by the motion of the simulated loop; rows in the reference's ends are left out too.
 
     ``values`` (columns,) of the regressor are inertia, payload and friction of the run. Raises GtauError.
     """
@@ -128,7 +128,7 @@ def _disturbance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute ``M^-1 h`` (M, n) along samples of a motion, three arrays (M, n), and the last configuration.
 
-    Coulomb friction opposes the speeds of ``direction`` (M, n), those of the reference, so that a joint needs no
+    Coulomb friction opposes the speeds of ``direction`` (M, n), the reference, so that a joint needs no
     stiction; rows where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration
     ahead of them.
     """

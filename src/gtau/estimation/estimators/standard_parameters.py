@@ -1,4 +1,4 @@
-"""Standard parameters behind the base parameters, and least squares over those of rigid bodies.
+"""Standard parameters behind the base parameters, and least squares over the parameters of rigid bodies.
 
 A body of positive density has a positive definite pseudo-inertia ``[[Sigma, ms], [ms^T, m]]``, where
 ``Sigma`` is the second moment of its mass, and every such matrix belongs to some body. The
@@ -215,8 +215,8 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
             centre[k], std[k] = prior.value, prior.std
-    of_robot = bodies[: len(bodies) - len(system.payloads)]
-    within = within_reach(robot, of_robot, len(names)) / (mass * length**2)
+    robot_bodies = bodies[: len(bodies) - len(system.payloads)]
+    within = within_reach(robot, robot_bodies, len(names)) / (mass * length**2)
     rigid = RigidBodies(tuple(bodies), unit, mass, length, lower, upper, within)
     return StandardUnknowns(tuple(names), S, centre, std, rigid)
 
@@ -237,8 +237,8 @@ def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]
         places = np.array([summed.get(kind, -1) for kind in INERTIAL])
         bodies.append(Body(label, places, np.array([known.get(kind, 0.0) for kind in INERTIAL])))
         names += [Parameter(kind, label) for kind in payload.summed]
-    of_payloads = {name for payload in system.payloads for name in payload.unknown}
-    others = [name for name in problem.parameters[base.count :] if name not in of_payloads]
+    payload_parameters = {name for payload in system.payloads for name in payload.unknown}
+    others = [name for name in problem.parameters[base.count :] if name not in payload_parameters]
     S = np.zeros((len(problem.parameters), len(names) + len(others)))
     S[: base.count, : len(place)] = base.matrix
     end = len(place)

@@ -1,7 +1,7 @@
 """The paper's total least squares (eqs. 33 to 39), which assumes equal noise in every column of ``W_tot``.
 
 Choose it to follow the paper, or to compare with published results. On real logs its assumption seldom holds, and
-gains may be absurd where those of maximum likelihood are accurate.
+gains may be absurd where maximum likelihood gives accurate ones.
 
 ``W_tot = [-W_theta  V_tau  -known]`` and ``chi_tot = [theta g 1]``: all unknowns are on one side, and the known
 payload fixes the scale.
@@ -42,7 +42,7 @@ def tls(problem: Problem) -> Solution:
 
     def replicates() -> np.ndarray:
         shifts = np.array([(_scaled(np.linalg.svd(W)[2][-1]) - chi)[:-1] for W in leave_one_out(units)])
-        return np.hstack([shifts, np.zeros((len(units), n))])  # the delays are those of all units
+        return np.hstack([shifts, np.zeros((len(units), n))])  # all units have the same delays
 
     statistics = {"singular_ratio": float(s[-2] / s[-1]), "sigma_W": float(sigma_W)}
     values = np.append(chi[:-1], problem.own_delays)

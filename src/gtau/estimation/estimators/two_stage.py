@@ -24,11 +24,11 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
     """Solve two-stage least squares (2SLS).
 
     The currents are first projected on their own joint's regressor columns, which removes noise uncorrelated with the
-    motion; the known payload is then alone on the right-hand side. ``delays`` (c,), s, are those that each joint's own
-    model explains best if left out.
+    motion; the known payload is then alone on the right-hand side. ``delays`` (c,), s, are the ones that each joint's
+    own model explains best if left out.
     """
     delays = problem.own_delays if delays is None else delays
-    n, of_theta, of_gains = len(problem.channels), problem.unknowns.theta, problem.unknowns.gains
+    n, theta_columns, gain_columns = len(problem.channels), problem.unknowns.theta, problem.unknowns.gains
     coefficients = [
         least_squares(R[:, columns], delayed_signal(R, d))
         for R, columns, d in zip(problem.triangles, problem.own_columns, delays, strict=True)
@@ -43,12 +43,12 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
         if not any(block[:, -1].any() for block in blocks):  # noise biases a scale by known parameters towards zero
             known = problem.total_known[:, :-1] @ x
             x *= -(problem.total_known[:, -1] @ known) / max(known @ known, 1e-300)
-        gains = np.where(problem.unknown_gains, x[of_gains], 1.0)
+        gains = np.where(problem.unknown_gains, x[gain_columns], 1.0)
         if not np.all(np.abs(gains) > 0):
             raise GtauError(
                 "the currents of some joint are unrelated to its motion; check the columns of the current references."
             )
-    values = np.concatenate([x[of_theta], gains, delays])
+    values = np.concatenate([x[theta_columns], gains, delays])
     solution = finish(problem, values, problem.weights(squared(stacked(problem), values)), True)
 
     def replicates() -> np.ndarray:
@@ -63,7 +63,7 @@ def two_stage(problem: Problem, delays: np.ndarray | None = None) -> Solution:
             white = A_u[:, :-1] @ back
             blocks.append((white.T @ white, white.T @ e_u))
         steps = one_step(blocks) @ back.T
-        return np.hstack([steps, np.zeros((len(steps), n))])  # delays are those of all units
+        return np.hstack([steps, np.zeros((len(steps), n))])  # all units have the same delays
 
     return replace(solution, replicates=replicates)
 
@@ -73,23 +73,23 @@ def first_stage(problem: Problem, solution: Solution, lack: float) -> tuple[floa
 
     The projected currents keep the part of their noise in the span of the instruments, which biases gains low, and the
     standard deviation does not show it: with weak instruments most of the bias of least squares (Stock and Yogo 2005).
-    The equations are weighed at the gains and delays of ``solution``; ``lack`` are standard deviations over those for
-    independent residuals, 1 at least, which reduces the number of independent rows.
+    The equations are weighed at the gains and delays of ``solution``; ``lack`` are standard deviations over the
+    standard deviations for independent residuals, 1 at least, which reduces the number of independent rows.
 
     The strength is the statistic of Cragg and Donald: the F of the combination of gains explained least, infinite where
-    no gain is free or the equations leave no instrument to spare. The bias (n,) is that of the joints' gains, relative
+    no gain is free or the equations leave no instrument to spare. The bias (n,) of the joints' gains is relative
     and to first order (Nagar 1959).
     """
-    of_theta, of_gains, free = problem.unknowns.theta, problem.unknowns.gains, problem.unknown_gains
+    theta_columns, gain_columns, free = problem.unknowns.theta, problem.unknowns.gains, problem.unknown_gains
     parts = []
     for j, (R, columns, d) in enumerate(zip(problem.triangles, problem.own_columns, solution.delays, strict=True)):
         coefficients = least_squares(R[:, columns], delayed_signal(R, d))
         parts.append(_rows(problem, j, R, coefficients) / (lack * problem.own_sigma[j] * abs(solution.gains[j])))
     rows = np.concatenate([*parts, np.pad(problem.known[:, :-1], ((0, 0), (0, len(free) + 1)))])
     # currents in units of their own noise, less what the parameters that all joints share explain of them
-    currents = (rows[:, of_gains] * solution.gains)[:, free]
-    norms = np.linalg.norm(rows[:, of_theta], axis=0)
-    U, s, _ = np.linalg.svd(rows[:, of_theta] / np.where(norms > 0, norms, 1.0), full_matrices=False)
+    currents = (rows[:, gain_columns] * solution.gains)[:, free]
+    norms = np.linalg.norm(rows[:, theta_columns], axis=0)
+    U, s, _ = np.linalg.svd(rows[:, theta_columns] / np.where(norms > 0, norms, 1.0), full_matrices=False)
     U = U[:, s > EXPLAINED * s.max(initial=0.0)]
     instruments = sum(map(len, problem.own_columns)) + len(problem.known) - U.shape[1]
     bias = np.zeros(len(problem.channels))

@@ -18,9 +18,9 @@ propulsion there. So
 - where some terms still propel, as a negative ``fs`` does near standstill or a negative ``fl`` under a great load, they
   are scaled down until they add no more power than the others dissipate.
 
-Powers are those of sliding. They are balanced joint by joint, and together for joints that move each other: of a
-coupling, or of closed loops. Where friction is dissipative, it is not changed. Offsets are constant torques, of the
-amplifiers for instance: they do no work around a closed path, and stay as they are.
+Powers are computed for sliding joints. They are balanced joint by joint, and together for joints that move each other:
+of a coupling, or of closed loops. Where friction is dissipative, it is not changed. Offsets are constant torques, of
+the amplifiers for instance: they do no work around a closed path, and stay as they are.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import DAMPING, PLAIN_FRICTION
 
-OF_JOINTS = [kind for kind in FORMULAS if kind not in SLOPES]
+JOINT_TERMS = [kind for kind in FORMULAS if kind not in SLOPES]
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
 SPEEDS = 200  # at which a straight line is fitted
 
@@ -73,7 +73,8 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
 class PreslidingState:
     """Elements of some widths along a path in blocks, which may overlap: states continue from block to block.
 
-    They begin at 0: where a joint rests, nothing says which way it came, and one that moves slips after its width.
+    They begin at 0: where a joint rests, the direction of approach is unknown, and a moving joint slips after its
+    width.
     """
 
     def __init__(self, widths: np.ndarray) -> None:
@@ -113,7 +114,7 @@ class FrictionLaw:
 
     @cached_property
     def states(self) -> tuple[int, ...]:
-        """The joints with presliding, by their rows among the robot's: those of ``z``, in order."""
+        """Rows of the joints with presliding among the robot's joints, in the order of ``z``."""
         names = [Parameter("width", joint.name) for joint in self.model.robot.joints]
         return tuple(row for row, name in enumerate(names) if name in self.shapes)
 
@@ -154,8 +155,8 @@ class FrictionLaw:
 
         driven = self.ratios != 0
         count, group = connected_components(driven.T.astype(int) @ driven.astype(int), directed=False)
-        of_actuated = np.eye(count)[:, group]
-        return np.hstack([(of_actuated @ driven.T > 0).astype(float), of_actuated])
+        members = np.eye(count)[:, group]
+        return np.hstack([(members @ driven.T > 0).astype(float), members])
 
     def directions(self, math: ModuleType, yd: Any, z: Any) -> list[Any]:
         """List the direction factor of each joint's friction: its presliding state (``z`` (s,)), else ``sign(yd)``."""
@@ -179,7 +180,7 @@ class FrictionLaw:
             motor = self.motor(row)
             felt = 0.0 if motor is None else math.fabs(load[motor] / self.ratios[row, motor])
             at = Sliding(speed, direction, felt, self._falling(math, speed, joint.name))
-            forces.append(_summed(values, joint.name, at, OF_JOINTS))
+            forces.append(_summed(values, joint.name, at, JOINT_TERMS))
         for j, name in enumerate(self.model.actuated):
             speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
             within = math.fmax(math.fmin(speed, top), -top)
@@ -225,7 +226,7 @@ class FrictionLaw:
     def straight(self, values: Mapping[str, float], joint: str) -> tuple[float, float]:
         """Fit ``viscous qd + coulomb sign(qd)``, neither negative, to the friction of a joint that slides, up to V.
 
-        For engines with no other friction. ``values`` are those of the law; friction by load is left out.
+        For engines with no other friction. ``values`` are the parameters of the law; friction by load is left out.
         """
         from scipy.optimize import nnls
 
@@ -236,7 +237,7 @@ class FrictionLaw:
         return float(viscous), float(coulomb)
 
     def fastest(self, joint: str) -> float:
-        """Return V of any joint, from those of the motors that move it, rad/s or m/s."""
+        """Return V of any joint, from the speeds of the motors that move it, rad/s or m/s."""
         row = self._row(joint)
         logged = np.array([self.logged_speeds.get(name, 0.0) for name in self.model.actuated])
         return float(np.abs(self.ratios[row]) @ logged)
@@ -246,8 +247,8 @@ class FrictionLaw:
     ) -> np.ndarray:
         """Compute torques (n, N) of friction and offsets along a motion of N samples.
 
-        ``values`` are those of :meth:`forces`, and ``off``, by name, numbers or (N,); ``load`` (n, N) are torques that
-        the actuated joints transmit, ``z`` (s, N) states of presliding; without them all joints slide.
+        ``values`` are the parameters of :meth:`forces`, and ``off``, by name, numbers or (N,); ``load`` (n, N) are
+        torques that the actuated joints transmit, ``z`` (s, N) states of presliding; without them all joints slide.
         """
         joints = self.model.robot.joints
         forces, speeds = map(np.stack, self.forces(np, values, motion.yd, load))
@@ -257,8 +258,8 @@ class FrictionLaw:
         forces = forces * scales
         for row, joint in enumerate(joints):
             forces[row] += values.get(Parameter("off", joint.name), 0.0)
-        of_joints = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
-        return np.asarray(of_joints + forces[len(joints) :])
+        joint_part = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
+        return np.asarray(joint_part + forces[len(joints) :])
 
     def motor_of(self, joint: str) -> str | None:
         """Return the name of the motor that alone moves a joint; see :meth:`motor`."""
@@ -270,8 +271,8 @@ class FrictionLaw:
 
     def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
         """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
-        of_joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
-        return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in of_joints if ratio)
+        joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
+        return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in joints if ratio)
 
 
 def _summed(values: Mapping[str, Any], joint: str, at: Sliding, kinds: Iterable[str]) -> Any:

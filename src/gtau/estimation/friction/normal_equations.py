@@ -27,11 +27,11 @@ from gtau.signals.storage import Store, block, spans
 # sign at 0.003 to 0.03 of it.
 WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
 SPEEDS = 10.0 ** np.arange(-2.5, 0.51, 0.5)
-BLOCKS = 20  # of a run, as many as those of identification
+BLOCKS = 20  # of a run, as many as in identification
 MOST_BLOCKS = 60  # of all runs
 # Rows for one of identification: a reversal is short. With 1, 2, 3 and 4, errors over all samples of runs not used are
-# 5.26, 5.17, 5.21 and 5.20 % (geometric mean of UR10e, TX40, Panda, xMate7, xMate3 and da Vinci), those of the TX40's
-# motor 6 are 17.4, 11.5, 10.2 and 10.2 %, and from 3 on a wrist joint of the UR10e loses its presliding.
+# 5.26, 5.17, 5.21 and 5.20 % (geometric mean of UR10e, TX40, Panda, xMate7, xMate3 and da Vinci), and the errors of
+# motor 6 of the TX40 are 17.4, 11.5, 10.2 and 10.2 %, and from 3 on a wrist joint of the UR10e loses its presliding.
 FINER = 2
 RESTING = 0.01  # of the rms speed: a joint whose mean speed behind the filter is less rests, and slides nowhere
 SMOOTH = ("off", "fv", "fvt")
@@ -145,7 +145,7 @@ class FrictionGroup:
     last, all times the ``weights`` (m,) of the motors: one over their residuals. ``cross`` (p, gains and base
     parameters) are products with what gains and base parameters add to the torque. ``motors`` are the numbers of the
     actuated joints, ``signals`` (m, 2) count the rows of each and add up the squares of its measured torque.
-    ``residuals`` (K, m) are those of weighted rows, times the ``weights`` of the motors.
+    ``residuals`` (K, m) belong to weighted rows, times the ``weights`` of the motors.
     """
 
     joints: tuple[FrictionJoint, ...]
@@ -158,7 +158,7 @@ class FrictionGroup:
 
 
 def groups_of(joints: Sequence[FrictionJoint]) -> list[tuple[tuple[FrictionJoint, ...], tuple[int, ...]]]:
-    """Split joints into those that share motors, with the numbers of the motors."""
+    """Group joints that share motors, with the numbers of the motors."""
     from scipy.sparse.csgraph import connected_components
 
     if not joints:

@@ -62,7 +62,7 @@ def fit(group: FrictionGroup, structures: tuple[Structure, ...]) -> FrictionFit:
 def columns_of(group: FrictionGroup, structures: tuple[Structure, ...]) -> tuple[list[tuple[int, str]], np.ndarray]:
     """List the parameters (joint, kind) of structures, and the matrix M (p, k) that maps them to columns."""
     made = [parameter_columns(structure, joint) for structure, joint in zip(structures, group.joints, strict=True)]
-    names = [(s, kind) for s, of_joint in enumerate(made) for kind in of_joint]
+    names = [(s, kind) for s, columns in enumerate(made) for kind in columns]
     starts = np.cumsum([0, *(joint.count for joint in group.joints)])
     M = np.zeros((starts[-1], len(names)))
     for k, (s, kind) in enumerate(names):

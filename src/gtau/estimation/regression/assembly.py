@@ -58,10 +58,10 @@ def assemble_problem(
             merged.append([T @ M for T, M in zip(factor.merged, maps, strict=True)])
     rows = np.concatenate([factor.rows for factor in factors])
     filled = rows.sum(axis=1) > 0
-    of_run = range(len(factors)) if motions is None else motions
+    motion_numbers = range(len(factors)) if motions is None else motions
     numbers = [np.arange(len(factor.rows)) for factor in factors]
     count = max(map(len, numbers))
-    clusters = np.concatenate([motion * count + number for motion, number in zip(of_run, numbers, strict=True)])
+    clusters = np.concatenate([motion * count + number for motion, number in zip(motion_numbers, numbers, strict=True)])
     return Problem(
         unknown_names(effects),
         tuple(channels),
@@ -120,7 +120,7 @@ def unexcited(problem: Problem) -> tuple[Parameter, ...]:
 def stated_inertias(robot: Robot) -> dict[str, float]:
     """Return the file's standard parameters of bodies and motors of the model, by name, SI units.
 
-    A body without inertia in a file that states those of others has no mass there.
+    A body without inertia in a file that states other inertias has no mass there.
     """
     stated = dict(robot.inertias)
     if not stated:
@@ -173,20 +173,20 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
 def file_sums(model: InverseDynamics, base: BaseParameters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sum the inertias of the robot's file to base parameters, (n_b,), zero where these regroup none, with two masks.
 
-    The first of base parameters that regroup inertias alone, the second of those of them that regroup a rotor inertia
-    which the file does not state.
+    The first of base parameters that regroup inertias alone, the second of the ones among them that regroup a rotor
+    inertia which the file does not state.
     """
     names, stated, regrouped = model.parameter_names, stated_inertias(model.robot), base.matrix != 0
-    of_bodies = regrouped[:, [name.kind in (*INERTIAL, "ia") for name in names]].any(axis=1)
-    of_drives = regrouped[:, [name.kind in PLAIN_FRICTION for name in names]].any(axis=1)
+    regroups_inertia = regrouped[:, [name.kind in (*INERTIAL, "ia") for name in names]].any(axis=1)
+    regroups_friction = regrouped[:, [name.kind in PLAIN_FRICTION for name in names]].any(axis=1)
     unstated = regrouped[:, [name.kind == "ia" and name not in stated for name in names]].any(axis=1)
-    inertial = of_bodies & ~of_drives
+    inertial = regroups_inertia & ~regroups_friction
     values = base.matrix @ [stated.get(name, 0.0) for name in names]
     return np.where(inertial, values, 0.0), inertial, inertial & unstated
 
 
 def scale_of_file(model: InverseDynamics, base: BaseParameters, problem: Problem, std: float) -> np.ndarray:
-    """Write an equation (k, n_theta + 1) for each scale: on the whole the torques are those of the file's inertias.
+    """Write an equation (k, n_theta + 1) for each scale: on the whole the torques agree with the file's inertias.
 
     ``<tau_file, tau(theta)> = <tau_file, tau_file>`` over the rows of all joints that share parameters, forces times
     the robot's length, with relative standard deviation ``std``: errors of a file's masses are alike in all bodies, so
@@ -225,15 +225,15 @@ def known_equations(
     """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
 
     A base parameter is a sum of ``standard`` ones, the columns of ``base.matrix``: ``chi = S x``. Some of these have
-    priors, with standard deviations, the others have none: so the equations are those of base-parameter combinations
+    priors, with standard deviations, the others have none: so the equations hold for base-parameter combinations
     free of the latter. ``parameters`` are theta, the base parameters first; bounds are not used here. Raises GtauError
     where a prior names no parameter.
     """
-    of_standard = _of_standard(base, standard, len(parameters), priors)
-    return np.vstack([of_standard, of_theta(base, standard, parameters, priors)])
+    standard_rows = _standard_equations(base, standard, len(parameters), priors)
+    return np.vstack([standard_rows, theta_equations(base, standard, parameters, priors)])
 
 
-def of_theta(
+def theta_equations(
     base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
 ) -> np.ndarray:
     """Build the equations of priors that name one of theta, no standard parameter; see :func:`known_equations`."""
@@ -254,7 +254,7 @@ def of_theta(
     return np.reshape(rows, (-1, len(parameters) + 1))
 
 
-def _of_standard(
+def _standard_equations(
     base: BaseParameters, standard: Sequence[str], n_theta: int, priors: Mapping[str, Prior]
 ) -> np.ndarray:
     stated = {name: prior for name, prior in priors.items() if name in standard and prior.value is not None}

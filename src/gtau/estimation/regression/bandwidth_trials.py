@@ -80,8 +80,8 @@ def _errors(
     """Compute the relative errors behind each cut-off (C,), the geometric mean of the channels; NaN with few rows."""
     loads = [run.payload for run in runs]
     alike = [run for run in runs if run.payload == max(loads, key=loads.count)]
-    of_runs = [_rows(model, base, run, preparation, cutoffs, len(alike)) for run in alike]
-    A, keep, odd = (np.concatenate(parts, axis=-1) for parts in zip(*of_runs, strict=True))
+    run_rows = [_rows(model, base, run, preparation, cutoffs, len(alike)) for run in alike]
+    A, keep, odd = (np.concatenate(parts, axis=-1) for parts in zip(*run_rows, strict=True))
     channels = [_log_errors(A[:, j, :, kept], odd[kept]) for j, kept in enumerate(keep)]
     known = [errors for errors in channels if np.isfinite(errors).all()]
     return np.exp(np.mean(known, axis=0)) if known else np.full(len(cutoffs), np.nan)

@@ -9,8 +9,8 @@ The paper's friction, viscous and Coulomb, is among the standard parameters of t
 for every actuated joint, and selected if its own equations support them: ``f3 qd^3``, cubic in speed, and
 ``fl |tau_load| sign(qd)``, proportional to the torque that the joint transmits; where temperatures are logged,
 ``fvt (T - T_mean) qd`` and ``fst (T - T_mean) sign(qd)``. Temperature changes so slowly that its mean over a block
-replaces it there: these columns are those of viscous and Coulomb friction in each block, times a number. The bearing of
-a joint's torque sensor may have friction of its own (``fv_2_sensor``).
+replaces it there: each block scales the columns of viscous and Coulomb friction by a number. The bearing of a joint's
+torque sensor may have friction of its own (``fv_2_sensor``).
 
 Warm-up makes friction drift between runs by per cents, which is invisible in a single run and ruins the drive gains; so
 viscous and Coulomb friction may have different values in every run.
@@ -58,11 +58,11 @@ class ColumnBlock:
 
 @dataclass(frozen=True, eq=False)
 class PayloadColumns:
-    """Columns of the payload of one run, whose parameters are those of a body called ``label``.
+    """Columns of the payload of one run, which is a body called ``label``.
 
-    ``unknown`` are its parameters that act on some actuated joint: each the sum of those of the kinds ``summed`` that
-    are not known, with the factors ``sums`` (unknown, summed). ``columns`` (n_b, k) are those of the unknown and then
-    of the known parameters, in base columns.
+    ``unknown`` are its parameters that act on some actuated joint: each the sum of parameters of the kinds ``summed``,
+    which are not known, with the factors ``sums`` (unknown, summed). ``columns`` (n_b, k) are the columns of the
+    unknown and then of the known parameters, in base columns.
     """
 
     run: int
@@ -103,14 +103,16 @@ def payload_columns(
     Of parameters that act alike first moments are kept rather than inertias, and masses last, so that a parameter is
     called ``m`` only where it is the mass by itself.
     """
-    of_tool = {kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool))] for kind in INERTIAL}
+    tool_columns = {
+        kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool))] for kind in INERTIAL
+    }
     order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
     blocks = []
     for run, payload in ((run, payload) for run, payload in enumerate(payloads) if payload is not None):
         values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
         summed = tuple(kind for kind in order if kind not in values and kind not in center)
-        mass = of_tool["m"] + sum(at * of_tool[kind] for kind, at in center.items())  # moments are the mass's
-        acting = of_tool | {"m": mass}
+        mass = tool_columns["m"] + sum(at * tool_columns[kind] for kind, at in center.items())  # moments are the mass's
+        acting = tool_columns | {"m": mass}
         columns = np.reshape([acting[kind] for kind in summed], (len(summed), base.count)).T
         kept, sums, _ = independent_columns(columns)
         label = payload_label(idm.robot, run)
@@ -129,8 +131,8 @@ def column_blocks(
 ) -> tuple[ColumnBlock, ...]:
     """List the effects of the model, in the order of their parameters in the problem.
 
-    ``base`` are the base parameters, whose standard columns the factors have, ``terms`` those of further friction to
-    take. In each of ``drifting`` runs friction is another; 1 if it is the same in all.
+    ``base`` are the base parameters, whose standard columns the factors have, ``terms`` the further friction terms to
+    take. Friction differs between the ``drifting`` runs; 1 if it is the same in all.
     """
     offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.link_side)
     return (
@@ -143,18 +145,18 @@ def column_blocks(
 
 
 def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.ndarray:
-    """Place columns (n_b, k) in those of the factors, (p, k); a sensor does not measure those of its joint's drive."""
+    """Place columns (n_b, k) in the factors, (p, k); a sensor does not measure its joint's drive."""
     felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.link_side else columns
     return np.concatenate([felt, np.zeros((EXTRA, columns.shape[1]))])
 
 
-def _payload_block(base: BaseParameters, of_payload: PayloadColumns) -> ColumnBlock:
-    values = {Parameter(kind, of_payload.label): value for kind, value in known_values(of_payload.payload).items()}
+def _payload_block(base: BaseParameters, payload: PayloadColumns) -> ColumnBlock:
+    values = {Parameter(kind, payload.label): value for kind, value in known_values(payload.payload).items()}
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
-        return _felt(base, channel, of_payload.columns * (run == of_payload.run))
+        return _felt(base, channel, payload.columns * (run == payload.run))
 
-    return ColumnBlock((*of_payload.unknown, *values), columns, values)
+    return ColumnBlock((*payload.unknown, *values), columns, values)
 
 
 def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:
@@ -172,9 +174,9 @@ def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> Colu
 
 
 def _own_block(base: BaseParameters, names: tuple[Parameter, ...]) -> ColumnBlock:
-    """Build the block of parameters that act only in the equations of the channel whose name they end in.
+    """Build the block of parameters that appear only in their own channel's equations.
 
-    They are further friction of a drive, or friction and offset of a sensor, whose columns are those of its joint's.
+    They are further friction of a drive, or friction and offset of a sensor, which use the columns of its joint.
     """
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
@@ -198,7 +200,7 @@ def unknown_names(blocks: Sequence[ColumnBlock]) -> tuple[Parameter, ...]:
 def column_map(
     blocks: Sequence[ColumnBlock], run: int, channel: Channel, above: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Map the columns of the factors of a run to those of the problem, for a channel: (..., p, n_theta + 4).
+    """Map the columns of a run's factors to the columns of the problem, for a channel: (..., p, n_theta + 4).
 
     ``above`` (...,) are temperatures of the channel above the mean.
     """
@@ -228,12 +230,12 @@ def is_transmitted(names: Sequence[Parameter]) -> np.ndarray:
 class Temperatures:
     """Mean temperatures of joints over all runs, in ``unit``, and differences from them.
 
-    ``reference`` are the means by joint, ``of_blocks`` the differences (blocks, n) in each run; those of joints
-    without a temperature are zero. ``prepared`` are the runs.
+    ``reference`` are the means by joint, ``by_block`` the differences (blocks, n) in each run, zero for joints
+    without a temperature. ``prepared`` are the runs.
     """
 
     reference: dict[str, float]
-    of_blocks: tuple[np.ndarray, ...]
+    by_block: tuple[np.ndarray, ...]
     unit: str
     prepared: tuple[PreparedRun, ...]
 

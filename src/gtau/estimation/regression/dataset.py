@@ -55,7 +55,7 @@ if TYPE_CHECKING:
 class Dataset:
     """All runs of an experiment, read and reduced, with the priors, before any estimation.
 
-    ``priors`` are those of standard or base parameters, by name; with the inertias of the robot's file among them, or
+    ``priors`` constrain standard or base parameters, by name; with the inertias of the robot's file among them, or
     where these give the scale, ``prior_inertias`` is their relative standard deviation, else 0. ``reference`` is a
     model of the same robot whose parameters count as known with their covariance.
     """
@@ -86,12 +86,12 @@ class Dataset:
     @property
     def stated_priors(self) -> Mapping[str, Prior]:
         """The priors without the inertias of the robot's file."""
-        of_file = inertia_priors(self.robot, self.prior_inertias) if self.prior_inertias else {}
-        return {name: prior for name, prior in self.priors.items() if of_file.get(name) != prior}
+        file_priors = inertia_priors(self.robot, self.prior_inertias) if self.prior_inertias else {}
+        return {name: prior for name, prior in self.priors.items() if file_priors.get(name) != prior}
 
     @property
     def scaled_by_file(self) -> bool:
-        """Whether the inertias of the robot's file are no priors of parameters, but one of the scale alone."""
+        """Whether the inertias of the robot's file act as a prior on the scale only."""
         return self.prior_inertias > 0 and len(self.priors) == len(self.stated_priors)
 
     @property
@@ -116,8 +116,8 @@ class Dataset:
             for prepared in self.prepared
             for note in (*prepared.run.notes, *prepared.notes)
         )
-        of_robot = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
-        return (*of_robot, *runs)
+        robot_findings = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
+        return (*robot_findings, *runs)
 
     def system(
         self,
@@ -128,20 +128,20 @@ class Dataset:
     ) -> System:
         """Assemble the estimation problem; raises GtauError.
 
-        ``terms`` are those of friction beyond the paper's (viscous and Coulomb friction and an offset), which may
+        ``terms`` are friction beyond the paper's (viscous and Coulomb friction and an offset), which may
         drift between runs if ``per_run``. ``delays`` marks the channels (c,) whose delay is estimated, or all or none.
-        ``payloads`` replace those of the runs.
+        ``payloads`` replace the payloads of the runs.
         """
         measured = self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
         given = {channel.joint: None for channel in measured if not channel.kind.modelled}
         given.pop(self.robot.floating, None)
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
-        of_payloads = payload_columns(self.model, self.base, payloads)
-        effects = column_blocks(self.base, channels, of_payloads, terms, len(self.runs) if per_run else 1)
+        payload_blocks = payload_columns(self.model, self.base, payloads)
+        effects = column_blocks(self.base, channels, payload_blocks, terms, len(self.runs) if per_run else 1)
         require_base_wrench(self.model, self.factors)
         longest = 0.5 / (2 * np.pi * self.preparation.bandwidth) * np.asarray(delays)
-        warm = None if self.temperatures is None else self.temperatures.of_blocks
+        warm = None if self.temperatures is None else self.temperatures.by_block
         plain = assemble_problem(effects, channels, self.factors, longest, warm, self.prepared.places[0].tolist())
         if self.reference is None:  # which says what a joint at rest does not
             require_rows(plain)
@@ -151,7 +151,7 @@ class Dataset:
         if self.reference is not None:
             known = np.vstack([known, self.reference.among(plain.parameters)])
         problem = replace(plain, known=known, wrenches=tuple(given), factored=plain.triangles)
-        return System(self, problem.without(unexcited(problem)), problem, effects, of_payloads, terms)
+        return System(self, problem.without(unexcited(problem)), problem, effects, payload_blocks, terms)
 
     def reduced(
         self,
@@ -162,8 +162,8 @@ class Dataset:
     ) -> Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
-        ``weigh`` (one a run) reweights the rows; see :func:`reduce_rows`. The motions are those of ``along``, if
-        given, but distances to singularities stay those of the measured ones.
+        ``weigh`` (one a run) reweights the rows; see :func:`reduce_rows`. The motions come from ``along``, if
+        given, but distances to singularities stay as measured.
         """
         factors: list[Factors] = []
         begun, total, columns = 0, sum(map(len, self.prepared)), self.base.standard
@@ -228,7 +228,7 @@ class System:
         return np.array([(run, (s + 0.5) / n) for run, n in enumerate(rows) for s in range(n)])[self._filled]
 
     @property
-    def of_wrenches(self) -> np.ndarray | None:
+    def wrench_columns(self) -> np.ndarray | None:
         """Part of measured wrenches in the problem's column ``known``, (U, c, p); None without wrenches."""
         parts = [factor.R[..., KNOWN] for factor in self.dataset.factors]
         return np.concatenate(parts)[self._filled] if self.unreduced.wrenches else None
@@ -247,9 +247,9 @@ class System:
         return (dataset or self.dataset).system(terms, per_run, delays, payloads)
 
     def map(self, run: int, above: np.ndarray | None = None) -> np.ndarray:
-        """Map the columns of the factors of a run to those of ``whole``, for every channel, (c, p, n_theta + 4).
+        """Map the columns of a run's factors to the columns of ``unreduced``, for every channel, (c, p, n_theta + 4).
 
-        ``above`` (n,) are the joints' temperatures above their means; those of the whole run if left out.
+        ``above`` (n,) are the joints' temperatures above their means; the mean of the run if left out.
         """
         if above is None:
             return self._maps[run]
@@ -260,10 +260,10 @@ class System:
     def _maps(self) -> list[np.ndarray]:
         runs, warm = range(len(self.dataset.factors)), self.dataset.temperatures
         still = np.zeros(len(self.dataset.model.actuated))
-        return [self.map(run, still if warm is None else warm.of_blocks[run].mean(axis=0)) for run in runs]
+        return [self.map(run, still if warm is None else warm.by_block[run].mean(axis=0)) for run in runs]
 
     def full(self, theta: np.ndarray) -> np.ndarray:
-        """Extend parameters of the problem to those of ``whole`` and a 1 for the known column, (n_theta + 1,)."""
+        """Extend parameters of the problem to all of ``unreduced`` and a 1 for the known column, (n_theta + 1,)."""
         values = np.zeros(len(self.unreduced.parameters))
         values[self.unreduced.unknowns.at(self.problem.parameters)] = theta
         return np.append(values, 1.0)
@@ -271,9 +271,9 @@ class System:
     def motion(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run``, with its payload and its own friction, (n_b,)."""
         base, joints = self.dataset.base, self.unreduced.joints
-        of_joints = self.map(run)[: len(joints), : base.count, : KNOWN + 1] @ self.full(theta)
+        joint_maps = self.map(run)[: len(joints), : base.count, : KNOWN + 1] @ self.full(theta)
         rows = [joints.index(name.body) if name.body in joints else 0 for name in base.standard]  # of their friction
-        return np.asarray(of_joints[rows, np.arange(len(rows))])
+        return np.asarray(joint_maps[rows, np.arange(len(rows))])
 
     def load(self, run: int, theta: np.ndarray) -> np.ndarray:
         """Return the base columns' values in ``run`` that joints transmit: with payload, without friction, (n_b,)."""

@@ -7,8 +7,8 @@ Rows of runs, their factors and the blocks of the problem all end in the same fo
 
     [ model | known | v  v'  v'' ]
 
-behind those of the model: of standard parameters and friction terms along a run, of the unknown ``theta`` in the
-problem. ``known`` is the known torque added to that of the model; v is the signal with two time derivatives.
+behind the columns of the model: of standard parameters and friction terms along a run, of the unknown ``theta`` in the
+problem. ``known`` is the known torque added to the model's torque; v is the signal with two time derivatives.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
 from gtau.signals.storage import Store
 
 MODEL, KNOWN, SIGNAL, SIGNALS = slice(None, -4), -4, -3, slice(-3, None)
-FIXED = 4  # columns behind those of the model
+FIXED = 4  # columns behind the model's
 CACHED = 1024  # rows reduced at once: few enough to stay in the cache
 ROWS = 512  # merged into triangles at once
-EXTRA = len(TERMS) + FIXED  # columns behind those of standard parameters
+EXTRA = len(TERMS) + FIXED  # columns behind the standard parameters'
 
 
 def delayed(d: float | np.ndarray) -> np.ndarray:
@@ -97,7 +97,8 @@ class Factors:
     minus the contribution of measured wrenches to the torque of the joint. ``rows`` (blocks, c) count those behind
     each. Of logs only, ``distances`` (K, 2) are those to singularities of type 1 and 2 at the decimated samples, in
     single precision, and ``speeds`` (blocks, n) the largest of each actuated joint among its rows, rad/s or m/s.
-    ``residuals`` (K, c) are those of weighted runs, before weighting, NaN where the row is not kept; (0, c) of others.
+    ``residuals`` (K, c) are the residuals of weighted runs, before weighting, NaN where the row is not kept; (0, c) of
+    others.
     """
 
     R: np.ndarray
@@ -128,7 +129,7 @@ def equations(regressor: Regressor, channels: Sequence[Channel], part: Rows) -> 
 class Triangles:
     """Triangular factors of equations that come in blocks, one for each block and channel.
 
-    ``columns`` are those of the equations that each channel has, the other ones being zero; ``rows`` (blocks, c)
+    ``columns`` are the columns in each channel's equations, the others being zero; ``rows`` (blocks, c)
     counts the equations behind each factor.
     """
 
@@ -161,14 +162,14 @@ class Triangles:
     def factors(self, p: int) -> np.ndarray:
         """Return the factors in ``p`` columns, (blocks, c, p, p): rows still begin at the diagonal or right of it."""
         R = np.zeros((BLOCKS, len(self._columns), p, p))
-        for s, of_block in enumerate(self.merged()):
-            for j, small in enumerate(of_block):
+        for s, block_triangles in enumerate(self.merged()):
+            for j, small in enumerate(block_triangles):
                 R[s, j, : len(small), self._columns[j]] = small.T
         return R
 
 
 def add_products(G: np.ndarray, rows: np.ndarray, block: np.ndarray) -> None:
-    """Add the products of ``rows`` (K, p) to those of their blocks, G (blocks, p, p); ``block`` (K,) are numbers."""
+    """Add the products of ``rows`` (K, p) to their blocks' products G (blocks, p, p); ``block`` (K,) are numbers."""
     for b in np.unique(block):
         part = rows[block == b]
         G[b] += part.T @ part

@@ -150,7 +150,7 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
         if joint in coupled:
             raise GtauError(
                 f"joint '{joint}' has a {kind.name}, but couplings of robot '{robot.name}' share it between "
-                f"motors, so that no motor's torque is that of the joint; remove it from '{kind.calibration}'."
+                f"motors, so that no motor's torque is the joint's torque; remove it from '{kind.calibration}'."
             )
         if sensor.name in robot.bodies:
             raise GtauError(f"joint '{sensor.name}' has the name of a {kind.name} of '{joint}'; rename the joint.")

@@ -1,10 +1,10 @@
 """The estimation problem, ready to solve: every channel's equations as small matrices (eqs. 29 to 33).
 
 Row block (u, j) holds the equations of channel j in unit u, a block of a run, with the columns of
-:mod:`gtau.estimation.regression.factors`: those of the model act on the unknown parameters ``theta`` (base
+:mod:`gtau.estimation.regression.factors`: the columns of the model act on the unknown parameters ``theta`` (base
 parameters, then what every other effect adds), ``known`` is ``W_kl chi_kl`` minus the torques of measured wrenches, and
-v is a current reference, or the torque of a channel with the gain 1. The rows may be those of the decimated system, or
-their triangular factor: within one solve, all estimators depend on them only through ``A^T A`` and give the same for
+v is a current reference, or the torque of a channel with the gain 1. The rows may be the rows of the decimated system,
+or their triangular factor: within one solve, all estimators depend on them only through ``A^T A`` and give the same for
 both. An estimator that reweights rows streams the logs again (``Dataset.reduced``).
 """
 
@@ -41,7 +41,7 @@ class Unknowns(tuple[Parameter, ...]):
 
     @cached_property
     def theta(self) -> slice:
-        """Those of the model."""
+        """Positions of the model parameters."""
         return slice(0, self.gains.start)
 
     @cached_property
@@ -61,7 +61,7 @@ class Unknowns(tuple[Parameter, ...]):
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Estimates of ``unknowns`` (k,): base parameters, those of other effects, gains and delays.
+    """Estimates of ``unknowns`` (k,): base parameters, parameters of other effects, gains and delays.
 
     The covariance (k, k) is the sum of ``scatter``, what the ``scale`` adds, and ``model`` deficits. ``freedom`` (k,)
     are the degrees of freedom behind the scatter, None for very many.
@@ -106,7 +106,7 @@ class Estimates:
     def updated(
         self, unknowns: Sequence[Parameter], values: np.ndarray, slopes: np.ndarray, scatter: np.ndarray, freedom: float
     ) -> Estimates:
-        """Replace the estimates of ``unknowns`` (m,), or append them, by those of a stage that rests on the others.
+        """Replace or append the estimates of ``unknowns`` (m,) by a stage that rests on the others.
 
         ``slopes`` (m, k) are derivatives of its ``values`` (m,) by the estimates so far; it adds the covariance
         ``scatter`` (m, m), with ``freedom`` degrees of freedom.
@@ -133,7 +133,7 @@ class Problem:
     Attributes
     ----------
     parameters : tuple of Parameter
-        Those of theta, (n_theta,).
+        Unknown parameters theta, (n_theta,).
     channels : tuple of Channel
         The signals explained, (c,): of the n actuated joints, then of torque sensors.
     blocks : ndarray
@@ -173,7 +173,7 @@ class Problem:
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Actuated joints, those of a floating base included, (n,)."""
+        """Actuated joints, including the joints of a floating base, (n,)."""
         return tuple(channel.joint for channel in self.channels if not channel.kind.link_side)
 
     @cached_property
@@ -276,7 +276,7 @@ class Problem:
         squares = np.array([np.sum(delayed_signal(T, delay) ** 2) for T, delay in rest])
         free = np.maximum(self.total_rows - [len(columns) for columns in self.own_columns], 1)
         sigma = np.maximum(np.sqrt(squares / free), self.smallest_sigma)
-        # without a signal its own model gives no error level: start with that of the least weight
+        # without a signal its own model gives no error level: start with the level of the least weight
         return np.where(self.silent, sigma.max() or 1.0, sigma)
 
     @cached_property
@@ -297,7 +297,7 @@ class Problem:
     def largest_terms(self, theta: np.ndarray) -> np.ndarray:
         """Return the largest of the model's terms in each channel, rms, (c,)."""
         terms = [np.linalg.norm(R[:, MODEL], axis=0) * np.abs(theta) for R in self.triangles]
-        largest = np.array([of_channel.max(initial=0.0) for of_channel in terms])
+        largest = np.array([sizes.max(initial=0.0) for sizes in terms])
         return np.asarray(largest / np.sqrt(self.total_rows))
 
     @property
@@ -312,7 +312,7 @@ class Problem:
     def total_rows_of(self, block: np.ndarray, j: int, signal: np.ndarray | None = None) -> np.ndarray:
         """Build rows ``[-W_theta  V_tau  -known]`` of ``W_tot`` (eq. 33) from a block (., n_theta + 4) of channel j.
 
-        ``signal`` (.,) is its current, delayed if left out; that of a channel with a known gain is known, too.
+        ``signal`` (.,) is its current, delayed if left out; the current of a channel with a known gain is known, too.
         """
         rows = np.zeros((len(block), self.n_theta + len(self.channels) + 1))
         rows[:, : self.n_theta], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
@@ -336,7 +336,7 @@ class Problem:
         kept = tuple(name for name in self.parameters if name not in gone)
         columns = self.columns_of(kept)
         known = self.known[:, [*columns[:-FIXED], -1]]
-        # the triangles of fewer columns follow from those of all: no pass over the units
+        # the triangles of fewer columns follow from the triangles of all: no pass over the units
         triangles = tuple(select_columns(R, columns) for R in self.triangles)
         # columns that depended on others still do if these are all there, or if there are none
         now = {old: new for new, old in enumerate(columns)}

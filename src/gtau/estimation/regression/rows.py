@@ -99,7 +99,7 @@ def stream_torques(
 ) -> Iterator[np.ndarray]:
     """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
 
-    Behind no low-pass but that of the positions. Blocks (3, n, K) hold the torques of the model, with friction and
+    The positions' low-pass is the only filter. Blocks (3, n, K) hold the torques of the model, with friction and
     measured wrenches; friction alone; and the commands. Raises GtauError.
     """
     joints = len(idm.actuated)
@@ -131,7 +131,7 @@ def _measured(
 
 
 def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tuple[SampleWindow, Motion]]:
-    """Compute the motion at every sample of a run, behind no low-pass but that of the positions; raises GtauError."""
+    """Compute the motion at every sample of a run, filtered by the positions' low-pass alone; raises GtauError."""
     for window, c in _along(idm, prepared, _every_sample(prepared)):
         yield window, idm.rates(c, window.qd.T.copy(), window.qdd.T.copy(), instants(prepared.run.name, window.time))
 
@@ -139,8 +139,8 @@ def stream_motions(idm: InverseDynamics, prepared: PreparedRun) -> Iterator[tupl
 def external_torques(idm: InverseDynamics, run: Run, motion: Motion, measured: np.ndarray) -> np.ndarray:
     """Compute the torques of a run's wrenches at the actuated joints, ``J^T w`` (3, n, M).
 
-    ``measured`` (3, ., M) are the columns of the run's commands and their time derivatives, those of the wrenches last;
-    ``motion`` is that of the same M samples. A delayed wrench is mapped at the current pose, so that the
+    ``measured`` (3, ., M) are the columns of the run's commands and their time derivatives, the wrenches last;
+    ``motion`` is the motion at the same M samples. A delayed wrench is mapped at the current pose, so that the
     columns of its delay are ``J^T w'`` and ``J^T w''``.
     """
     torques = np.zeros((len(measured), len(idm.actuated), measured.shape[-1]))
@@ -189,5 +189,5 @@ def _along(
 
 
 def instants(run: str, time: np.ndarray) -> Labels:
-    """Call the samples of a run by the time, (N,), in messages."""
+    """Label samples by time in messages."""
     return lambda sample: f"t = {time[sample]:.4f} s of run '{run}'"

@@ -103,9 +103,9 @@ def find_places(prepared: Sequence[PreparedRun]) -> tuple[np.ndarray, np.ndarray
     """Group the runs by their motions: the number of the group of each, (R,), and its begin and end, (R, 2).
 
     They are the instants (s), by the clock of the run, at which the first run of the group begins to move and the last
-    one ends. Runs belong together where the rms difference of their positions after a shift in time, over those of the
-    motion, is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first of
-    every group. Runs in memory, which are synthetic, form groups of one.
+    one ends. Runs belong together where the rms difference of their positions after a shift in time, over the rms of
+    the motion, is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first
+    of every group. Runs in memory, which are synthetic, form groups of one.
     """
     numbers, spans = np.arange(len(prepared)), np.zeros((len(prepared), 2))
     if not all(isinstance(run, PreparedRun) for run in prepared):
@@ -140,7 +140,7 @@ def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
         time = rows_at(run.time, at) - run.time[0]
         position = rows_at(run.run.position, run.kept.start + at)
         instants = np.arange(0.0, time[-1] + step / 2, step)
-        q.append(np.column_stack([np.interp(instants, time, of_joint) for of_joint in position.T]))
+        q.append(np.column_stack([np.interp(instants, time, joint_position) for joint_position in position.T]))
     return step, q
 
 

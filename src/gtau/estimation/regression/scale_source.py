@@ -32,8 +32,8 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
         raise GtauError(
             f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
             "add 'payload: {name: ..., mass: ...}' to a loaded run (--payload LOG=KG with logs), torque sensors "
-            "('joint_torque' under 'signals'), or known parameters ('priors', or 'prior_inertias' for those of the "
-            f"robot's file), {other}."
+            "('joint_torque' under 'signals'), or known parameters ('priors', or 'prior_inertias' for the inertias "
+            f"of the robot's file), {other}."
         )
     if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise GtauError(
@@ -100,7 +100,7 @@ def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
 
     The wrench of a tool carried in all runs is explained by unknown inertia of the body. The remainder is then noise,
     without an effect on the currents; for another load the currents contain the whole wrench torque over the gain. The
-    second share is that of squares; both are of rows weighted by each joint's noise, and of a base that is fixed.
+    second is a share of squares; both are of rows weighted by each joint's noise, and of a base that is fixed.
     """
     n, joints, rows = len(problem.parameters), len(problem.joints), []
     for j, (R, sigma) in enumerate(zip(problem.triangles, problem.own_sigma, strict=True)):

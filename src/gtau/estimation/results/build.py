@@ -46,8 +46,8 @@ def model_estimates(
 ) -> ModelEstimates:
     """Collect the estimates with which the model predicts.
 
-    ``equations`` are those of the fit, ``predicting`` the same after the step of friction; ``verdicts`` those on gains
-    and delays, ``payloads`` those on known payloads by name.
+    ``equations`` are the estimates of the fit, ``predicting`` the same after the friction step; ``verdicts`` are on
+    gains and delays, ``payloads`` those on known payloads by name.
     """
     dataset, channels = fit.dataset, fit.system.problem.channels
     temperatures = reference_temperatures(fit)
@@ -119,7 +119,7 @@ def evidence(
     findings: Sequence[Finding],
     curves: Mapping[str, FrictionCurve],
 ) -> Evidence:
-    """Collect what speaks for and against the estimates, those of the equations among them."""
+    """Collect what speaks for and against the estimates, including the estimates of the equations."""
     dataset, temperatures = fit.dataset, reference_temperatures(fit)
     replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
     sensors = {channel.name for channel in fit.system.problem.channels if channel.kind.link_side}
@@ -268,7 +268,7 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
         if "m" in estimates and carried.payload.center is not None:
             unit = unit_of("mx", dataset.robot, dataset.robot.tool)
             moments = zip(FIRST_MOMENTS, carried.payload.center, strict=True)
-            estimates |= {kind: _of_mass(kind, estimates["m"], at, unit) for kind, at in moments}
+            estimates |= {kind: _first_moment(kind, estimates["m"], at, unit) for kind, at in moments}
         weighed = None if "m" in known else _weighed(dataset.robot, carried, vector)
         verdict = masses.get(name) or _possible(estimates.get("m"))
         run = dataset.runs[carried.run].name
@@ -339,7 +339,7 @@ def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighe
     )
 
 
-def _of_mass(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
+def _first_moment(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
     """Derive a first moment from a mass whose centre is known."""
     value, std = None if mass.value is None else at * mass.value, None if mass.std is None else abs(at) * mass.std
     return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")

@@ -139,9 +139,9 @@ class FrictionCurve:
 class SensorEstimate:
     """The sensor of a joint, behind its drive: its offset and friction by name, its delay (s), and its residual.
 
-    The residual is that of its torque, N m or N, over the rows used. ``ratio`` is the torque from the other stated
-    constants over the sensor reading, to first order; None where nothing else gives a scale. ``kind`` is that of its
-    channel.
+    The residual is the error of its torque, N m or N, over the rows used. ``ratio`` is the torque from the other stated
+    constants over the sensor reading, to first order; None where nothing else gives a scale. ``kind`` is the kind of
+    its channel.
     """
 
     joint: str
@@ -166,7 +166,7 @@ class SensorEstimate:
 class ReferenceTemperatures:
     """Mean temperatures over the runs, by joint, at which friction has the values of the parameters.
 
-    ``unit`` is that of the log's columns, of a temperature or of the time since start.
+    ``unit`` is the unit of the log's columns, of a temperature or of the time since start.
     """
 
     unit: str
@@ -192,10 +192,10 @@ class BandError:
 class TorqueError:
     """Torque error of a joint: rms of the error and of the signal ``v g_tau``, N m or N.
 
-    ``rms`` and ``signal`` are taken over the rows that identification uses, away from the joint's reversals, where
-    the plain law does not hold; ``rms_all`` and ``signal_all`` over all valid rows, reversals included, with the
-    friction of all samples. The latter are None for the residuals of a fit without it. All four are behind the low-pass
-    of identification. ``rms_raw`` and ``signal_raw`` are those of the raw torque over all valid samples, and ``bands``
+    ``rms`` and ``signal`` are taken over the rows that identification uses, away from the joint's reversals, where the
+    plain law does not hold; ``rms_all`` and ``signal_all`` over all valid rows, reversals included, with the friction
+    of all samples. The latter are None for the residuals of a fit without it. All four are behind the low-pass of
+    identification. ``rms_raw`` and ``signal_raw`` are the same of the raw torque over all valid samples, and ``bands``
     by frequency; residuals of a fit have none.
     """
 

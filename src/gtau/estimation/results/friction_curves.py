@@ -37,10 +37,10 @@ def friction_step(
 ) -> tuple[Estimates, dict[str, FrictionCurve], dict[str, tuple[float, float]]]:
     """Identify the friction of every joint on all samples; gains and inertial parameters of the fit stay as they are.
 
-    The friction of the ``estimates`` is replaced; their covariance has a share in that of the new friction through the
-    torque left to it. Returned are the updated ones, without the terms of the equations that the curves replace; the
-    curve of each joint (without curves the plain law predicts); and of each motor the rms of error and torque over all
-    samples, N m or N. Raises GtauError.
+    The friction of the ``estimates`` is replaced; their covariance has a share in the covariance of the new friction
+    through the torque left to it. Returned are the updated ones, without the terms of the equations that the curves
+    replace; the curve of each joint (without curves the plain law predicts); and of each motor the rms of error and
+    torque over all samples, N m or N. Raises GtauError.
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
     joints = friction_joints(fit.dataset, law)
@@ -48,9 +48,9 @@ def friction_step(
     curves: dict[str, FrictionCurve] = {}
     names_of_curves: list[Parameter] = []
     errors: dict[str, tuple[float, float]] = {}
-    of_rows = normal_equations(fit, law, joints)  # behind whose filter errors are stated
+    filtered = normal_equations(fit, law, joints)  # behind whose filter errors are stated
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
-    for group, rows in zip(_on_all_samples(fit, law, joints), of_rows, strict=True):
+    for group, rows in zip(_on_all_samples(fit, law, joints), filtered, strict=True):
         if len(group.G):
             candidate, plain, evidence = choose(group)
             names, values, slopes, scatter = group_estimates(group, candidate)
@@ -149,9 +149,8 @@ def group_estimates(
 ) -> tuple[list[Parameter], np.ndarray, np.ndarray, np.ndarray]:
     """Estimate the friction of the joints of a group: names, values, slopes and scatter.
 
-    Names are those of ``off``, ``fv``, ``fs``, ``fb``, ``fl``, ``fvt``, ``fst``, ``width`` and ``vs`` that each joint
-    has, values (m,) are zero where they would be negative, slopes (m, gains and base parameters) derivatives by these,
-    and the scatter (m, m) is the covariance at given ones.
+    Names are the friction parameters that each joint has, values (m,) are zero where they would be negative, slopes (m,
+    gains and base parameters) derivatives by these, and the scatter (m, m) is the covariance at given ones.
     """
     shaped = with_shapes(group, candidate)
     A = np.einsum("pa,pq,qc->ac", shaped.M, group.G.sum(axis=(0, 1))[:-1, :-1], shaped.M)
