@@ -14,7 +14,8 @@ import gtau
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState, stop
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
 from gtau.estimation.friction.structure import Structure, parameter_columns
-from gtau.robots.parameter import Parameter
+from gtau.estimation.regression.friction_terms import FORMULAS
+from gtau.robots.parameter import KINDS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 
 SHAPES = {Parameter("width", "left"): 1.5e-3, Parameter("vs", "right"): 0.2}
@@ -129,6 +130,12 @@ def test_friction_of_curves_takes_energy_at_every_speed_and_load(result: gtau.Re
     yd, load = 20 * rng.normal(size=(model.layout.n_y, 300)), 200 * rng.normal(size=(2, 300))
     forces, speeds = (np.stack(each) for each in law.forces(np, values, yd, load))
     assert (forces * speeds >= 0).all()
+
+
+def test_every_friction_term_has_a_formula() -> None:
+    terms = [kind for kind in KINDS.values() if kind.friction and kind.friction != "shape" and kind.symbol != "off"]
+    assert set(FORMULAS) == {kind.symbol for kind in terms if not kind.slope_of}
+    assert {kind.slope_of for kind in terms} - {""} <= set(FORMULAS)
 
 
 def test_the_first_width_is_a_width() -> None:
