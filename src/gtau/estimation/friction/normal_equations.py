@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.friction.law import FrictionLaw, PreslidingState
+from gtau.estimation.friction.law import JOINT_TERMS, FrictionLaw, PreslidingState
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import add_products, delayed_signal
 from gtau.estimation.regression.friction_terms import Sliding, column
 from gtau.estimation.regression.rows import Law, Rows, stream_rows
 from gtau.model.loops import Motion
-from gtau.robots.parameter import DRY, Parameter
+from gtau.robots.parameter import DRY, TEMPERATURE_TERMS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.storage import Store, block, spans
@@ -34,7 +34,7 @@ MOST_BLOCKS = 60  # of all runs
 # motor 6 of the TX40 are 17.4, 11.5, 10.2 and 10.2 %, and from 3 on a wrist joint of the UR10e loses its presliding.
 FINER = 2
 RESTING = 0.01  # of the rms speed: a joint whose mean speed behind the filter is less rests, and slides nowhere
-SMOOTH = ("off", "fv", "fvt")
+SMOOTH = ("off", *(kind for kind in (*JOINT_TERMS, *TEMPERATURE_TERMS) if kind not in DRY))
 """Kinds of the first columns of a joint, without a direction."""
 WEIGHTS = tuple(weight for kind in DRY for weight in (kind,) * (len(SPEEDS) if kind == "fb" else 1))
 """Kinds of the other columns, for sliding and for every width; ``fb`` for every speed."""
