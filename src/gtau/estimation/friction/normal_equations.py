@@ -1,6 +1,6 @@
 """Normal equations of friction on all samples, at fixed gains and inertia, in blocks of the runs.
 
-Their columns are candidates: of presliding, and of friction that falls with the speed, at each joint with friction.
+Each joint with friction has candidate columns of presliding, and of friction that falls with the speed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.storage import Store, block, spans
 
-# Widths, of a joint's travel, and speeds, of its rms speed, that are tried. Presliding of real joints was found at 4e-5
+# Tried widths over a joint's travel, and tried speeds over its rms speed. Presliding of real joints was found at 4e-5
 # to 1e-3 of the travel (UR10e, TX40, Panda), friction that bends at 0.1 to 1 of the rms speed; simulators smooth the
 # sign at 0.003 to 0.03 of it.
 WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
@@ -33,7 +33,7 @@ MOST_BLOCKS = 60  # of all runs
 # 5.26, 5.17, 5.21 and 5.20 % (geometric mean of UR10e, TX40, Panda, xMate7, xMate3 and da Vinci), and the errors of
 # motor 6 of the TX40 are 17.4, 11.5, 10.2 and 10.2 %, and from 3 on a wrist joint of the UR10e loses its presliding.
 FINER = 2
-RESTING = 0.01  # of the rms speed: a joint whose mean speed behind the filter is less rests, and slides nowhere
+RESTING = 0.01  # of the rms speed: a joint whose filtered speed is lower rests
 SMOOTH = ("off", *(kind for kind in (*JOINT_TERMS, *TEMPERATURE_TERMS) if kind not in DRY))
 """Kinds of the first columns of a joint, without a direction."""
 WEIGHTS = tuple(weight for kind in DRY for weight in (kind,) * (len(SPEEDS) if kind == "fb" else 1))

@@ -19,8 +19,8 @@ class Structure:
     """What a joint's friction has beyond the plain law.
 
     Presliding of a ``width``, rad or m, a bend at a ``speed``, rad/s or m/s, and dependence on the ``load`` and on the
-    ``temperature``. The column of a width or speed between two that are tried is interpolated. ``gradual`` presliding
-    has all widths at once; no friction has it in the end, but terms are to pay beyond it.
+    ``temperature``. The column of a width or speed between two tried values is interpolated. ``gradual`` presliding has
+    all widths at once; no result has it, but a bend must improve the fit beyond it.
     """
 
     width: float | None = None
@@ -39,9 +39,9 @@ class Structure:
 
 
 WORDS = {"width": "presliding", "speed": "bent", "load": "load", "temperature": "temperature"}
-"""The terms that are offered to a structure, and their words."""
+"""Terms that the selection tries, and their words."""
 SHAPE_OF = {"width": "width", "speed": "vs"}
-"""The terms of a structure that have a value, and the parameters with these values."""
+"""Terms with a value, and the parameters that hold these values."""
 
 
 def with_term(structure: Structure, joint: FrictionJoint, term: str) -> list[Structure]:
@@ -84,7 +84,7 @@ def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, n
 
 
 def place(value: float, tried: np.ndarray) -> float:
-    """Return the position of a width or speed among those tried, which have a constant ratio: a whole one of these."""
+    """Return the position of a width or speed among tried values of constant ratio; whole at a tried value."""
     number = float(np.log(value / tried[0]) / np.log(tried[1] / tried[0]))
     return float(round(number)) if abs(number - round(number)) < ROUNDING else number
 

@@ -37,10 +37,10 @@ def friction_step(
 ) -> tuple[Estimates, dict[str, FrictionCurve], dict[str, tuple[float, float]]]:
     """Identify the friction of every joint on all samples; gains and inertial parameters of the fit stay as they are.
 
-    The friction of the ``estimates`` is replaced; their covariance has a share in the covariance of the new friction
-    through the torque left to it. Returned are the updated ones, without the terms of the equations that the curves
-    replace; the curve of each joint (without curves the plain law predicts); and of each motor the rms of error and
-    torque over all samples, N m or N. Raises GtauError.
+    The new friction replaces the friction of the ``estimates``; their covariance enters its covariance through the
+    torque left to friction. Returns the updated estimates, without the terms of the equations that the curves replace;
+    the curve of each joint (without curves the plain law predicts); and for each motor the rms error and torque over
+    all samples, N m or N. Raises GtauError.
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
     joints = friction_joints(fit.dataset, law)
@@ -48,7 +48,7 @@ def friction_step(
     curves: dict[str, FrictionCurve] = {}
     names_of_curves: list[Parameter] = []
     errors: dict[str, tuple[float, float]] = {}
-    filtered = normal_equations(fit, law, joints)  # behind whose filter errors are stated
+    filtered = normal_equations(fit, law, joints)  # errors are stated behind the filter of these rows
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
     for group, rows in zip(_on_all_samples(fit, law, joints), filtered, strict=True):
         if len(group.G):
@@ -84,7 +84,7 @@ def _on_all_samples(fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint])
 
 
 def _error(candidate: FrictionFit) -> np.ndarray:
-    """Return what makes the residual of the columns and the torque, (p + 1,)."""
+    """Return the coefficients (p + 1,) that combine the columns and the torque to the residual."""
     return np.append(-candidate.M @ candidate.x, 1.0)
 
 
@@ -129,7 +129,7 @@ def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
 def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) -> np.ndarray:
     """Compute the covariance (k, k) due to the grid of widths and speeds, to which other parameters adapt.
 
-    One that is tried stands for all up to half the way to the next.
+    A tried value stands for all values up to half the way to the next.
     """
     covariance = np.zeros_like(A)
     for k, (s, term) in enumerate(shaped.names):
