@@ -27,10 +27,10 @@ from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.diagnose import GEARED
 from gtau.estimation.diagnostics.effort import AS_STATED, effort_of
+from gtau.estimation.diagnostics.gain_units import BEYOND_GEARS
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.unit_checks import BEYOND_GEARS
+from gtau.estimation.diagnostics.torques import GEARED
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs

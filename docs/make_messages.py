@@ -38,10 +38,10 @@ RAISE = {
     "Finding": ("kind",),
     "reading": ("kind", "text", "advice"),
     "repair": ("kind", "share", "text", "advice"),
-    "_wrong": ("kind", "joints", "text", "advice"),
+    "contradiction": ("kind", "joints", "text", "advice"),
 }
-GRADES = {"reading": Grade.INFORMATION, "repair": Grade.INFORMATION, "_wrong": Grade.CONTRADICTORY}
-ADVISE = {"write_limits", "clock_advice", "unloaded_advice", "which_payload", "log_with_gravity", "_milliamperes"}
+GRADES = {"reading": Grade.INFORMATION, "repair": Grade.INFORMATION, "contradiction": Grade.CONTRADICTORY}
+ADVISE = {"write_limits", "clock_advice", "unloaded_advice", "which_payload", "log_with_gravity", "check_milliamperes"}
 LONGEST = 12  # words of a message
 Line = tuple[int, ast.expr]
 

@@ -452,9 +452,9 @@ def test_a_refusal_is_a_document_too(here: Path, command: tuple[str, ...]) -> No
 
 
 def test_no_gain_to_believe_is_an_exit_code_of_its_own(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import gtau.estimation.diagnostics.diagnose
+    import gtau.estimation.diagnostics.gains
 
-    monkeypatch.setattr(gtau.estimation.diagnostics.diagnose, "LOST_GAIN", 1e-6)  # every deviation is too large for it
+    monkeypatch.setattr(gtau.estimation.diagnostics.gains, "LOST_GAIN", 1e-6)  # every deviation is too large for it
     result = run("identify", "experiment.yaml", "--out", "out")
     assert result.exit_code == 3
     written = json.loads((here / "out" / "model.json").read_text())

@@ -19,11 +19,11 @@ from gtau import Result, read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
+from gtau.estimation.diagnostics.sensor_scales import sensor_scales
 from gtau.estimation.diagnostics.stated_constants import (
     estimate_slopes,
     scale_shares,
     scale_uncertainty,
-    sensor_scales,
     stated_constants,
 )
 from gtau.estimation.estimators import maximum_likelihood

@@ -13,8 +13,9 @@ import scipy.stats
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant, five_bar, pair
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.diagnose import BASE_MISFIT, base_misfit, diagnose
+from gtau.estimation.diagnostics.diagnose import diagnose
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
+from gtau.estimation.diagnostics.torques import BASE_MISFIT, base_misfit
 from gtau.estimation.diagnostics.verdict import (
     GOOD,
     LONGER,

@@ -13,18 +13,14 @@ import numpy as np
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.examine import Examination, estimates_of
+from gtau.estimation.diagnostics.gain_units import units_and_signs
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
     doubtful_commands,
     require_payload_excitation,
     smoothed_commands,
 )
-from gtau.estimation.diagnostics.unit_checks import (
-    doubtful_currents,
-    doubtful_gravity,
-    doubtful_payloads,
-    units_and_signs,
-)
+from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_gravity, doubtful_payloads
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls

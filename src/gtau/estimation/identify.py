@@ -18,7 +18,8 @@ from gtau.estimation.diagnostics.log_checks import (
     smoothed_commands,
 )
 from gtau.estimation.diagnostics.other_columns import angle_of_parallelogram
-from gtau.estimation.diagnostics.stated_constants import sensor_scales, sensor_verdict, weigh_known
+from gtau.estimation.diagnostics.sensor_scales import sensor_scales, sensor_verdict
+from gtau.estimation.diagnostics.stated_values import weigh_known
 from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit

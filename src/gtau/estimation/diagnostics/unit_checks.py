@@ -1,183 +1,31 @@
-"""Checks of units and signs, against what is known beside the logs.
+"""Sizes of currents, gravity and payloads that only a wrong unit explains, before any fit.
 
-A wrong unit or sign fits the data as well as the truth, so that only sizes reveal it.
-Grams for kilograms scale all gains and parameters, milliamperes for amperes a gain, a reversed column turns its sign.
-What is known beside the logs speaks then: prior gains first, which settle the size of their joint's gain; else the
-gains of the other joints, what an arm of this reach carries, what drives take, the inertias of the robot's file, and
-the limits of effort. Each of these moves a gain by far more than its interval, so each decides its verdict.
+A wrong unit fits the data as well as the truth, so that only sizes reveal it: grams for kilograms scale all gains and
+parameters, milliamperes for amperes a gain.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.verdict import (
-    FAR_APART,
-    LARGE_CURRENT,
-    NEGATIVE_GAIN,
-    NEGATIVE_STD,
-    half_widths,
-    motors,
-)
-from gtau.estimation.effects.effect import Levels
-from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding, Grade
-from gtau.findings.words import write_limits
-from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
+from gtau.estimation.diagnostics.verdict import LARGE_CURRENT, contradiction
+from gtau.findings import Finding
 from gtau.robots.robot import GROUND, Robot
-from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans
 
-if TYPE_CHECKING:
-    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-
-PRIOR_FACTOR = 2.0  # gain over its prior, or the inverse
-GAINS_APART = 15.0  # gain of a joint over the next smaller one, turning joints and slides each among themselves
-FILE_FACTOR = 2.0  # rms of the identified first moments over that of the robot's file, or the inverse
-FILE_ALIKE = 1.5  # factor of a moment over that of all, or the inverse, within which it has that factor
-FILE_SHARE = 2 / 3  # share of the moments within FILE_ALIKE, from which a factor is one of all
-LIGHTEST = 0.03  # kg/m, of an arm whose largest first moment is that of a rod as long as its reach, and at most
-HEAVIEST = 2000.0
-OTHER_UNIT = 10.0  # factor from which a unit is wrong
-EFFORT_FACTOR = 2.0  # rms torque over the joint's limit of effort
 LARGEST_CURRENT = 100.0  # rms current of a joint, A, from which it is rather in mA
 SMALLEST_CURRENT = 0.02  # largest rms current of all joints, A, below which a current stated in mA is rather in A
-LARGEST_VOLTAGE = 1500.0  # rms speed of a joint times its gain, V: what its motor induces, from which a unit is wrong
 GRAVITY_RANGE = 0.04  # strength of gravity from 9.80 m/s2, or 1.62 on the moon, beyond which it is of no place
 PAYLOAD_DENSITY = 100.0  # mass of a payload over the cube of the arm's reach, kg/m3, from which it is rather in g
 CURRENTS_APART = 30.0  # rms current of a joint over the next smaller one, from which units may differ between joints
-BEYOND_GEARS = 1000.0  # largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes
 
-PRIOR_GAIN, HEAVY_PAYLOAD, SMALL_CURRENT = "prior gain", "payload too heavy", "current too small"
-UNLIKE_FILE = "inertias out of scale"
-CURRENTS_FAR_APART, EFFORT, DOUBTFUL_LIMIT = "currents far apart", "effort limit", "doubtful effort limit"
+SMALL_CURRENT = "current too small"
 PLACES = (9.80, 1.62)  # m/s2, on earth and on the moon
-
-
-def units_and_signs(
-    fit: Fit, estimates: Estimates, prior_gains: Mapping[str, float], audit: InertiaAudit | None
-) -> Iterator[Finding]:
-    """Find gains, given or estimated, that only a wrong unit or sign explains.
-
-    Prior gains (N m/A or N per A, by joint) settle the size of a gain that is estimated.
-    """
-    dataset = fit.dataset
-    settled = set(prior_gains) if fit.free_gains else set()
-
-    def doubted(findings: Iterable[Finding]) -> Iterator[Finding]:
-        """Doubt the gains that no prior settles, all of them where a finding is on no joint."""
-        for finding in findings:
-            if joints := tuple(joint for joint in finding.joints or motors(fit) if joint not in settled):
-                yield replace(finding, joints=joints)
-
-    known = dict[str, float]()
-    if fit.free_gains:
-        # signed, of joints whose interval excludes zero
-        of_joints = zip(fit.system.problem.joints, fit.gains, half_widths(fit, estimates), strict=True)
-        base = dataset.robot.base
-        known = {joint: float(gain) for joint, gain, half in of_joints if half < 1 and joint not in base}
-        yield from _unlike_priors(fit, known, prior_gains)
-        yield from doubted(_gains_apart(fit, known))
-    currents = list(doubtful_currents(dataset.runs, dataset.robot.base))
-    small = [finding for finding in currents if finding.kind == SMALL_CURRENT]
-    yield from doubted(doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)))
-    yield from doubted(finding for finding in currents if finding.kind != SMALL_CURRENT)
-    yield from doubted(doubtful_gravity(dataset.robot))
-    yield from doubted((list(unlike_file(audit)) if audit else []) or unlike_arms(fit, estimates))
-    yield from _efforts_exceeded(fit, settled)
-    yield from doubted([*(_voltages(fit, known) if known else ()), *small])
-
-
-def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, float]) -> Iterator[Finding]:
-    """Find gains more than a factor of two from their prior (by joint, N m/A or N per A), or of another sign.
-
-    Without a prior they are positive.
-    """
-    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
-    least, most = (1 / OTHER_UNIT, BEYOND_GEARS / 2) if kind == "torque" else (0.0, np.inf)
-    for joint, gain in zip(fit.system.problem.joints, fit.gains.tolist(), strict=True):
-        prior = priors.get(joint)
-        ratio = abs(gain / prior) if prior else 1.0
-        if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
-            text = f"the gain is {ratio:.4g} times its prior of {prior:.4g} {gain_unit(robot, joint, kind)}"
-            check = "the payload's mass (kg), the unit of the currents, and 'prior_gains'"
-            if 1 / PRIOR_FACTOR < ratio / 1000 < PRIOR_FACTOR:
-                check = "the payload's mass (g entered as kg?) and the unit of the currents (A declared as mA?)"
-            elif 1 / PRIOR_FACTOR < 1000 * ratio < PRIOR_FACTOR:
-                check = "the unit of the currents (mA declared as A?) and the payload's mass in kg"
-            yield _wrong(PRIOR_GAIN, (joint,), text, f"check {check}")
-        elif joint in known and prior is None and not least <= abs(gain) <= most:
-            text = f"the true torque is {abs(gain):.4g} times the logged one"
-            advice = "check the unit of the torques (N m, N mm?) and the payload's mass (kg), or state 'prior_gains'"
-            yield _wrong(PRIOR_GAIN, (joint,), text, advice)
-        if joint in known and gain * (prior or 1.0) < 0:
-            sign, driven = ("negative", "backwards") if gain < 0 else ("positive", "forwards")
-            meant = "the drive does turn against its joint, state a negative prior gain"
-            if prior is not None:
-                meant = "that is intended, reverse the prior gain"
-            text = f"{sign} gain: positive {kind} drives the joint {driven}"
-            advice = f"reverse the sign of its {kind} or position column; or if {meant}"
-            yield _wrong(NEGATIVE_GAIN, (joint,), text, advice)
-
-
-def _wrong(kind: str, joints: tuple[str, ...], text: str, advice: str, subject: str = "") -> Finding:
-    """Find, against the gains of some joints, all where there are none, what a wrong unit or sign explains."""
-    shown_as = "unit" if kind in (LARGE_CURRENT, SMALL_CURRENT, HEAVY_PAYLOAD) else "model"
-    return Finding(kind, joints, subject, text=text, advice=advice, grade=Grade.CONTRADICTORY, shown_as=shown_as)
-
-
-def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
-    """Find joints whose gains differ from all others by more than motors and gears of one robot explain."""
-    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
-    of_unit: dict[str, list[tuple[float, str]]] = {}
-    for joint, gain in known.items():
-        of_unit.setdefault(gain_unit(robot, joint, kind), []).append((abs(gain), joint))
-    for unit, gains in of_unit.items():
-        gains.sort()
-        for k, ((smaller, below), (larger, above)) in enumerate(pairwise(gains), start=1):
-            if larger <= GAINS_APART * smaller:
-                continue
-            # the fewer of the two groups, or both
-            few = gains[:k] if 2 * k < len(gains) else gains[k:] if 2 * k > len(gains) else gains
-            for gain, joint in few:
-                peer, of_peer = (above, larger) if gain <= smaller else (below, smaller)
-                ratio = max(gain / of_peer, of_peer / gain)
-                text = (
-                    f"the gains of '{joint}', {gain:.3g} {unit}, and '{peer}', {of_peer:.3g} {unit}, differ by a "
-                    f"factor of {ratio:.2g}, which is implausible for motors and gears of one robot"
-                )
-                advice = (
-                    f"check that the {kind} columns of these joints are in the same unit, and convert those that are "
-                    "not; if the motors do differ, state 'prior_gains'"
-                )
-                yield _wrong(FAR_APART, (joint,), text, advice, peer)
-
-
-def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
-    """Find gains that are too large for the speed of their joint, as a motor's voltage per speed is its gain."""
-    problem, kind = fit.system.problem, fit.dataset.runs[0].kind
-    speeds = dict(zip(problem.joints, Levels(fit).speeds.tolist(), strict=False))
-    volts = {joint: abs(gain) * speeds[joint] for joint, gain in known.items()}
-    worst = max(volts, key=lambda joint: volts[joint], default="")
-    if kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:
-        gain = f"{abs(known[worst]):.4g} {gain_unit(fit.dataset.robot, worst, kind)}"
-        text = (
-            f"the gain of '{worst}', {gain}, would induce {volts[worst]:.3g} V in its motor at the logged speed (rms), "
-            "more than drives of robots supply"
-        )
-        yield _wrong(SMALL_CURRENT, (), text, _milliamperes(fit.dataset.runs), worst)
-
-
-def _milliamperes(runs: Sequence[Run]) -> str:
-    mass = " and the payload's mass (kg)" if any(run.payload for run in runs) else ""
-    return f"check the unit of the currents (A stated as mA?){mass}; if both are right, state 'prior_gains'"
 
 
 def doubtful_gravity(robot: Robot) -> Iterator[Finding]:
@@ -192,11 +40,11 @@ def doubtful_gravity(robot: Robot) -> Iterator[Finding]:
             "write 'gravity: [0, 0, -9.81]' in the robot file (in base axes; 'moon' and 'none' are words), or state "
             "'prior_gains' if it is right"
         )
-        yield _wrong("strength of gravity", (), text, advice)
+        yield contradiction("strength of gravity", (), text, advice, shown_as="model")
 
 
 def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterator[Finding]:
-    """Find currents of a size of no drive, or very different between joints but those of a floating ``base``."""
+    """Find currents that no drive takes, or that differ much between joints; a floating ``base`` has none."""
     if runs[0].kind != "current":
         return
     joints = runs[0].joints
@@ -211,29 +59,32 @@ def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterat
     if large := tuple(joint for rms, joint in driven if rms > LARGEST_CURRENT):
         text = f"the current of joint '{large[-1]}' is {driven[-1][0]:.4g} A rms, more than drives of robots take"
         advice = "if it is in mA, write units: {current: mA}; otherwise state 'prior_gains'"
-        yield _wrong(LARGE_CURRENT, large, text, advice, large[-1])
+        yield contradiction(LARGE_CURRENT, large, text, advice, large[-1], shown_as="unit")
     if driven and driven[-1][0] < SMALLEST_CURRENT:
         rms, largest = driven[-1]
-        text = f"no current is larger than that of joint '{largest}', {rms:.2g} A rms, less than drives of robots take"
-        yield _wrong(SMALL_CURRENT, tuple(joint for _, joint in driven), text, _milliamperes(runs), largest)
+        text = f"the largest current, of joint '{largest}', is {rms:.2g} A rms, less than drives of robots take"
+        yield contradiction(
+            SMALL_CURRENT, tuple(joint for _, joint in driven), text, check_milliamperes(runs), largest, shown_as="unit"
+        )
     for (small, below), (larger, above) in pairwise(driven):
         if larger > CURRENTS_APART * small:
-            yield Finding(
-                CURRENTS_FAR_APART,
-                (above,),
-                below,
-                text=f"the current of joint '{above}' is {larger / small:.3g} times that of '{below}' ({larger:.3g} "
-                f"and {small:.3g} A rms)",
-                advice="check that the columns are in the same unit (A, mA, % or counts), and convert those that are "
-                "not",
-                shown_as="unit",
+            text = (
+                f"the current of joint '{above}' is {larger / small:.3g} times the current of '{below}' ({larger:.3g} "
+                f"and {small:.3g} A rms)"
             )
+            advice = "check that the columns are in the same unit (A, mA, % or counts), and convert the others"
+            yield Finding("currents far apart", (above,), below, text=text, advice=advice, shown_as="unit")
+
+
+def check_milliamperes(runs: Sequence[Run]) -> str:
+    """Advise what to check where currents look too small."""
+    mass = " and the payload's mass (kg)" if any(run.payload for run in runs) else ""
+    return f"check the unit of the currents (A stated as mA?){mass}; if both are right, state 'prior_gains'"
 
 
 def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Iterator[Finding]:
-    """Find masses too large for an arm of this reach; robots with closures, and floating ones, carry more."""
-    reach = None if robot.closures or robot.floating else _reach(robot)
-    if not reach:
+    """Find masses too large for an arm of this reach."""
+    if not (reach := reach_of(robot)):
         return
     most = PAYLOAD_DENSITY * reach**3
     for name, mass in dict.fromkeys((payload.name, payload.mass) for payload in payloads if payload and payload.mass):
@@ -243,11 +94,16 @@ def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Itera
                 f"{most:.3g} kg at most); all drive gains are proportional to it"
             )
             advice = f"if it is in g, write 'mass: {0.001 * mass:.4g}' (kg); otherwise state 'prior_gains'"
-            yield _wrong(HEAVY_PAYLOAD, (), text, advice, name)
+            yield contradiction("payload too heavy", (), text, advice, name, shown_as="unit")
 
 
-def _reach(robot: Robot) -> float | None:
-    """Add up the links from the ground to the body that carries payloads, m; None where a slide has no limits."""
+def reach_of(robot: Robot) -> float | None:
+    """Add up the links from the ground to the body that carries payloads, m.
+
+    None where a slide has no limits, and of robots with closures and floating ones, which carry more.
+    """
+    if robot.closures or robot.floating:
+        return None
     reach, body = 0.0, robot.tool
     while body != GROUND:
         joint = robot.joint(body)
@@ -258,87 +114,3 @@ def _reach(robot: Robot) -> float | None:
             reach += max(map(abs, joint.limits.position))
         body = joint.antecedent
     return reach
-
-
-def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
-    """Find first moments that are out of scale with those of the robot's file, by one factor for all."""
-    moments = [
-        (audited.value, audited.stated)
-        for audited in audit.parameters
-        if parameter_of(audited.name).kind in FIRST_MOMENTS and audited.value and audited.std and audited.stated
-        if abs(audited.value) > NEGATIVE_STD * audited.std
-    ]
-    if len(moments) >= 2:
-        identified, stated = np.abs(np.transpose(moments))
-        factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))
-        apart, own = max(factor, 1 / factor), np.log(identified / stated / factor)
-        common = np.mean(np.abs(own) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
-        if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
-            text = (
-                f"the first moments of the links are {factor:.3g} times those of the robot's file (rms of "
-                f"{len(moments)})"
-            )
-            advice = (
-                "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is "
-                "wrong, state 'prior_gains'"
-            )
-            yield _wrong(UNLIKE_FILE, (), text, advice)
-
-
-def unlike_arms(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
-    """Find logged torques by which an arm of this reach would be far lighter or heavier than arms are."""
-    robot, theta = fit.dataset.robot, fit.solution.theta
-    reach = None if robot.closures or robot.floating else _reach(robot)
-    if not reach or fit.free_gains or fit.dataset.runs[0].kind != "torque":
-        return
-    std = np.sqrt(np.diag(estimates.covariance))
-    moments = [
-        (abs(float(theta[place])), name)
-        for name, place in estimates.unknowns.places.items()
-        if parameter_of(name).kind in FIRST_MOMENTS and abs(theta[place]) > NEGATIVE_STD * std[place]
-    ]
-    moment, name = max(moments, default=(0.0, ""))
-    if moments and not LIGHTEST <= (weight := 2 * moment / reach**2) <= HEAVIEST:
-        yield Finding(
-            UNLIKE_FILE,
-            text=f"the largest first moment, {name} of {moment:.2g} kg m, is that of an arm of {weight:.2g} kg "
-            f"per metre of its reach of {reach:.2g} m, and arms have 0.3 to 300 kg",
-            advice="check the unit of the torques and the lengths in the robot file",
-            grade=Grade.CONTRADICTORY,
-        )
-
-
-def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
-    """Find joints whose torque, rms in N m or N, is more than twice their effort limit.
-
-    The limit, not the torque, is in doubt where the gain is ``settled``, and on an arm with the same limit everywhere.
-    """
-    robot, problem = fit.dataset.robot, fit.system.problem
-    limits = {joint: robot.joint(joint).limits.effort for joint in problem.joints}
-    if len(limits) >= 3 and len(set(limits.values())) == 1 and not robot.closures:
-        settled = limits  # a placeholder
-    levels = np.abs(fit.solution.gains) * problem.signal
-    torques = dict(zip(problem.joints, levels.tolist(), strict=False))
-    ratios = {joint: torques[joint] / limit for joint, limit in limits.items() if limit}
-    kind, given = fit.dataset.runs[0].kind, not fit.free_gains
-    over = sorted((joint for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR), key=lambda name: -ratios[name])
-    doubtful = tuple(joint for joint in over if joint in settled)
-    exceeded = tuple(joint for joint in over if joint not in settled)
-    for joints, limit_doubted in ((doubtful, True), (exceeded, False)):
-        for worst in joints[:1]:
-            unit = torque_unit(robot, worst)
-            text = (
-                f"the torque of '{worst}' is {torques[worst]:.3g} {unit} (rms), {ratios[worst]:.3g} times its limit of "
-                f"{limits[worst]:.4g} {unit}"
-            )
-            if len(joints) == len(ratios):
-                of_all = f"the unit of the {kind}s" if given else "the payload's mass, which sets the scale,"
-                text += f", so {of_all} may be wrong"
-            advice = (
-                f"check the payload's mass (kg) and the unit of the {kind}s; if the limit is a placeholder, "
-                f"{write_limits(worst)}"
-            )
-            if limit_doubted:
-                yield Finding(DOUBTFUL_LIMIT, joints, worst, text=text, advice=advice, shown_as="joint limits")
-            else:
-                yield _wrong(EFFORT, joints, text, advice, worst)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -31,6 +32,13 @@ WRENCHES = (
     "check the signs, axes, point ('at') and body of each wrench, that no wrench is missing, and that all use the "
     "clock of the positions"
 )
+
+
+def contradiction(
+    kind: str, joints: tuple[str, ...], text: str, advice: str, subject: str = "", **more: Any
+) -> Finding:
+    """Find what contradicts the gains of some joints; of all joints where none is named."""
+    return Finding(kind, joints, subject, text=text, advice=advice, grade=Grade.CONTRADICTORY, **more)
 
 
 def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Finding = GOOD) -> dict[str, Finding]:

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.stated_constants import scale_shares, sensor_scales, sensor_verdict
+from gtau.estimation.diagnostics.sensor_scales import sensor_scales, sensor_verdict
+from gtau.estimation.diagnostics.stated_constants import scale_shares
 from gtau.estimation.diagnostics.verdict import GOOD, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked

@@ -1,0 +1,247 @@
+"""Checks of units and signs of a fit, against what is known beside the logs.
+
+A wrong unit or sign fits the data as well as the truth, so that only sizes reveal it. What is known beside the logs
+speaks then: prior gains first, which settle the size of their joint's gain; else the gains of the other joints, what an
+arm of this reach carries, what drives take, the inertias of the robot's file, and the limits of effort. Each of these
+moves a gain by far more than its interval, so each decides its verdict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from gtau.estimation.diagnostics.unit_checks import (
+    SMALL_CURRENT,
+    check_milliamperes,
+    doubtful_currents,
+    doubtful_gravity,
+    doubtful_payloads,
+    reach_of,
+)
+from gtau.estimation.diagnostics.verdict import (
+    FAR_APART,
+    NEGATIVE_GAIN,
+    NEGATIVE_STD,
+    contradiction,
+    half_widths,
+    motors,
+)
+from gtau.estimation.effects.effect import Levels
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.problem import Estimates
+from gtau.findings import Finding
+from gtau.findings.words import write_limits
+from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
+from gtau.signals.reading.statements import FIRST_MOMENTS
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
+PRIOR_FACTOR = 2.0  # gain over its prior, or the inverse
+GAINS_APART = 15.0  # gain of a joint over the next smaller one, turning joints and slides each among themselves
+FILE_FACTOR = 2.0  # rms of the identified first moments over that of the robot's file, or the inverse
+FILE_ALIKE = 1.5  # factor of a moment over that of all, or the inverse, within which it has that factor
+FILE_SHARE = 2 / 3  # share of the moments within FILE_ALIKE, from which a factor is one of all
+LIGHTEST = 0.03  # kg/m, of an arm whose largest first moment is that of a rod as long as its reach, and at most
+HEAVIEST = 2000.0
+OTHER_UNIT = 10.0  # factor from which a unit is wrong
+EFFORT_FACTOR = 2.0  # rms torque over the joint's limit of effort
+LARGEST_VOLTAGE = 1500.0  # rms speed of a joint times its gain, V: what its motor induces, from which a unit is wrong
+BEYOND_GEARS = 1000.0  # largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes
+
+PRIOR_GAIN, UNLIKE_FILE = "prior gain", "inertias out of scale"
+EFFORT, DOUBTFUL_LIMIT = "effort limit", "doubtful effort limit"
+
+
+def units_and_signs(
+    fit: Fit, estimates: Estimates, prior_gains: Mapping[str, float], audit: InertiaAudit | None
+) -> Iterator[Finding]:
+    """Find gains, given or estimated, that only a wrong unit or sign explains.
+
+    Prior gains (N m/A or N per A, by joint) settle the size of a gain that is estimated.
+    """
+    dataset = fit.dataset
+    settled = set(prior_gains) if fit.free_gains else set()
+
+    def doubted(findings: Iterable[Finding]) -> Iterator[Finding]:
+        """Doubt the gains that no prior settles, all of them where a finding is on no joint."""
+        for finding in findings:
+            if joints := tuple(joint for joint in finding.joints or motors(fit) if joint not in settled):
+                yield replace(finding, joints=joints)
+
+    known = dict[str, float]()
+    if fit.free_gains:
+        # signed, of joints whose interval excludes zero
+        gains = zip(fit.system.problem.joints, fit.gains, half_widths(fit, estimates), strict=True)
+        known = {joint: float(gain) for joint, gain, half in gains if half < 1 and joint not in dataset.robot.base}
+        yield from _unlike_priors(fit, known, prior_gains)
+        yield from doubted(_gains_apart(fit, known))
+    currents = list(doubtful_currents(dataset.runs, dataset.robot.base))
+    small = [finding for finding in currents if finding.kind == SMALL_CURRENT]
+    yield from doubted(doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)))
+    yield from doubted(finding for finding in currents if finding.kind != SMALL_CURRENT)
+    yield from doubted(doubtful_gravity(dataset.robot))
+    yield from doubted((list(unlike_file(audit)) if audit else []) or unlike_arms(fit, estimates))
+    yield from _efforts_exceeded(fit, settled)
+    yield from doubted([*(_voltages(fit, known) if known else ()), *small])
+
+
+def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, float]) -> Iterator[Finding]:
+    """Find gains more than a factor of two from their prior (by joint, N m/A or N per A), or of another sign.
+
+    Without a prior they are positive.
+    """
+    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
+    least, most = (1 / OTHER_UNIT, BEYOND_GEARS / 2) if kind == "torque" else (0.0, np.inf)
+    for joint, gain in zip(fit.system.problem.joints, fit.gains.tolist(), strict=True):
+        prior = priors.get(joint)
+        ratio = abs(gain / prior) if prior else 1.0
+        if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
+            text = f"the gain is {ratio:.4g} times its prior of {prior:.4g} {gain_unit(robot, joint, kind)}"
+            check = "the payload's mass (kg), the unit of the currents, and 'prior_gains'"
+            if 1 / PRIOR_FACTOR < ratio / 1000 < PRIOR_FACTOR:
+                check = "the payload's mass (g entered as kg?) and the unit of the currents (A declared as mA?)"
+            elif 1 / PRIOR_FACTOR < 1000 * ratio < PRIOR_FACTOR:
+                check = "the unit of the currents (mA declared as A?) and the payload's mass in kg"
+            yield contradiction(PRIOR_GAIN, (joint,), text, f"check {check}", shown_as="model")
+        elif joint in known and prior is None and not least <= abs(gain) <= most:
+            text = f"the true torque is {abs(gain):.4g} times the logged one"
+            advice = "check the unit of the torques (N m, N mm?) and the payload's mass (kg), or state 'prior_gains'"
+            yield contradiction(PRIOR_GAIN, (joint,), text, advice, shown_as="model")
+        if joint in known and gain * (prior or 1.0) < 0:
+            sign, driven = ("negative", "backwards") if gain < 0 else ("positive", "forwards")
+            meant = "the drive does turn against its joint, state a negative prior gain"
+            if prior is not None:
+                meant = "that is intended, reverse the prior gain"
+            text = f"{sign} gain: positive {kind} drives the joint {driven}"
+            advice = f"reverse the sign of its {kind} or position column; or if {meant}"
+            yield contradiction(NEGATIVE_GAIN, (joint,), text, advice, shown_as="model")
+
+
+def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
+    """Find joints whose gains differ from all others by more than motors and gears of one robot explain."""
+    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
+    by_unit: dict[str, list[tuple[float, str]]] = {}
+    for joint, gain in known.items():
+        by_unit.setdefault(gain_unit(robot, joint, kind), []).append((abs(gain), joint))
+    for unit, gains in by_unit.items():
+        gains.sort()
+        for k, ((smaller, below), (larger, above)) in enumerate(pairwise(gains), start=1):
+            if larger <= GAINS_APART * smaller:
+                continue
+            # the fewer of the two groups, or both
+            few = gains[:k] if 2 * k < len(gains) else gains[k:] if 2 * k > len(gains) else gains
+            for gain, joint in few:
+                peer, gain_of_peer = (above, larger) if gain <= smaller else (below, smaller)
+                ratio = max(gain / gain_of_peer, gain_of_peer / gain)
+                text = (
+                    f"the gains of '{joint}', {gain:.3g} {unit}, and '{peer}', {gain_of_peer:.3g} {unit}, differ by a "
+                    f"factor of {ratio:.2g}, which is implausible for motors and gears of one robot"
+                )
+                advice = (
+                    f"check that the {kind} columns of these joints are in the same unit, and convert those that are "
+                    "not; if the motors do differ, state 'prior_gains'"
+                )
+                yield contradiction(FAR_APART, (joint,), text, advice, peer, shown_as="model")
+
+
+def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
+    """Find gains that are too large for the speed of their joint, as a motor's voltage per speed is its gain."""
+    problem, kind = fit.system.problem, fit.dataset.runs[0].kind
+    speeds = dict(zip(problem.joints, Levels(fit).speeds.tolist(), strict=False))
+    volts = {joint: abs(gain) * speeds[joint] for joint, gain in known.items()}
+    worst = max(volts, key=lambda joint: volts[joint], default="")
+    if kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:
+        gain = f"{abs(known[worst]):.4g} {gain_unit(fit.dataset.robot, worst, kind)}"
+        text = (
+            f"the gain of '{worst}', {gain}, would induce {volts[worst]:.3g} V in its motor at the logged speed (rms), "
+            "more than drives of robots supply"
+        )
+        yield contradiction(SMALL_CURRENT, (), text, check_milliamperes(fit.dataset.runs), worst, shown_as="unit")
+
+
+def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
+    """Find first moments that are out of scale with those of the robot's file, by one factor for all."""
+    moments = [
+        (audited.value, audited.stated)
+        for audited in audit.parameters
+        if parameter_of(audited.name).kind in FIRST_MOMENTS and audited.value and audited.std and audited.stated
+        if abs(audited.value) > NEGATIVE_STD * audited.std
+    ]
+    if len(moments) >= 2:
+        identified, stated = np.abs(np.transpose(moments))
+        factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))
+        apart, ratios = max(factor, 1 / factor), np.log(identified / stated / factor)
+        common = np.mean(np.abs(ratios) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
+        if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
+            text = (
+                f"the first moments of the links are {factor:.3g} times those of the robot's file (rms of "
+                f"{len(moments)})"
+            )
+            advice = (
+                "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is "
+                "wrong, state 'prior_gains'"
+            )
+            yield contradiction(UNLIKE_FILE, (), text, advice, shown_as="model")
+
+
+def unlike_arms(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find logged torques by which an arm of this reach would be far lighter or heavier than arms are."""
+    reach, theta = reach_of(fit.dataset.robot), fit.solution.theta
+    if not reach or fit.free_gains or fit.dataset.runs[0].kind != "torque":
+        return
+    std = np.sqrt(np.diag(estimates.covariance))
+    moments = [
+        (abs(float(theta[place])), name)
+        for name, place in estimates.unknowns.places.items()
+        if parameter_of(name).kind in FIRST_MOMENTS and abs(theta[place]) > NEGATIVE_STD * std[place]
+    ]
+    moment, name = max(moments, default=(0.0, ""))
+    if moments and not LIGHTEST <= (weight := 2 * moment / reach**2) <= HEAVIEST:
+        text = (
+            f"the largest first moment, {name} = {moment:.2g} kg m, means an arm of {weight:.2g} kg per metre of its "
+            f"reach of {reach:.2g} m, and arms have 0.3 to 300 kg"
+        )
+        yield contradiction(UNLIKE_FILE, (), text, "check the unit of the torques and the lengths in the robot file")
+
+
+def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
+    """Find joints whose torque, rms in N m or N, is more than twice their effort limit.
+
+    The limit, not the torque, is in doubt where the gain is ``settled``, and on an arm with the same limit everywhere.
+    """
+    robot, problem = fit.dataset.robot, fit.system.problem
+    limits = {joint: robot.joint(joint).limits.effort for joint in problem.joints}
+    if len(limits) >= 3 and len(set(limits.values())) == 1 and not robot.closures:
+        settled = limits  # a placeholder
+    levels = np.abs(fit.solution.gains) * problem.signal
+    torques = dict(zip(problem.joints, levels.tolist(), strict=False))
+    ratios = {joint: torques[joint] / limit for joint, limit in limits.items() if limit}
+    over = sorted((joint for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR), key=lambda name: -ratios[name])
+    kind = fit.dataset.runs[0].kind
+    for limit_doubted in (True, False):
+        joints = tuple(joint for joint in over if (joint in settled) == limit_doubted)
+        if not joints:
+            continue
+        worst = joints[0]
+        unit = torque_unit(robot, worst)
+        text = (
+            f"the torque of '{worst}' is {torques[worst]:.3g} {unit} (rms), {ratios[worst]:.3g} times its limit of "
+            f"{limits[worst]:.4g} {unit}"
+        )
+        if len(joints) == len(ratios):
+            doubted = "the payload's mass, which sets the scale," if fit.free_gains else f"the unit of the {kind}s"
+            text += f", so {doubted} may be wrong"
+        advice = (
+            f"check the payload's mass (kg) and the unit of the {kind}s; if the limit is a placeholder, "
+            f"{write_limits(worst)}"
+        )
+        if limit_doubted:
+            yield Finding(DOUBTFUL_LIMIT, joints, worst, text=text, advice=advice, shown_as="joint limits")
+        else:
+            yield contradiction(EFFORT, joints, text, advice, worst, shown_as="model")
