@@ -31,7 +31,7 @@ from gtau.documents.files import write_table
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
+from gtau.estimation.effects.known.friction_drift import EFFECT as FRICTION_DRIFT
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import make_task, read_design

@@ -14,7 +14,7 @@ from five_bar_logs import CHI, STEEL, Plant, five_bar, path
 from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
-from gtau.estimation.effects.torque_scale import TORQUE_SCALE
+from gtau.estimation.effects.known.torque_scale import EFFECT as TORQUE_SCALE
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
 from gtau.findings import Grade

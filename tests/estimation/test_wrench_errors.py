@@ -9,7 +9,7 @@ import polars as pl
 import pytest
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, HOOK, POSE, SOLE, Truth, experiment, simulated
 
-from gtau.estimation.effects.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
+from gtau.estimation.effects.known.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.findings import Grade
 from gtau.result import Result, identify
 

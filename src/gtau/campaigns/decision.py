@@ -19,8 +19,8 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import APART
 from gtau.estimation.effects.description import CONTRADICTED
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.effects.friction_drift import FRICTION_DRIFT
-from gtau.estimation.effects.gain_drift import GAIN_DRIFT
+from gtau.estimation.effects.known.friction_drift import EFFECT as FRICTION_DRIFT
+from gtau.estimation.effects.known.gain_drift import EFFECT as GAIN_DRIFT
 from gtau.estimation.experiment_runs import options_of
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import Result

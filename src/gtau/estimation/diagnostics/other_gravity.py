@@ -17,7 +17,8 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.refits import described_otherwise, residual_ratio
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.effects.gravity import GRAVITY, gravity_changes
+from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY
+from gtau.estimation.effects.known.gravity import gravity_changes
 from gtau.estimation.effects.linearisation import linearise, on_channels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by

@@ -10,8 +10,8 @@ from gtau.estimation.diagnostics.examine import Examination
 from gtau.estimation.diagnostics.gains import JudgedGain
 from gtau.estimation.diagnostics.verdict import contradiction, motors, which_payload, wrenches_first
 from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
-from gtau.estimation.effects.torque_scale import TORQUE_SCALE
-from gtau.estimation.effects.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
+from gtau.estimation.effects.known.torque_scale import EFFECT as TORQUE_SCALE
+from gtau.estimation.effects.known.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.estimators.estimator import Fit
 from gtau.findings import Finding
 from gtau.findings.words import MOST_PERCENT, percent

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.effects.linearisation import Offer
+from gtau.estimation.effects.linearisation import WindowTorques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.findings import Finding
 
@@ -69,7 +69,7 @@ class Effect:
     """
 
     name: str
-    torques: Offer
+    torques: WindowTorques
     columns: Callable[[Fit], Iterable[EffectColumn]]
     say: Callable[[Fit, EffectColumn, float], Words]
     shared: bool = False

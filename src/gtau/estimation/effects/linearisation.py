@@ -1,4 +1,4 @@
-"""Linearised residuals of a fit, and what further unknowns explain of them: the engine of all tests of hypotheses.
+"""Linearised residuals of a fit, and what further unknowns explain of them: the engine of all effects.
 
 Residuals are linearised along windows of the runs, or in the jackknife's blocks, beside candidate columns that the
 model lacks. Columns are fitted together with all unknowns, or each is tested alone by a score test, which gives its
@@ -27,13 +27,13 @@ from gtau.signals.preparation.prepared_run import SampleWindow
 RANK = 1e-6  # of the largest singular value: directions below it are left out
 SPANNED = 1e-6  # of the square of a column: less is left by the other unknowns, so it could be any of them
 
-CandidateColumns = Callable[[Rows], np.ndarray]
+Torques = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
 
 @dataclass(frozen=True, eq=False)
 class FitWindow:
-    """A ``window`` of a ``run`` (its number), along which hypotheses offer what the model of a ``fit`` lacks."""
+    """A ``window`` of a ``run`` (its number), along which effects add what the model of a ``fit`` lacks."""
 
     fit: Fit
     run: int
@@ -72,23 +72,23 @@ class FitWindow:
         begin, *_, end = self.fit.dataset.prepared[self.run].time[[0, -1]]
         return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
 
-    def decimated(self, torques: np.ndarray) -> CandidateColumns:
+    def decimated(self, torques: np.ndarray) -> Torques:
         """Decimate torques (m, n, N), made at every sample of the window, into candidate columns."""
         decimated = self.decimator.apply(torques)  # (m, n, outputs)
         return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
 
-    def rows(self, offer: Offer | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def rows(self, torques: WindowTorques | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Compute the decimated rows of the window (c, K, columns + m), and which of them are kept (c, K).
 
-        Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m candidates.
+        Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m of the ``torques``.
         """
-        system, candidates = self.fit.system, offer and offer(self)
+        system, added = self.fit.system, torques and torques(self)
         loaded = any(term.kind in BY_LOAD for term in system.terms)
         load = system.load(self.run, self.fit.solution.theta) if loaded else None
         rows, keep = [], []
         for part in stream_rows(self.fit.dataset.model, self.regressor, self.window, self.decimator, load):
             A = equations(self.regressor, system.problem.channels, part)
-            rows.append(np.concatenate([A, candidates(part)], axis=-1) if candidates else A)
+            rows.append(np.concatenate([A, added(part)], axis=-1) if added else A)
             keep.append(part.keep)
         return np.concatenate(rows, axis=1), np.concatenate(keep, axis=1)
 
@@ -104,7 +104,7 @@ class FitWindow:
         return weighted(self.fit, rows[..., : maps.shape[1]] @ maps)
 
 
-Offer = Callable[[FitWindow], CandidateColumns]
+WindowTorques = Callable[[FitWindow], Torques]
 """Makes the candidate columns along a window."""
 
 
@@ -113,14 +113,14 @@ class Linearised:
     """Residuals in W windows or blocks, each reduced to a triangle a channel, in standard deviations of the current.
 
     ``errors`` (W, c, p), their ``jacobian`` (W, c, p, k) by the unknowns of
-    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m candidate torques ``offered`` (W, c, p, m).
+    :func:`gtau.estimation.estimators.newton.jacobian`, and by the m ``added`` torques (W, c, p, m).
     ``known`` are residuals (q,) of known parameters and their Jacobian (q, k), of unit variance. In a cluster (W,) of
     windows, numbered from 0, residuals may be correlated.
     """
 
     errors: np.ndarray
     jacobian: np.ndarray
-    offered: np.ndarray
+    added: np.ndarray
     known: tuple[np.ndarray, np.ndarray]
     clusters: np.ndarray
 
@@ -134,9 +134,9 @@ class Linearised:
     def fitted(self, columns: slice | Sequence[int] = ()) -> tuple[np.ndarray, np.ndarray]:
         """Fit all unknowns together with some candidate columns: their step (k + m,), and the errors (.,) left."""
         e, J = self.rows
-        offered = self.offered[..., columns].reshape(self.errors.size, -1)
-        beside = np.zeros((len(self.known[0]), offered.shape[1]))
-        wide = np.hstack([J, np.concatenate([offered, beside])])
+        added = self.added[..., columns].reshape(self.errors.size, -1)
+        beside = np.zeros((len(self.known[0]), added.shape[1]))
+        wide = np.hstack([J, np.concatenate([added, beside])])
         step = least_squares_step(wide, e)
         return step, e + wide @ step
 
@@ -168,7 +168,7 @@ class Linearised:
             that goes with it, and by how much the other unknowns move for a unit of it, (m, n, k).
         """
         W, W_e, remaining, W_left, W_W = self._white
-        offered = self.offered[..., columns].swapaxes(2, 3)  # (W, c, m, p)
+        added = self.added[..., columns].swapaxes(2, 3)  # (W, c, m, p)
 
         def folded(of_channels: np.ndarray) -> np.ndarray:
             """Order (W, c, m, ...) as (W, m, n, ...), that of shared columns summed over the channels."""
@@ -176,8 +176,8 @@ class Linearised:
             return of_columns.sum(axis=2, keepdims=True) if shared else of_columns
 
         # of each window, products of its column, (m, j) of joint j in all rows i, with W, itself and the residuals
-        c_W, c_c = folded(offered @ W), folded(np.sum(offered**2, axis=-1))
-        c_e, c_left = (folded((offered @ e[..., None])[..., 0]) for e in (self.errors, remaining))
+        c_W, c_c = folded(added @ W), folded(np.sum(added**2, axis=-1))
+        c_e, c_left = (folded((added @ e[..., None])[..., 0]) for e in (self.errors, remaining))
         along, squares = c_W.sum(axis=0), c_c.sum(axis=0)
         rest = squares - np.sum(along**2, axis=-1)
         spanned = rest <= SPANNED * np.maximum(squares, 1e-300)
@@ -195,7 +195,7 @@ class Linearised:
         return size, np.where(spanned, np.inf, std), share, -along @ self.back.T
 
 
-def linearise(fit: Fit, windows: Windows, offer: Offer | None = None) -> Linearised:
+def linearise(fit: Fit, windows: Windows, torques: WindowTorques | None = None) -> Linearised:
     """Linearise the residuals of a fit along windows of its runs, with candidate columns of all channels.
 
     Raises GtauError where the model refuses a sample.
@@ -203,15 +203,15 @@ def linearise(fit: Fit, windows: Windows, offer: Offer | None = None) -> Lineari
     fit_windows = [FitWindow(fit, run, window) for run, window in windows]
     reduced = []
     for window in fit_windows:
-        A, keep = window.rows(offer)
+        A, keep = window.rows(torques)
         reduced.append([triangle(of_channel[kept]) for of_channel, kept in zip(A, keep, strict=True)])
     T = stacked_triangles(reduced)
     parts = [window.errors_and_jacobian(rows) for window, rows in zip(fit_windows, T, strict=True)]
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
     weights = weights_of(fit) / fit.solution.gains
-    offered = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
+    added = -weights[:, None, None] * T[..., fit.dataset.base.count + EXTRA :]
     clusters = window_clusters(windows, *fit.dataset.prepared.places)
-    return Linearised(e, J, offered, known_rows(fit, windows), clusters)
+    return Linearised(e, J, added, known_rows(fit, windows), clusters)
 
 
 def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
@@ -270,11 +270,11 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
 
 
-def on_channels(offer: Offer, felt: bool) -> Offer:
+def on_channels(torques: WindowTorques, felt: bool) -> WindowTorques:
     """Add a joint's torque to its torque sensor's rows where the sensor has ``felt`` it, otherwise zeros."""
 
-    def with_sensors(at: FitWindow) -> CandidateColumns:
-        columns = offer(at)
+    def with_sensors(at: FitWindow) -> Torques:
+        columns = torques(at)
         behind = [channel.row for channel in at.window.run.channels if channel.kind.link_side]
 
         def of_channels(rows: Rows) -> np.ndarray:
@@ -286,11 +286,11 @@ def on_channels(offer: Offer, felt: bool) -> Offer:
     return with_sensors
 
 
-def side_by_side(offers: Sequence[Offer]) -> Offer:
-    """Build the columns of several hypotheses in one pass over the windows."""
+def side_by_side(several: Sequence[WindowTorques]) -> WindowTorques:
+    """Build the columns of several effects in one pass over the windows."""
 
-    def offer(at: FitWindow) -> CandidateColumns:
-        parts = [make(at) for make in offers]
+    def columns(at: FitWindow) -> Torques:
+        parts = [torques(at) for torques in several]
         return lambda rows: np.concatenate([columns(rows) for columns in parts], axis=-1)
 
-    return offer
+    return columns

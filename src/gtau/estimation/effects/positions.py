@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow, motion_along
+from gtau.estimation.effects.linearisation import FitWindow, Torques, motion_along
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import instants
 
@@ -22,7 +22,7 @@ def position_units(fit: Fit) -> list[str]:
     return ["deg" if fit.dataset.robot.joint(joint).turns else "mm" for joint in fit.dataset.model.actuated]
 
 
-def with_positions(at: FitWindow, moved: Iterable[Moved]) -> CandidateColumns:
+def with_positions(at: FitWindow, moved: Iterable[Moved]) -> Torques:
     """Compute how torques change along motions that are moved by a ``STEP`` of their unit, a column each."""
     model, window = at.fit.dataset.model, at.window
     before, labels = at.torques_along(at.motion, at.values), instants(window.run.name, window.time)

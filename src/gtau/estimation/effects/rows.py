@@ -82,14 +82,14 @@ class EffectRows:
 
 def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS) -> EffectRows:
     """Evaluate the columns of all effects along windows of the runs, in one pass; raises GtauError at a singularity."""
-    offered = [(effect, columns) for effect in effects if (columns := tuple(effect.columns(fit)))]
+    acting = [(effect, columns) for effect in effects if (columns := tuple(effect.columns(fit)))]
     modes, starts, layouts = run_modes(len(fit.dataset.runs)), {False: 0, True: 0}, []
-    for effect, columns in offered:
+    for effect, columns in acting:
         layout = Layout(effect, columns, starts[effect.shared], modes.shape[1] if effect.in_runs else 1)
         starts[effect.shared] = layout.places.stop
         layouts.append(layout)
-    offer = side_by_side([on_channels(effect.torques, effect.shared) for effect, _ in offered])
-    plausible = np.array([column.plausible for _, columns in offered for column in columns])
+    torques = side_by_side([on_channels(effect.torques, effect.shared) for effect, _ in acting])
+    plausible = np.array([column.plausible for _, columns in acting for column in columns])
     system, problem, warm = fit.system, fit.system.problem, fit.dataset.temperatures
     unreduced = system.unreduced.columns_of(problem.parameters)
     weights, gains = weights_of(fit), fit.solution.gains
@@ -97,7 +97,7 @@ def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS)
     products: list[LagProducts] | None = None
     for run, window in windows:
         at = FitWindow(fit, run, window)
-        A, keep = at.rows(offer)
+        A, keep = at.rows(torques)
         above = None if warm is None else warm.between(run, window.time[0], window.time[-1])
         maps = system.map(run, above)[..., unreduced]
         equations = A[..., : maps.shape[1]] @ maps * weights[:, None, None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.effects.positions import STEP, with_positions
 from gtau.estimation.estimators.estimator import Fit
 
@@ -14,7 +14,7 @@ LARGEST = 15.0  # per cent: positions of a Sawyer's joint 10 % large are found a
 PER_CENT = 1e-2
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
     factors = 1 + STEP * PER_CENT * joints
     return with_positions(at, ((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors))
@@ -29,4 +29,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "check the gear ratio, encoder resolution and unit of its positions"
 
 
-POSITION_SCALES = Effect("position scales", _torques, _columns, _say, shared=True, description=True)
+EFFECT = Effect("position scales", _torques, _columns, _say, shared=True, description=True)

@@ -9,14 +9,14 @@ import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.knots import hats
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.1  # of the friction at the rms speed: experience
 KNOTS = 20
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     levels, n = Levels(at.fit), len(at.fit.gains)
     bent = np.arctan(2 * at.window.samples().qd / levels.speeds) / (np.pi / 2)
     columns = hats(bent, np.repeat(np.linspace(-1, 1, KNOTS)[:, None], n, axis=1))
@@ -28,7 +28,7 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "add runs at other speeds to separate it from other effects"
 
 
-SPEED = Effect(
+EFFECT = Effect(
     "friction of any shape",
     _torques,
     lambda fit: [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.robots.parameter import Parameter
 
 PLAUSIBLE = 0.1  # relative change along a run: experience
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     terms, samples, joints = at.fit.system.terms, at.window.samples(), at.fit.dataset.model.actuated
     # friction that depends on the temperature has a slope of its own for this
     free = np.array([{Parameter("fvt", joint), Parameter("fst", joint)}.isdisjoint(terms) for joint in joints])
@@ -26,7 +26,7 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "let the robot warm up before the runs, or split long runs"
 
 
-FRICTION_DRIFT = Effect(
+EFFECT = Effect(
     "friction drift",
     _torques,
     lambda fit: [EffectColumn(PLAUSIBLE, about="viscous"), EffectColumn(PLAUSIBLE, about="Coulomb")],

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.005  # relative change along a run: 0.001 a kelvin of the magnets (data sheets of servo motors)
 LARGEST = 0.04  # as of a run
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     return lambda rows: (at.torques(rows) * at.along_run(rows.time))[:, :, None]
 
 
@@ -19,4 +19,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "let the robot warm up before the runs"
 
 
-GAIN_DRIFT = Effect("gain drift", _torques, lambda fit: [EffectColumn(PLAUSIBLE)], _say, harmless=LARGEST)
+EFFECT = Effect("gain drift", _torques, lambda fit: [EffectColumn(PLAUSIBLE)], _say, harmless=LARGEST)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.1  # relative error of one joint's torques, or of its given gain: experience
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     return lambda rows: at.torques(rows)[:, :, None]
 
 
@@ -18,6 +18,6 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "check the gear ratio, the torque constant and the unit of its torques"
 
 
-TORQUE_SCALE = Effect(
+EFFECT = Effect(
     "torque scale", _torques, lambda fit: [] if fit.free_gains else [EffectColumn(PLAUSIBLE)], _say, description=True
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.findings.words import clock_advice
@@ -19,7 +19,7 @@ STEEPEST = 12.0  # degrees: a Sawyer tilted by 4.0 degrees is found as 3.87 +- 0
 EARTH = 0.5  # per cent: beyond it another strength is no gravity, but a wrong clock or wrong lengths
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     model, n = at.fit.dataset.model, len(at.fit.dataset.model.actuated)
     regressor = model.gravity_torques(at.fit.dataset.base.standard)
     entries = regressor(model.layout, at.motion, at.values)
@@ -59,4 +59,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, action
 
 
-GRAVITY = Effect("gravity", _torques, _columns, _say, shared=True, description=True)
+EFFECT = Effect("gravity", _torques, _columns, _say, shared=True, description=True)

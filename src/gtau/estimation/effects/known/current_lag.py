@@ -6,14 +6,14 @@ It is that of the model's torque: the measured current's is correlated with the 
 from __future__ import annotations
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1e-4  # s2: a filter of 14 ms (experience)
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     _, change = differentiate(at.torques_along(at.motion, at.values).T, at.window.run.rate)
     return at.decimated(change.T[None])
 
@@ -23,4 +23,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "log the current before any filter, and move more slowly"
 
 
-CURRENT_LAG = Effect("current lag", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "s2")], _say)
+EFFECT = Effect("current lag", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "s2")], _say)

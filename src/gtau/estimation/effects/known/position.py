@@ -9,14 +9,14 @@ import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.knots import hats
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.01  # of the rms torque: ripple of 0.5 to 2 % (data sheets of servo motors), cables of a dVRK 5 %
 KNOTS = 24
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     windows = [window for _, window in at.fit.dataset.windows()]
     low, high = np.min([w.q.min(axis=0) for w in windows], axis=0), np.max([w.q.max(axis=0) for w in windows], axis=0)
     columns = hats(at.window.samples().q, np.linspace(low, high, KNOTS))
@@ -31,6 +31,6 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     )
 
 
-POSITION = Effect(
+EFFECT = Effect(
     "torque of position", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS, _say, function=True
 )

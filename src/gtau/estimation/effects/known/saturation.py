@@ -10,14 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.03  # relative fall up to twice the rms current: 0 to 0.05 (data sheets of servo motors)
 LARGE = 2.0  # rms currents: where the fall is stated
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     # at every sample: the square of a decimated torque lacks what friction adds where it reverses
     tau = at.torques_along(at.motion, at.values)
     return at.decimated((np.abs(tau) * tau / (LARGE * Levels(at.fit).torques[:, None]))[None])
@@ -32,4 +32,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
 
 
 UNIT = f"of itself up to {LARGE:g} times the rms current"
-SATURATION = Effect("saturation", _torques, lambda fit: [EffectColumn(PLAUSIBLE, UNIT)], _say)
+EFFECT = Effect("saturation", _torques, lambda fit: [EffectColumn(PLAUSIBLE, UNIT)], _say)

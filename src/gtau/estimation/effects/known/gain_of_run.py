@@ -7,7 +7,7 @@ constant, can move the gain by 5. All that the payload does not add to is the sa
 from __future__ import annotations
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.effects.run_drift import runs_of
 from gtau.estimation.estimators.estimator import Fit
 
@@ -15,7 +15,7 @@ PLAUSIBLE = 0.01  # relative change between runs: 0.001 a kelvin of the magnets 
 LARGEST = 0.04  # beyond it no magnet is that warm: neodymium loses 0.1 % a kelvin, and motors warm up by 40 K
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     return lambda rows: at.torques(rows)[:, :, None]
 
 
@@ -32,4 +32,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     )
 
 
-GAIN_OF_RUN = Effect("gain of a run", _torques, _columns, _say, in_runs=True, harmless=LARGEST)
+EFFECT = Effect("gain of a run", _torques, _columns, _say, in_runs=True, harmless=LARGEST)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.column_blocks import is_transmitted
 from gtau.robots.parameter import Parameter
@@ -19,7 +19,7 @@ PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave
 ROTOR = 0.01  # of the rms torque: a fifth of it may speed up the rotor, and PLAUSIBLE of that
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     joints, terms, qd = at.fit.dataset.model.actuated, at.fit.system.terms, at.window.samples().qd
     missing = np.array([Parameter("fl", joint) not in terms for joint in joints])
     load = at.torques_along(at.motion, at.values * is_transmitted(at.fit.dataset.base.names)).T
@@ -34,7 +34,7 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "add runs at other speeds, or with other loads, to separate it from other effects"
 
 
-LOAD_FRICTION = Effect(
+EFFECT = Effect(
     "load-dependent friction",
     _torques,
     lambda fit: [EffectColumn(PLAUSIBLE, "of its load"), EffectColumn(ROTOR, "of its torque")],

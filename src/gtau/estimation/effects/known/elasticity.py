@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.effects.positions import STEP, with_positions
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.column_blocks import is_transmitted
@@ -18,7 +18,7 @@ PLAUSIBLE = 1.0  # mrad, or mm, at the rms torque: 50 N m on a strain-wave gear 
 SI = 1e-3
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     window, motors = at.window, at.fit.dataset.robot.motors
     joints = np.eye(len(at.fit.gains))[[joint in motors for joint in at.fit.dataset.model.actuated]]
     transmitted = at.values * is_transmitted(at.fit.dataset.base.names)
@@ -40,4 +40,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return f"an elastic joint '{column.joint}'", "move more slowly, or log the position behind the gear"
 
 
-ELASTICITY = Effect("elasticity", _torques, _columns, _say, shared=True)
+EFFECT = Effect("elasticity", _torques, _columns, _say, shared=True)

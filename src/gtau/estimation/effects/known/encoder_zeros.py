@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.effects.positions import STEP, position_units, with_positions
 from gtau.estimation.estimators.estimator import Fit
 
@@ -14,7 +14,7 @@ LARGEST = {"deg": 12.0, "mm": 100.0}  # a Sawyer's zero off by 5.73 degrees is f
 SI = {"deg": np.pi / 180, "mm": 1e-3}
 
 
-def _torques(at: FitWindow) -> CandidateColumns:
+def _torques(at: FitWindow) -> Torques:
     window, steps = at.window, np.diag([STEP * SI[unit] for unit in position_units(at.fit)])
     return with_positions(at, ((window.q + step, window.qd, window.qdd) for step in steps))
 
@@ -29,4 +29,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "compare the encoder zeros with the robot's zero position"
 
 
-ENCODER_ZEROS = Effect("encoder zeros", _torques, _columns, _say, shared=True, description=True)
+EFFECT = Effect("encoder zeros", _torques, _columns, _say, shared=True, description=True)

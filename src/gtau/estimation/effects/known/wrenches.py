@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import CandidateColumns, FitWindow
+from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
 from gtau.robots.placement import WRENCH
@@ -25,7 +25,7 @@ def _bodies(fit: Fit) -> list[str]:
     return [frame.body for frame in fit.dataset.runs[0].wrenches]
 
 
-def _offsets(at: FitWindow) -> CandidateColumns:
+def _offsets(at: FitWindow) -> Torques:
     unit = np.eye(len(WRENCH) * len(_bodies(at.fit)))
     return _felt(at, np.broadcast_to(unit[:, :, None], (*unit.shape, len(at.window))))
 
@@ -47,7 +47,7 @@ def _say_offset(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "tare the unloaded force sensor before each run, or subtract its unloaded reading"
 
 
-def _points(at: FitWindow) -> CandidateColumns:
+def _points(at: FitWindow) -> Torques:
     bodies = np.arange(len(_bodies(at.fit)))
     measured = at.window.samples().command.T[at.window.run.given]
     force = measured.reshape(len(bodies), 2, 1, 3, -1)[:, 1]  # that acts 1 mm further back
@@ -65,7 +65,7 @@ def _say_point(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "measure the position of the sensor, and correct 'at' of that wrench"
 
 
-def _felt(at: FitWindow, errors: np.ndarray) -> CandidateColumns:
+def _felt(at: FitWindow, errors: np.ndarray) -> Torques:
     """Compute the joint torques that errors (m, 6 k, N) of the wrench readings cause."""
     run = at.window.run
     padded = np.zeros((len(errors), len(run.channels), errors.shape[-1]))
@@ -75,3 +75,4 @@ def _felt(at: FitWindow, errors: np.ndarray) -> CandidateColumns:
 
 WRENCH_OFFSETS = Effect("wrench offsets", _offsets, _offset_columns, _say_offset, shared=True, description=True)
 WRENCH_POINTS = Effect("wrench points", _points, _point_columns, _say_point, shared=True, description=True)
+EFFECTS = WRENCH_OFFSETS, WRENCH_POINTS

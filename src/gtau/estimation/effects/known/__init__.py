@@ -1,0 +1,1 @@
+"""The effects: a module each, whose EFFECT or EFFECTS are tried with every fit."""
