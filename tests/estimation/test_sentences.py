@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter
 
-from gtau.estimation.diagnostics.log_checks import log_with_gravity
+from gtau.estimation.diagnostics.other_gravity import log_with_gravity
 from gtau.estimation.diagnostics.refutations import explained_share, refuted, refuted_descriptions
 from gtau.estimation.diagnostics.verdict import GOOD, WRENCHES, wrenches_first
 from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect

@@ -9,9 +9,14 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, Effort, effort_of
-from gtau.estimation.diagnostics.log_checks import frozen_encoders, gravity_not_shown, lack_of_fit
+from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit
 from gtau.estimation.diagnostics.other_columns import angle_from_another_link, reversed_torques
-from gtau.estimation.diagnostics.other_gravity import REFUTED_SHARE, WITHOUT_GRAVITY, likeliest_gravity
+from gtau.estimation.diagnostics.other_gravity import (
+    REFUTED_SHARE,
+    WITHOUT_GRAVITY,
+    gravity_not_shown,
+    likeliest_gravity,
+)
 from gtau.estimation.diagnostics.position_noise import FEWEST_FOR_TESTS, position_noise
 from gtau.estimation.diagnostics.refits import untested
 from gtau.estimation.diagnostics.stated_constants import scale_uncertainty

@@ -131,16 +131,16 @@ def wide_gains(
     fit: Fit, examined: Examination, estimates: Estimates, gains: Iterable[JudgedGain], accuracy: float
 ) -> Iterator[Finding]:
     """Find gains whose intervals are wider than the accuracy, with the largest contribution to each."""
-    sized = [effect for effect in examined.effects if effect.size]
+    sized, interval = [effect for effect in examined.effects if effect.size], "the 95 % interval is {own}"
     for gain in gains:
         if gain.half <= accuracy:
             continue
         causes: tuple[str, ...] = ()
         random, model = estimates.random[gain.row, gain.row], estimates.model[gain.row, gain.row]
         most = max(sized, key=lambda effect: abs(effect.moves[gain.joint] * effect.std / effect.size), default=None)
-        kind, text, advice = WIDE_RANDOM, "the 95 % interval is {own}", unloaded_advice(fit)
+        kind, text, advice = WIDE_RANDOM, interval, unloaded_advice(fit)
         if estimates.scale[gain.row, gain.row] > NAMED_SHARE * (random + model):
-            kind, text = WIDE_SCALE, f"{text}, limited by the uncertainty of the scale reference"
+            kind, text = WIDE_SCALE, f"{interval}, limited by the uncertainty of the scale reference"
             advice = "calibrate the sensors, or weigh the payload, more accurately"
             if fit.dataset.scaled_by_file:
                 stated = fit.dataset.prior_inertias or 0.0
@@ -148,7 +148,7 @@ def wide_gains(
                 advice = "carry a payload of known mass in some runs"
         elif model >= NAMED_SHARE * (random + model) and most is not None:
             kind, causes = "wide by an effect", (most.cause.kind,)
-            text += f", because the data cannot exclude {most.subject}"
+            text = f"{interval}, because the data cannot exclude {most.subject}"
             advice = most.cause.advice + (LONGER if gain.random_half > accuracy else "")
         elif fit.system.payloads:
             advice = (

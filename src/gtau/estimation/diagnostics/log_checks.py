@@ -17,9 +17,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import unexplained_shares
-from gtau.estimation.effects.effect import Levels
-from gtau.estimation.effects.linearisation import window_motion
+from gtau.estimation.diagnostics.verdict import contradiction, unexplained_shares
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.estimators.newton import DELAY_MOTION
@@ -40,14 +38,12 @@ LAG_JOINTS = 2  # joints whose acceleration shows the lag, or all of the robot: 
 LAG_SAMPLES = 1.0  # lag of all commands together behind the motion, samples
 LAG_LEAST = 0.003  # lag of all commands together behind the motion, s
 LAG_LOSS = 0.01  # share of a command that a low-pass of the lag takes away at the bandwidth
-GRAVITY_FELT = 0.06  # torque of gravity over the whole, rms, of the joint that feels it most: below, no test of gravity
-UNFELT = 1e-6  # torque of gravity over the whole, rms, below which no motion changes the torque of gravity
 LIMIT_SHARE = 0.02  # largest torque over its limit of effort, all joints: below, torques are those of motors
 STEPS = 3.0  # largest whole number of commands that are all whole, from which they are shares or counts
 WHOLE = 0.9  # share of commands that are whole numbers, from which all were
 UNSEEN_RATIO = 4.0  # unexplained share of a joint where another's position is frozen, over its share where that moves
 UNSEEN_MISFIT = 0.1  # unexplained share of a joint's current in the run with the frozen position
-UNFELT_PAYLOAD = 1.1  # residual of the currents without the payload over that with it
+UNFELT_PAYLOAD = 1.1  # residual of the currents without the payload over the residual with it
 
 COMMAND_LAG, SMOOTHED, WHOLE_NUMBERS = "command lag", "smoothed commands", "whole numbers"
 MOTOR_SIDE, FROZEN = "torques of the motors", "frozen encoder"
@@ -56,9 +52,8 @@ MOTOR_SIDE, FROZEN = "torques of the motors", "frozen encoder"
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Estimate each joint's lag T of command behind motion, with standard error, both (n,) in s; NaN where unknown.
 
-    It minimises what the joint's own model leaves of ``v + T v'``. Noise n of the command adds ``T^2 n'^2`` to that,
-    which ``n n''`` takes away on average (parts integrated). The error is that of a ratio, from its scatter over the
-    units.
+    T minimises what the joint's own model leaves of ``v + T v'``. Noise n of the command adds ``T^2 n'^2`` to that,
+    which ``n n''`` takes away on average (integration by parts). The error follows from the scatter over the units.
     """
     lags = np.full((2, len(problem.joints)), np.nan)
     for j in range(len(problem.joints)):
@@ -66,18 +61,18 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         model = np.linalg.lstsq(R[:, columns], R[:, SIGNALS], rcond=None)[0]
         rest = problem.blocks[:, j, :, SIGNALS] - problem.blocks[:, j][:, :, columns] @ model
         r, rate, change = np.moveaxis(rest, -1, 0)  # (U, p) each
-        along, of_rate, of_change = (np.einsum("up,up->u", *pair) for pair in ((r, rate), (rate, rate), (r, change)))
-        of_motion = of_rate + of_change
-        share = of_motion.sum() / max(of_rate.sum(), 1e-300)
-        if share * of_rate.sum() > DELAY_MOTION * np.linalg.norm(of_motion - share * of_rate):
-            lag = -along.sum() / of_motion.sum()
-            lags[:, j] = lag, np.linalg.norm(along + lag * of_motion) / of_motion.sum()
+        along, rates, changes = (np.einsum("up,up->u", *pair) for pair in ((r, rate), (rate, rate), (r, change)))
+        motion = rates + changes
+        share = motion.sum() / max(rates.sum(), 1e-300)
+        if share * rates.sum() > DELAY_MOTION * np.linalg.norm(motion - share * rates):
+            lag = -along.sum() / motion.sum()
+            lags[:, j] = lag, np.linalg.norm(along + lag * motion) / motion.sum()
     lag, error = lags
     return lag, error
 
 
 def command_lag(dataset: Dataset, system: System) -> list[Finding]:
-    """Find commands that lag behind the motion in all runs; ``system`` is that of all runs."""
+    """Find commands that lag behind the motion in all runs of the ``system``."""
     kind, bandwidth = dataset.runs[0].kind, dataset.preparation.bandwidth
     rate = min(run.rate for run in dataset.runs)
     lags, errors = command_lags(system.problem)
@@ -112,31 +107,25 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
 def smoothed_commands(runs: Sequence[Run]) -> Iterator[Finding]:
     """Find runs whose commands filters smoothed offline: nothing above some frequency, or a moving average."""
     ends = {run.name: end for run in runs if (end := end_of_commands(run)) is not None}
-    if ends:
-        slowest = min(run.rate for run in runs if run.name in ends)
-        yield _smoothed(
-            runs[0].kind,
-            ends,
-            f": above {max(ends.values()):.2g} Hz they hold nothing, not even noise, though their rate shows up to "
-            f"{slowest / 2:.3g} Hz",
-        )
     windows = {  # as logged: resampled noise has another colour
         run.name: window_of_commands(run.command, run.rate) if run.log.whole_share is None else run.log.window
         for run in runs
         if run.name not in ends
     }
-    if averaged := {name: window for name, window in windows.items() if window}:
+    averaged = {name: window for name, window in windows.items() if window}
+    if ends:
+        seen = min(run.rate for run in runs if run.name in ends) / 2
+        how = f": above {max(ends.values()):.2g} Hz they hold nothing, not even noise, though their rate shows up to "
+        yield _smoothed(runs[0].kind, ends, f"{how}{seen:.3g} Hz")
+    if averaged:
         yield _smoothed(runs[0].kind, averaged, f" by a moving average over {max(averaged.values()):.2g} s")
 
 
 def _smoothed(kind: str, runs: Iterable[str], how: str) -> Finding:
-    return Finding(
-        SMOOTHED,
-        text=f"the {kind}s of {listed(runs)} were smoothed{how}; what a filter takes from motion and friction is in no "
-        "interval",
-        advice="identify from the logs as they were recorded",
-        shown_as="filtered command",
-    )
+    text = f"the {kind}s of {listed(runs)} were smoothed{how}; what a filter takes from motion and friction is in no "
+    text += "interval"
+    advice = "identify from the logs as they were recorded"
+    return Finding(SMOOTHED, text=text, advice=advice, shown_as="filtered command")
 
 
 def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
@@ -162,16 +151,11 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     limits = {joint: limit for joint, limit in efforts.items() if limit}
     if kind != "torque" or len(set(limits.values())) < 2:  # the same for all joints is a placeholder
         return
-    of_limits = {
-        joint: float(peak) / limits[joint] for joint, peak in zip(joints, peaks, strict=True) if joint in limits
-    }
-    joint = max(of_limits, key=lambda name: of_limits[name])
-    if of_limits[joint] < LIMIT_SHARE:
-        yield motor_side_torques(
-            f"the torques reach {percent(of_limits[joint])} of the limit of '{joint}' ({limits[joint]:.4g}), and less "
-            "for all others",
-            (joint,),
-        )
+    tops = zip(joints, peaks.tolist(), strict=True)
+    share, joint = max((peak / limits[joint], joint) for joint, peak in tops if joint in limits)
+    if share < LIMIT_SHARE:
+        text = f"the torques reach {percent(share)} of the limit of '{joint}' ({limits[joint]:.4g}), and less elsewhere"
+        yield motor_side_torques(text, (joint,))
 
 
 def motor_side_torques(text: str, joints: tuple[str, ...] = ()) -> Finding:
@@ -195,8 +179,8 @@ def require_payload_excitation(system: System) -> None:
     n = len(problem.parameters)
     if not carried or np.any(problem.total_rows < 3 * (n + 1)):
         return  # with so few equations, the robot's own parameters explain whatever the payload does
-    of_payloads = {name for columns in system.payloads for name in columns.unknown}
-    robot_columns = [k for k, name in enumerate(problem.parameters) if name not in of_payloads]
+    loads = {name for columns in system.payloads for name in columns.unknown}
+    robot_columns = [k for k, name in enumerate(problem.parameters) if name not in loads]
     without, with_all = (
         np.array([_residual(R, columns) for R in problem.triangles[: len(problem.joints)]])
         for columns in (robot_columns, list(range(n + 1)))
@@ -257,24 +241,21 @@ def frozen_encoders(fit: Fit) -> list[Finding]:
     moving = np.array([np.subtract(*extremes(run.position)) < 0 for run in runs])
     acting = np.array([np.subtract(*extremes(run.command))[:n] < 0 for run in runs])
     frozen = np.argwhere(acting & ~moving).tolist()
-    shares, found = unexplained_by_run(fit) if frozen else np.zeros(0), list[tuple[float, Finding]]()
+    shares, findings = unexplained_by_run(fit) if frozen else np.zeros(0), list[tuple[float, Finding]]()
     for run, joint in frozen:
         usual = shares[moving[:, joint]].max(axis=0, initial=0.0)
         least = np.where(usual > 0, np.maximum(UNSEEN_RATIO * usual, UNSEEN_MISFIT), MISFIT)
         worst = int(np.argmax(shares[run] / least))
-        if shares[run, worst] > least[worst]:
-            still, felt, share = joints[joint], joints[worst], float(shares[run, worst])
+        if (share := float(shares[run, worst])) > least[worst]:
+            still, felt, name = joints[joint], joints[worst], runs[run].name
             others = f", {percent(usual[worst])} in other runs" if usual[worst] else ""
-            finding = Finding(
-                FROZEN,
-                (still, felt),
-                text=f"the position of '{still}' never changes in run '{runs[run].name}', but {percent(share)} of the "
-                f"{runs[run].kind} of '{felt}' is then unexplained{others}, so it moved",
-                advice=f"check the encoder and the position column of '{still}' in that run, and log it again",
-                grade=Grade.CONTRADICTORY,
+            text = (
+                f"the position of '{still}' never changes in run '{name}', but {percent(share)} of the "
+                f"{runs[run].kind} of '{felt}' is then unexplained{others}, so it moved"
             )
-            found.append((share, finding))
-    return [finding for _, finding in sorted(found, key=lambda pair: -pair[0])]
+            advice = f"check the encoder and the position column of '{still}' in that run, and log it again"
+            findings.append((share, contradiction(FROZEN, (still, felt), text, advice)))
+    return [finding for _, finding in sorted(findings, key=lambda pair: -pair[0])]
 
 
 def unexplained_by_run(fit: Fit) -> np.ndarray:
@@ -288,41 +269,3 @@ def unexplained_by_run(fit: Fit) -> np.ndarray:
         rest = v - W @ np.linalg.lstsq(W, v, rcond=1e-9)[0]
         shares[run, joint] = np.linalg.norm(rest) / max(float(np.linalg.norm(v)), 1e-300)
     return shares
-
-
-def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
-    """Find that gravity changes the torques too little to show whether they contain it.
-
-    Its share is the ratio of rms gravity torque (about its mean) to rms total torque, of the joint that feels it most.
-    """
-    dataset, n = fit.dataset, len(fit.gains)
-    gravity = np.array(dataset.robot.gravity)
-    if not gravity.any():
-        return
-    model, regressor, torques = dataset.model, dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
-    for run, window in dataset.windows():
-        motion, parameters = window_motion(model, window), fit.system.motion(run, fit.solution.theta)
-        along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
-        torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
-    felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))
-    if UNFELT <= felt < GRAVITY_FELT:
-        kind = dataset.runs[0].kind
-        # of no driver: drivers of arms that compensate gravity report torques
-        own = bool(dataset.robot.closures) or kind == "current"
-        yield Finding(
-            "torques without gravity, or a balanced robot",
-            text=f"the data do not show whether the torques contain gravity ({percent(felt, '.1g')} of a joint's "
-            "torque at most): it hardly varies along these motions, the robot is balanced, or a driver compensates it",
-            advice=f"if a driver compensates it, {log_with_gravity(f'actual {kind}s' if own else '')}",
-            grade=Grade.INFORMATION,
-            shown_as="model",
-        )
-
-
-def log_with_gravity(signal: str = "") -> str:
-    """Advise to log torques with gravity, or a ``signal`` that has it, or to describe the robot without."""
-    signal = f"{signal} of the motors" if signal else "torques of the motors (UR: 'use_currents_as_efforts: true')"
-    return (
-        f"log the {signal}, or write 'robot: {{file: ..., gravity: [0, 0, 0]}}' in the experiment file for a model "
-        "without gravity"
-    )

@@ -3,7 +3,7 @@
 An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity where the robot file has none. Parameters
 adapt to that, so that a linear test points anywhere: the robot is fitted again with gravity along each axis of the
 base, and from the best of them freely (Gauss-Newton over directions). Whether torques exclude gravity, as with a driver
-that compensates it, :mod:`gtau.estimation.diagnostics.effort` finds.
+that compensates it, is found in :mod:`gtau.estimation.diagnostics.effort`.
 """
 
 from __future__ import annotations
@@ -16,21 +16,24 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.refits import described_otherwise, residual_ratio
-from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.effect import EstimatedEffect, Levels
 from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY
 from gtau.estimation.effects.known.gravity import gravity_changes
-from gtau.estimation.effects.linearisation import linearise, on_channels
+from gtau.estimation.effects.linearisation import linearise, on_channels, window_motion
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.findings import Finding
+from gtau.findings import Finding, Grade
+from gtau.findings.words import percent
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import BY_LOAD
 
 REFUTED_SHARE = 0.05  # share of the residual variance that a description alternative explains
 GRAVITY_SHARE = 0.5  # share of the residual variance that gravity along another axis takes away
 GRAVITY_LEAST = 5.0  # angle from the stated gravity, degrees, below which the linear test of a tilt speaks
+GRAVITY_FELT = 0.06  # torque of gravity over the whole, rms, of the joint that feels it most: below, no test of gravity
+UNFELT = 1e-6  # torque of gravity over the whole, rms, below which no motion changes the torque of gravity
 GRAVITY_ALIKE = 1.05  # residual variance over that of the best axis, below which another one explains as much
 OTHER_GRAVITY, WITHOUT_GRAVITY = "gravity", "torques without gravity"
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
@@ -39,7 +42,7 @@ STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress = silent) -> EstimatedEffect | None:
     """Fit without gravity where that may be ``missing``, and with another one where it may be ``turned``.
 
-    Of both that with less residual variance is chosen; if similar, only logged torques lack it. Raises GtauError where
+    Returns the fit with less residual variance; where both are similar, only logged torques lack gravity. Raises GtauError where
     the data do not determine the gains.
     """
     windows = [window for _, window in fit.dataset.windows()]  # the middle of the runs bounds the time
@@ -54,8 +57,8 @@ def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress 
     if without is None or other is None:
         return without or other
     alike = 1 / GRAVITY_ALIKE if fit.dataset.runs[0].kind == "torque" else GRAVITY_ALIKE
-    remaining, of_none = (effect.cause.values["remains"] for effect in (other, without))
-    return other if remaining < alike * of_none else without
+    remaining, remaining_without = (effect.cause.values["remains"] for effect in (other, without))
+    return other if remaining < alike * remaining_without else without
 
 
 def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
@@ -73,7 +76,7 @@ def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
 def _without_gravity(fit: Fit, unaltered: Fit) -> EstimatedEffect | None:
     """Fit without gravity, for what that explains of each joint and how it moves the gains.
 
-    None where it explains less than with it: a joint alone may fit as well without, as other columns of its own stand
+    None where that explains less than gravity does: a joint alone may fit as well without, as its other columns stand
     for its gravity.
     """
     other, n = _with_gravity(unaltered, np.zeros(3)), len(unaltered.gains)
@@ -81,13 +84,13 @@ def _without_gravity(fit: Fit, unaltered: Fit) -> EstimatedEffect | None:
         return None
     ratio = (other.solution.sigma / unaltered.solution.sigma)[:n]
     most = max(np.sqrt(residual_ratio(other, unaltered)), ratio.min())
-    return _of_gravity(fit, unaltered, other, most)
+    return _described(fit, unaltered, other, most)
 
 
 def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find the gravity of the same strength, along an axis or free, that explains most of the residuals, if any does.
 
-    Nothing is found where gravity is not seen, nor within the few degrees of which the linear test speaks.
+    None where gravity is not seen, or lies within the few degrees that the linear test of a tilt covers.
     """
     declared = np.array(unaltered.dataset.robot.gravity)
     size = float(np.linalg.norm(declared))
@@ -111,10 +114,10 @@ def _other_gravity(fit: Fit, unaltered: Fit, progress: Progress) -> EstimatedEff
     if 1 - remaining < GRAVITY_SHARE or _degrees(gravity, declared) < GRAVITY_LEAST:
         return None
     also = [list(other.dataset.robot.gravity) for other in alike if other is not best]
-    return _of_gravity(fit, unaltered, best, np.sqrt(1 - GRAVITY_SHARE), also)
+    return _described(fit, unaltered, best, np.sqrt(1 - GRAVITY_SHARE), also)
 
 
-def _of_gravity(
+def _described(
     fit: Fit, unaltered: Fit, other: Fit, most: float, also: Sequence[Sequence[float]] = ()
 ) -> EstimatedEffect:
     """Describe a fit with another gravity, on the joints of whose residuals it leaves at ``most`` this ratio."""
@@ -124,7 +127,7 @@ def _of_gravity(
     left = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
     rest = ""
     if left:
-        joint, (declared, after) = max(left.items(), key=lambda of: of[1][0])
+        joint, (declared, after) = max(left.items(), key=lambda entry: entry[1][0])
         rest = f", which leaves {100 * after:.2g} % of '{joint}' unexplained instead of {100 * declared:.2g} %,"
     gravity, floating = list(other.dataset.robot.gravity), bool(unaltered.dataset.robot.floating)
     values = {"gravity": gravity, "also": also, "left": left, "remains": residual_ratio(other, unaltered)}
@@ -143,8 +146,7 @@ def _of_gravity(
             tuple(left),
             values=values,
             text=f"torques without gravity, as from a driver that compensates it{rest}",
-            advice="log the torques of the motors (UR: 'use_currents_as_efforts: true'), or write 'robot: {file: ..., "
-            "gravity: [0, 0, 0]}' in the experiment file for a model without gravity",
+            advice=log_with_gravity(),
         )
     return described_otherwise(fit, GRAVITY.name, cause, other, unaltered)
 
@@ -196,3 +198,41 @@ def _freely(at: Fit) -> Iterator[Fit]:
 def _degrees(one: np.ndarray, other: np.ndarray) -> float:
     cosine = one @ other / (np.linalg.norm(one) * np.linalg.norm(other))
     return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
+    """Find that gravity changes the torques too little to show whether they contain it.
+
+    Its share is the ratio of rms gravity torque (about its mean) to rms total torque, of the joint that feels it most.
+    """
+    dataset, n = fit.dataset, len(fit.gains)
+    gravity = np.array(dataset.robot.gravity)
+    if not gravity.any():
+        return
+    model, regressor, torques = dataset.model, dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    for run, window in dataset.windows():
+        motion, parameters = window_motion(model, window), fit.system.motion(run, fit.solution.theta)
+        along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
+        torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
+    felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))
+    if UNFELT <= felt < GRAVITY_FELT:
+        kind = dataset.runs[0].kind
+        # drivers of arms that compensate gravity report torques
+        named = bool(dataset.robot.closures) or kind == "current"
+        yield Finding(
+            "torques without gravity, or a balanced robot",
+            text=f"the data do not show whether the torques contain gravity ({percent(felt, '.1g')} of a joint's "
+            "torque at most): it hardly varies along these motions, the robot is balanced, or a driver compensates it",
+            advice=f"if a driver compensates it, {log_with_gravity(f'actual {kind}s' if named else '')}",
+            grade=Grade.INFORMATION,
+            shown_as="model",
+        )
+
+
+def log_with_gravity(signal: str = "") -> str:
+    """Advise to log torques with gravity, or a ``signal`` that has it, or to describe the robot without."""
+    signal = f"{signal} of the motors" if signal else "torques of the motors (UR: 'use_currents_as_efforts: true')"
+    return (
+        f"log the {signal}, or write 'robot: {{file: ..., gravity: [0, 0, 0]}}' in the experiment file for a model "
+        "without gravity"
+    )

@@ -118,7 +118,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     if small or abs(value - declared) <= APART * std:
         return likelihood, GOOD
     if mass is None:
-        unit, given = "kg", "all other data give it a mass of"
+        wrong = PAYLOAD_MASS
+        text = f"all other data give it a mass of {value:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg"
         advice = "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared"
         if not fit.free_gains:
             torques = fit.dataset.runs[0].kind == "torque"
@@ -129,16 +130,19 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
                 "then sets their scale"
             )
     else:
-        unit, given = unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool), "given its mass and all other data, "
-        given += f"its {kind} is"
+        wrong, unit = PAYLOAD_PARAMETER, unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool)
+        text = (
+            f"given its mass and all other data, its {kind} is {value:.4g} {unit} (standard deviation {std:.2g}), not "
+            f"{declared:.4g} {unit}"
+        )
         advice = f"check {kind}, its frame (the body that carries the payload) and the mass; or omit {kind}"
         if kind in FIRST_MOMENTS and abs(value - mass * declared) < abs(value - declared) / IN_METRES:
             in_metres = f"write '{kind}: {mass * declared:.4g}' (mass times distance, kg m)"
             advice = f"if {declared:.4g} is in m, {in_metres}; otherwise {advice}"
     return likelihood, contradiction(
-        PAYLOAD_MASS if mass is None else PAYLOAD_PARAMETER,
+        wrong,
         _explained(fit, other),
-        f"{given} {value:.4g} {unit} (standard deviation {std:.2g}), not {declared:.4g} {unit}",
+        text,
         advice,
         payload.name,
         values={"remains": residual_ratio(other, fit)},
