@@ -42,8 +42,8 @@ STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress = silent) -> EstimatedEffect | None:
     """Fit without gravity where that may be ``missing``, and with another one where it may be ``turned``.
 
-    Returns the fit with less residual variance; where both are similar, only logged torques lack gravity. Raises GtauError where
-    the data do not determine the gains.
+    Returns the fit with less residual variance; where both are similar, only logged torques lack gravity. Raises
+    GtauError where the data do not determine the gains.
     """
     windows = [window for _, window in fit.dataset.windows()]  # the middle of the runs bounds the time
     if not windows:
