@@ -159,11 +159,7 @@ def note_document(finding: Finding) -> dict[str, Any]:
 
 
 def read_note(document: Any) -> Any:
-    """Give the JSON document of :func:`note_document` the keys of a :class:`Finding`; raises ValueError."""
-    if not isinstance(document, dict):
-        return document
-    if missing := {"kind", "what"} - set(document):
-        raise ValueError(f"the key '{min(missing)}' is missing; add it")
+    """Give the JSON document of :func:`note_document` the keys of a :class:`Finding`; raises KeyError."""
     return {
         "kind": document.get("finding") or document["kind"],
         "joints": (document["joint"],) if document.get("joint") else (),

@@ -138,8 +138,6 @@ def to_document(test: GeometryTest) -> dict[str, Any]:
 
 def from_document(document: Any) -> Any:
     """Give a JSON document of a test the fields of the test."""
-    if not isinstance(document, dict):
-        return document
     kinds = [kind for kind in ("position", "angle") if document.get(f"{kind}_rms") is not None]
     distances = {kind: (document[f"{kind}_rms"], document.get(f"{kind}_after")) for kind in kinds}
     return document | {"distances": distances, "delay": (document.get("delay"), document.get("delay_std"))}

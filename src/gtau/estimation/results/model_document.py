@@ -6,7 +6,7 @@ reads them again; what follows from other values is written beside them, and not
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -31,7 +31,7 @@ from gtau.estimation.diagnostics.geometry import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.estimators.physical_consistency import Consistency, Move
+from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.results.estimate import (
     Estimate,
@@ -46,7 +46,7 @@ from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
 from gtau.extensions import registered
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding
 from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -63,19 +63,60 @@ def _with(*properties: str) -> PlainSerializer:
     return PlainSerializer(lambda record: asdict(record) | {name: getattr(record, name) for name in properties})
 
 
-def _gathered(entry: Any) -> Any:
-    """Give the entry of an estimate the keys of :class:`Estimate`: its name, as of a joint, and its verdict."""
-    if not isinstance(entry, dict):
-        return entry
-    for key in ("value", "std", "freedom", "model_std", "outcome", "finding"):
-        if key not in entry:
-            raise ValueError(f"the key '{key}' is missing; add it")
-    return {"name": entry.get("joint"), **entry, "between_run_std": entry.get("spread"), "verdict": _judged(entry)}
+def _entry(read: Callable[[Any], Any]) -> BeforeValidator:
+    """Give an entry of the file the names of a record's fields, by ``read``; refuse an entry of another form."""
+
+    def fields_of(entry: Any) -> Any:
+        try:
+            return read(entry)
+        except KeyError as key:
+            raise ValueError(f"the key {key} is missing; add it") from None
+        except (AttributeError, TypeError):
+            raise ValueError(f"{entry!r:.40} has another form; write what 'gtau identify' writes") from None
+
+    return BeforeValidator(fields_of)
 
 
-def _judged(entry: Mapping[str, Any]) -> Any:
+def _estimate_fields(entry: Any) -> dict[str, Any]:
+    """Give the entry of an estimate the fields of :class:`Estimate`; its name may be the name of a joint."""
+    required = {key: entry[key] for key in ("value", "std", "freedom", "model_std")}
+    more = {"between_run_std": entry.get("spread"), "verdict": _judged(entry)}
+    return {"name": entry.get("joint"), **entry, **required, **more}
+
+
+def _judged(entry: Any) -> Any:
     """Return the finding that is the verdict of an entry, in which a good estimate has none."""
     return entry["finding"] or {"kind": entry["outcome"], "grade": entry["outcome"]}
+
+
+def _scales(gains: Any) -> dict[str, Any]:
+    """Gather what the scale of each drive gain rests on, where that is stated."""
+    return {gain["joint"]: gain["scale"] for gain in gains if gain.get("scale")}
+
+
+def _payload_fields(entry: Any) -> dict[str, Any]:
+    """Give the entry of a payload the fields of :class:`PayloadEstimate`."""
+    parameters = entry["parameters"]
+    return {
+        "name": entry["name"],
+        "run": entry["run"],
+        "parameters": {kind: _estimate_fields(parameter) for kind, parameter in parameters.items()},
+        "known": frozenset(kind for kind, parameter in parameters.items() if parameter["known"]),
+        "verdict": _judged(entry),
+    }
+
+
+def _consistency_fields(entry: Any) -> dict[str, Any]:
+    """Give the entry of physically consistent parameters the fields of :class:`Consistency`."""
+    return {
+        "standard": {parameter["name"]: parameter["value"] for parameter in entry["parameters"]},
+        "payloads": {payload["name"]: payload["parameters"] for payload in entry["payloads"]},
+        "gains": {gain["joint"]: (gain["value"], gain["std"]) for gain in entry["drive_gains"]},
+        "moves": entry["moves"],
+        "eigenvalues": entry["smallest_eigenvalues"],
+        "loss": entry["loss"],
+        "open": [parameter["name"] for parameter in entry["parameters"] if parameter["open"]],
+    }
 
 
 def _estimate(estimate: Estimate, *more: str, key: str = "name") -> dict[str, Any]:
@@ -130,47 +171,20 @@ def _statistics(figures: dict[str, float]) -> dict[str, float]:
     return figures
 
 
-_Estimate = Annotated[Estimate, BeforeValidator(_gathered), PlainSerializer(_estimate)]
+_Estimate = Annotated[Estimate, _entry(_estimate_fields), PlainSerializer(_estimate)]
 _Joint = Annotated[
-    Estimate, BeforeValidator(_gathered), PlainSerializer(lambda estimate: _estimate(estimate, key="joint"))
+    Estimate, _entry(_estimate_fields), PlainSerializer(lambda estimate: _estimate(estimate, key="joint"))
 ]
 _ByName = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
 _ByParameter = Annotated[_ByName, AfterValidator(_by_parameter)]
 _TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relative_raw")]
-NoteEntry = Annotated[
-    Finding,
-    BeforeValidator(read_note),
-    PlainSerializer(note_document),
-]
+NoteEntry = Annotated[Finding, _entry(read_note), PlainSerializer(note_document)]
 
 
 class _Group(BaseModel):
     """A group of keys, of which what follows from other values is not read."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True, defer_build=True)
-
-
-class _Scale(_Group):
-    joint: str
-    scale: dict[str, float] = {}
-
-
-class _Known(_Group):
-    known: bool
-
-
-class _Payload(_Group):
-    name: str
-    run: str
-    outcome: Grade
-    finding: Finding | None
-    parameters: dict[str, _Estimate]
-    known: dict[str, _Known] = Field(validation_alias="parameters")
-
-    def made(self) -> PayloadEstimate:
-        known = frozenset(kind for kind, entry in self.known.items() if entry.known)
-        verdict = self.finding or Finding(self.outcome.value, grade=self.outcome)
-        return PayloadEstimate(self.name, self.run, self.parameters, known, verdict)
 
 
 def payload_documents(payloads: tuple[PayloadEstimate, ...]) -> list[dict[str, Any]]:
@@ -214,46 +228,8 @@ class _Preparation(_Group):
         return Preparation(**rest | {"decimator": Decimator(self.decimation, self.decimator)})
 
 
-class _Parameter(_Group):
-    name: str
-    value: float
-    unit: str = ""
-    open: bool
-
-
-class _PayloadParameters(_Group):
-    name: str
-    parameters: dict[str, float]
-
-
-class _Gain(_Group):
-    joint: str
-    value: float
-    std: float
-
-
-class _Standard(_Group):
-    parameters: tuple[_Parameter, ...]
-    payloads: tuple[_PayloadParameters, ...]
-    drive_gains: tuple[_Gain, ...]
-    moves: tuple[Move, ...]
-    smallest_eigenvalues: dict[str, float]
-    loss: dict[str, float]
-
-    def made(self) -> Consistency:
-        return Consistency(
-            standard={parameter.name: parameter.value for parameter in self.parameters},
-            payloads={payload.name: payload.parameters for payload in self.payloads},
-            gains={gain.joint: (gain.value, gain.std) for gain in self.drive_gains},
-            moves=self.moves,
-            eigenvalues=self.smallest_eigenvalues,
-            loss=self.loss,
-            open=tuple(parameter.name for parameter in self.parameters if parameter.open),
-        )
-
-
 def _standard(result: Result) -> dict[str, Any] | None:
-    """Describe physically consistent parameters by the keys of :class:`_Standard`."""
+    """Describe physically consistent parameters as in ``model.json``."""
     bodies, robot = result.consistency, result.robot
     if bodies is None:
         return None
@@ -291,14 +267,16 @@ class ModelDocument(_Group):
     kind: Literal["current", "torque"]
     runs: tuple[str, ...]
     drive_gains: Annotated[_ByName, _listed(key="joint")]
-    scale: tuple[_Scale, ...] = Field(validation_alias="drive_gains", exclude=True)
+    scale: Annotated[dict[str, dict[str, float]], _entry(_scales)] = Field(validation_alias="drive_gains", exclude=True)
     delays: Annotated[_ByName, _listed(key="joint")]
     parameters: Annotated[_ByParameter, _listed("regrouping", "between_run_std", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
     curves: tuple[FrictionCurve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
-    payloads: Annotated[tuple[_Payload, ...], PlainSerializer(payload_documents)]
+    payloads: Annotated[
+        tuple[Annotated[PayloadEstimate, _entry(_payload_fields)], ...], PlainSerializer(payload_documents)
+    ]
     residuals: tuple[_TorqueError, ...]
     preparation: _Preparation
     logged_speeds: dict[str, NonNegativeFloat]
@@ -307,24 +285,24 @@ class ModelDocument(_Group):
     effects: tuple[Annotated[EstimatedEffect, PlainSerializer(_effect)], ...]
     singularities: tuple[NearestPose, ...]
     temperatures: ReferenceTemperatures | None = None
-    geometry: Annotated[GeometryTest, BeforeValidator(from_document), PlainSerializer(geometry_document)] | None = None
+    geometry: Annotated[GeometryTest, _entry(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
     notes: tuple[NoteEntry, ...]
     covariance: _Covariance
-    standard: Annotated[_Standard | None, PlainSerializer(lambda document: document)]
+    standard: Annotated[
+        Annotated[Consistency, _entry(_consistency_fields)] | None, PlainSerializer(lambda document: document)
+    ]
 
     def made(self, path: Path) -> Result:
         """Assemble the result."""
         robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
         values = dict(self) | {
-            "scale": {gain.joint: gain.scale for gain in self.scale if gain.scale},
             "curves": {curve.joint: curve for curve in self.curves},
             "sensors": tuple(SensorEstimate(**dict(sensor)) for sensor in self.sensors),
-            "payloads": tuple(payload.made() for payload in self.payloads),
             "covariance_names": tuple(map(parameter_of, self.covariance.names)),
             "covariance": np.array(self.covariance.matrix),
             "preparation": self.preparation.made(),
-            "consistency": None if self.standard is None else self.standard.made(),
+            "consistency": self.standard,
         }
         estimates, fit, evidence = (
             {field.name: values[field.name] for field in fields(group) if field.name in values}
@@ -352,5 +330,4 @@ def described(result: Result) -> ModelDocument:
 
 def torque_error(error: TorqueError) -> dict[str, Any]:
     """Describe a torque error as in ``model.json``: ``relative`` in per cent."""
-    document: dict[str, Any] = TypeAdapter(_TorqueError).dump_python(error, mode="json")
-    return document
+    return dict(TypeAdapter(_TorqueError).dump_python(error, mode="json"))

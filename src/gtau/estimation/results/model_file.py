@@ -11,7 +11,6 @@ from gtau.documents.files import MODEL, json_in, refuse_other_kind, system_refus
 from gtau.documents.validation import LARGEST, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_document import ModelDocument, described
 from gtau.estimation.results.result import Result
 from gtau.robots.parameter import SHAPES, Parameter
@@ -76,7 +75,7 @@ def _finite(text: str) -> float:
 
 
 def _problems(result: Result) -> Iterator[str]:
-
+    """List what the keys of a file cannot show: values that do not belong together."""
     robot = result.robot
     for what, estimates, joints in (
         ("drive gains", result.drive_gains, robot.motors),
@@ -102,12 +101,3 @@ def _problems(result: Result) -> Iterator[str]:
         yield "a drive gain is zero"
     if not {Parameter("gain", joint) for joint in robot.motors} <= set(result.covariance_names):
         yield "the covariance lacks the drive gains"
-
-
-def _estimates(result: Result) -> Iterator[Estimate]:
-    for group in (result.drive_gains, result.delays, result.parameters, result.friction, result.equation_friction):
-        yield from group.values()
-    for payload in result.payloads:
-        yield from payload.parameters.values()
-    for sensor in result.sensors:
-        yield from (*sensor.parameters.values(), sensor.delay, *((sensor.ratio,) if sensor.ratio else ()))
