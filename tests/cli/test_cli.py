@@ -192,7 +192,7 @@ def test_logs_of_torques_are_identified_as_they_are(here: Path) -> None:
     done = run("identify", "torques.yaml", "--out", "torques", "--json")
     found = json.loads(done.stdout)
     assert (done.exit_code, found["method"], found["kind"]) == (3, "wls", "torque")
-    assert "torques of 'left' in another scale than those of the other joints" in done.stdout
+    assert "torques of 'left' in another scale than the torques of the other joints" in done.stdout
     assert {(gain["value"], gain["std"], gain["unit"]) for gain in found["drive_gains"]} == {(1.0, None, "1")}
     shown = " ".join(run("identify", "torques.yaml", "--verbose").stdout.split())
     assert "their scale was not tested" in shown

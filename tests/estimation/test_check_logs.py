@@ -46,7 +46,7 @@ def test_repairs_are_graded_by_what_they_cost() -> None:
 
 def test_a_note_survives_pickle_json_and_the_name_of_its_log() -> None:
     said = repair("repeated rows", 0.01, text="dropped 2 repeated rows", joints=("a",), time=2.0)
-    note = said.of_source("log.csv").of_source("run")
+    note = said.from_source("log.csv").from_source("run")
     assert str(note) == "run: log.csv: dropped 2 repeated rows"
     assert pickle.loads(pickle.dumps(note)) == note
     read = TypeAdapter(NoteEntry).validate_json(json.dumps(note_document(note)))

@@ -146,7 +146,7 @@ def test_torques_in_another_unit_give_inertias_out_of_scale_with_the_file(factor
     run = stated_arm.torque_run(stated_arm.plant(arm), 1)
     result = identify(arm, scaled([run], [factor] * 4))
     assert kinds(result) == dict.fromkeys(arm.actuated, "inertias out of scale")
-    assert "times those of the robot's file" in first_line(result)
+    assert "times the first moments in the robot's file" in first_line(result)
     finding = result.drive_gains["j1"].verdict.finding
     assert finding is not None
     assert float(finding.what.partition("are ")[2].split()[0]) == pytest.approx(factor, rel=0.05)

@@ -16,7 +16,7 @@ ADVICE = "log in the controller's own cycle"
 def interpolated(count: int) -> list[Finding]:
     """A note of each of so many logs, the last one the worst."""
     return [
-        repair("stale samples", 0.01 * k, f"{k + 1} samples are stale", ADVICE, time=1.0 * k).of_source(f"log {k}")
+        repair("stale samples", 0.01 * k, f"{k + 1} samples are stale", ADVICE, time=1.0 * k).from_source(f"log {k}")
         for k in range(count)
     ]
 

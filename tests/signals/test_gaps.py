@@ -90,7 +90,7 @@ def test_parts_that_are_short_or_rest_are_left_out_and_said(change: Change) -> N
     assert "; 1300 rows that repeat the last one, or are in parts without motion or too short" in note.what
     checked = check(path)
     assert [log.run.name for log in checked.logs][:2] == [first.name, second.name]
-    assert note.of_source(first.name) in checked.notes
+    assert note.from_source(first.name) in checked.notes
 
 
 def test_rows_twice_and_rows_that_changed_places_are_put_right(change: Change) -> None:

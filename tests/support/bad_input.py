@@ -420,7 +420,7 @@ MODELS = [
     ),
     Case(
         "a joint renamed",
-        "the drive gains are not those of the joints left, right",
+        "the drive gains are not of the joints left, right",
         _model(lambda text: text.replace('"joint": "left"', '"joint": "lift"')),
         WEIGH,
     ),

@@ -82,7 +82,7 @@ class JointCheck:
 class WrenchCheck:
     """The wrench on one body in a log, while the robot moves: force (N) and moment (N m), root mean squares.
 
-    The moment is that about the origin of the wrench's axes, those of the world or of the body.
+    The moment is about the origin of the axes, which are fixed in the world or in the body.
     """
 
     body: str
@@ -188,7 +188,7 @@ def check(
         with _noted(notes, kinds[k], run.name):
             (prepared,) = prepare_runs(model, [run], preparation)
             checked.append(_check(model, prepared, prepared.preparation.decimator, validation=k >= count))
-            notes += [note.of_source(run.name) for note in (*run.notes, *prepared.notes)]
+            notes += [note.from_source(run.name) for note in (*run.notes, *prepared.notes)]
             notes += near_singularities(checked[-1].nearest)
     progress("checking logs", len(read), len(read))
     geometry = None
@@ -242,10 +242,10 @@ def _noted(notes: list[Finding], kind: str = "refused", source: str = "") -> Gen
 
 def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
     """Find every joint that has fewer rows in all logs together than an identification needs."""
-    for of_joint in zip(*(log.joints for log in logs), strict=True):
-        rows = sum(round(joint.usable * log.rows) for joint, log in zip(of_joint, logs, strict=True))
+    for checks in zip(*(log.joints for log in logs), strict=True):
+        rows = sum(round(joint.usable * log.rows) for joint, log in zip(checks, logs, strict=True))
         if rows < FEWEST_ROWS:
-            joint, advice = of_joint[0].joint, "add runs in which it moves, or longer ones"
+            joint, advice = checks[0].joint, "add runs in which it moves, or longer ones"
             text = f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps"
             yield Finding("usable rows", (joint,), text=text, advice=advice, grade=Grade.ERROR)
 
@@ -302,19 +302,19 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     values, used, rms = distances.array(), masks.array(), np.sqrt(power / rows)
     lowest, (highest, fastest, strongest) = np.min(ends, axis=0)[0], np.max(ends, axis=0)[1:]
     speeds = np.sqrt(np.diag(prepared.speeds))
-    of_joints = np.stack([lowest, highest, speeds, fastest, rms[:n], strongest, used.mean(axis=0)], axis=1).tolist()
-    of_wrenches = np.sqrt((power / rows)[run.given].reshape(-1, 2, 3).sum(axis=2)).tolist()
+    figures = np.stack([lowest, highest, speeds, fastest, rms[:n], strongest, used.mean(axis=0)], axis=1).tolist()
+    wrench_rms = np.sqrt((power / rows)[run.given].reshape(-1, 2, 3).sum(axis=2)).tolist()
     return LogCheck(
         run=run,
         validation=validation,
         wrenches=tuple(
             WrenchCheck(frame.body, "world" if frame.of_world else "body", force, moment)
-            for frame, (moment, force) in zip(run.wrenches, of_wrenches, strict=True)
+            for frame, (moment, force) in zip(run.wrenches, wrench_rms, strict=True)
         ),
         joints=tuple(
             JointCheck(joint, (low, high), speed, speed_max, spectrum, *rest)
             for joint, spectrum, (low, high, speed, speed_max, *rest) in zip(
-                run.joints, spectra(run), of_joints, strict=True
+                run.joints, spectra(run), figures, strict=True
             )
         ),
         position=positions.array(),

@@ -38,7 +38,7 @@ class MethodRow:
     """Estimates of one estimator.
 
     ``gains`` and ``std`` (n,), N m/A or N per A, the standard deviations None where the gains are given;
-    ``half_widths`` (n,) are half their 95 % intervals. ``residuals`` (n,) are those of the currents in per cent of
+    ``half_widths`` (n,) are half their 95 % intervals. ``residuals`` (n,) are of the currents in per cent of
     them, ``seconds`` the time of the estimation alone. An estimator that refuses the data has only its ``refusal``.
     """
 

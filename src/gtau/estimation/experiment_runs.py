@@ -88,7 +88,7 @@ class Subject:
 
     @property
     def stated(self) -> Mapping[str, Prior]:
-        """Priors on parameters without those of data sheets."""
+        """Priors on parameters, without the priors from data sheets."""
         known = self.options.priors or {}
         if self.experiment is None:
             return known

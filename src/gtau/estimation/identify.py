@@ -72,7 +72,7 @@ def _identified(subject: Subject, estimator: Estimator, dataset: Dataset, system
         lost = first.verdict.finding
         if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Grade.NOT_IDENTIFIABLE}:
             return result
-        untested = (_untested_scale(f"that of no joint is identifiable ('{first.name}': {lost.what})"),)
+        untested = (_untested_scale(f"no joint has an identifiable scale ('{first.name}': {lost.what})"),)
     result = _attempted(last, subject, dataset, system, progress)
     return result.replaced(notes=(*untested, *result.notes))
 

@@ -28,8 +28,8 @@ OVERLAP = 0.25  # s; regular clocks of two parts that a dropout cuts may be as l
 
 def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
     """Return the estimator asked for, or the default: ML, or as in the paper TLS, or WLS of torques; GtauError."""
-    of_paper = "wls" if runs[0].kind == "torque" else "tls"
-    return estimator_of(options.method or (of_paper if options.as_paper else "ml"))
+    method = "wls" if runs[0].kind == "torque" else "tls"
+    return estimator_of(options.method or (method if options.as_paper else "ml"))
 
 
 def require_inputs(subject: Subject) -> Estimator:
@@ -43,9 +43,9 @@ def require_inputs(subject: Subject) -> Estimator:
     options, estimator = subject.options, estimator_for(subject.options, subject.runs)
     refuse_repeated(subject.runs)
     if options.as_paper and not estimator.in_paper:
-        of_paper = ", ".join(other.name for other in estimators().values() if other.in_paper)
+        methods = ", ".join(other.name for other in estimators().values() if other.in_paper)
         raise GtauError(
-            f"the paper has no method '{estimator.name}'; leave out --as-paper, or choose from {of_paper} with it."
+            f"the paper has no method '{estimator.name}'; leave out --as-paper, or choose from {methods} with it."
         )
     if options.consistent and not estimator.least_squares:
         raise GtauError(
@@ -65,13 +65,13 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
     """Refuse runs that hold the same samples, or overlapping parts of a log; raises GtauError."""
     for one, other in combinations(runs, 2):
         overlap = min(one.time[-1], other.time[-1]) - max(one.time[0], other.time[0])
-        of_log = bool(one.log.paths) and one.log.paths == other.log.paths and overlap > max(OVERLAP, 2 / one.rate)
+        same_log = bool(one.log.paths) and one.log.paths == other.log.paths and overlap > max(OVERLAP, 2 / one.rate)
         alike = one.command.shape == other.command.shape and np.ptp(one.command[:ALIKE], axis=0).any()
         same = (alike and one.kind == other.kind) and all(
             np.array_equal(a[:ALIKE], b[:ALIKE]) and np.array_equal(a, b)
             for a, b in ((one.command, other.command), (one.position, other.position))
         )
-        if of_log or same:
+        if same_log or same:
             declared = "it is declared with two loads" if one.payload != other.payload else "it would count twice"
             raise GtauError(
                 f"runs '{one.name}' and '{other.name}' hold the same samples, so {declared}; remove one of them, or "
@@ -132,8 +132,8 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
 def tests_torques(system: System, stated: Mapping[str, Prior]) -> bool:
     """Decide whether a known payload, a torque sensor, a wrench or a ``stated`` inertia tests the scale of torques."""
     problem, known = system.problem, (carried for carried in system.payloads if carried.payload.mass is not None)
-    of_file = set(system.dataset.priors) - set(system.dataset.stated_priors)
-    inertias = [name for name in stated.keys() - of_file if parameter_of(name).kind in (*INERTIAL, "ia")]
+    by_file = set(system.dataset.priors) - set(system.dataset.stated_priors)
+    inertias = [name for name in stated.keys() - by_file if parameter_of(name).kind in (*INERTIAL, "ia")]
     weighed = any(stated[name].value for name in inertias)  # a value of zero has no scale
     return weighed or any(load.acts for load in known) or bool(problem.wrenches) or not problem.unknown_gains.all()
 
@@ -144,11 +144,11 @@ def _refuse_priors(estimator: Estimator, subject: Subject) -> None:
     takers = ", ".join(other.name for other in estimators().values() if other.takes_priors)
     inertias = dict(robot.inertias)
     valued = {name: prior.value for name, prior in subject.stated.items() if prior.value is not None}
-    of_file = all(name in inertias and inertias[name] == value for name, value in valued.items())
+    from_file = all(name in inertias and inertias[name] == value for name, value in valued.items())
     known, kinds = bool(valued) and not subject.options.consistent, [channel.kind for channel in runs[0].channels]
     for what, key, there in (
         *((kind.group, kind.calibration, True) for kind in kinds if kind.measures_joint and kind.calibration),
-        ("known parameters", "prior_inertias" if of_file else "priors", known),
+        ("known parameters", "prior_inertias" if from_file else "priors", known),
         ("wrenches on bodies", "wrenches", any(body not in runs[0].base for body, _ in runs[0].wrenches)),
     ):
         if there:
@@ -158,7 +158,7 @@ def _refuse_priors(estimator: Estimator, subject: Subject) -> None:
             )
     if robot.floating:
         raise GtauError(
-            f"method '{estimator.name}' does not support floating bases, and that of robot '{robot.name}' floats; "
+            f"method '{estimator.name}' does not support floating bases, and the base of robot '{robot.name}' floats; "
             f"choose from {takers} with --method."
         )
 

@@ -89,7 +89,7 @@ class Finding:
         """Whether it lowers the verdict on an estimate."""
         return self.grade in VERDICTS
 
-    def of_source(self, source: str) -> Finding:
+    def from_source(self, source: str) -> Finding:
         """Return the finding with this run or robot as its source; what was its source is a log of that."""
         return replace(self, source=source, text=f"{self.source}: {self.text}" if self.source else self.text)
 

@@ -1,1 +1,1 @@
-"""Hypotheses about model and data errors, and verdicts on the estimates."""
+"""Checks of logs, descriptions and fits, and verdicts on the estimates."""

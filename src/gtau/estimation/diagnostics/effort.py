@@ -5,9 +5,10 @@ nor the freedom of the parameters. What is left of each joint's column gives the
 with a variance for each joint, less half the logarithm of the rows for each number that it chooses (BIC); rows count by
 the autocorrelation of their residuals. Where a quarter of every column is likelier still, none of these explains it.
 
-Gravity is missing only where its coefficient, with that of inertia as one, is 0 and not 1; where the robot's file
-states inertias, so is the coefficient of the file's gravity. Otherwise another scale, or another direction, explains
-the log. Single torques that are reversed show beside the others: :mod:`gtau.estimation.diagnostics.other_columns`.
+Gravity is missing only where its coefficient, relative to the coefficient of inertia, is 0 and not 1; where the robot's
+file states inertias, so is the coefficient of the file's gravity. Otherwise another scale, or another direction,
+explains the log. Single torques that are reversed show beside the others:
+:mod:`gtau.estimation.diagnostics.other_columns`.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from gtau.findings.words import listed
 LATE = 0.5  # unexplained share of a joint's current, shifted by more than a delay can be, over that as logged
 LATE_STEADY = 0.6  # unexplained share of the shifted current over the share that terms without acceleration leave
 GRAVITY_MISFIT = 0.1  # unexplained share of a joint's signal, from which gravity along other axes is tried
-RETRIED = 2.0  # share that common parameters leave over that of a joint's own, from which exchanges are tried
+RETRIED = 2.0  # share that common parameters leave over what a joint's own leave, from which exchanges are tried
 SWAPPED = 0.5  # unexplained share with the other joint's current over that with its own
 LIKELY_SHARES = 1.92  # log likelihood below the largest that bounds a 95 % interval of one unknown
 SIGN_STD = 2.0  # size of a coefficient in standard deviations, above which it has a sign
@@ -68,7 +69,7 @@ class Effort:
     findings : tuple of Finding
         On the joints whose columns hold something else than stated.
     gravity : tuple of float, optional
-        95 % interval of the coefficient of gravity, that of inertia being one; None where there are too few rows.
+        95 % interval of the coefficient of gravity, relative to inertia; None where there are too few rows.
     gravity_open : bool
         Whether the rows fit without gravity as well as with it, and no inertias of the robot's file decide.
     scale : tuple of float, optional
@@ -124,10 +125,10 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
     held = np.array(SHARES)[gains > gains.max() - LIKELY_SHARES]
     low, high = float(held.min()), float(held.max())
     as_well = bool(gains[0] > -rows / 2 * np.log(AS_WELL))
-    of_file = by_file(joints, counts, dataset) if torques else None
+    by_inertias = by_file(joints, counts, dataset) if torques else None
     scale, without, missing = None, float(gains[0]), low <= NO_GRAVITY and high < WITH_GRAVITY
-    if of_file is not None:
-        (coefficient, std), scale, without = of_file
+    if by_inertias is not None:
+        (coefficient, std), scale, without = by_inertias
         near = max(abs(coefficient) - SIGN_STD * std, 0.0)  # a reversed column has gravity too
         missing = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
         if (turned := scale[0] / scale[1]) < -SIGN_STD:  # of the coefficient, at its size with either sign
@@ -145,7 +146,7 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
     if not _wrenches(dataset) and missing and without > MEANING_CLOSE:
         tried.append((without, WITHOUT_GRAVITY, ()))
     _, kind, findings = max(tried, key=lambda each: each[0])
-    return Effort(kind, findings, (low, high), as_well and low <= NO_GRAVITY and of_file is None, scale)
+    return Effort(kind, findings, (low, high), as_well and low <= NO_GRAVITY and by_inertias is None, scale)
 
 
 def _independent(joint: JointRows, j: int) -> float:
@@ -224,7 +225,7 @@ def _altered_findings(
                 text=f"the {kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
                 f"{100 * other.left[j]:.2g} % is unexplained after shifting them, {100 * other.before[j]:.2g} % as "
                 "logged",
-                advice="log them with the time stamps of the positions, or if those of all joints are equally late, "
+                advice="log them with the time stamps of the positions, or if all joints are equally late, "
                 f"write 'preparation: {{delay: {lag:.3g}}}'",
                 grade=Grade.CONTRADICTORY,
             )

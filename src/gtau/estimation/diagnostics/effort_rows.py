@@ -188,7 +188,7 @@ def _lags(
 
 
 def with_gravity(joints: Sequence[JointRows], share: float) -> np.ndarray:
-    """Fit the columns with a ``share`` of gravity, that of inertia being one: the shares that they leave (n,)."""
+    """Fit the columns with a ``share`` of gravity, relative to inertia: the shares that they leave (n,)."""
     left = []
     for j, joint in enumerate(joints):
         R, p = joint.factor, joint.columns.shape[1]
@@ -243,25 +243,25 @@ def by_file(
     if not any(stated.values()) or all(run.payload for run in dataset.runs):
         return None
     values = base.matrix @ [stated.get(name, 0.0) for name in dataset.model.parameter_names]
-    of_gravity, of_torque, without = [], [], 0.0
+    gravity_terms, torque_terms, without = [], [], 0.0
     for j, (joint, count) in enumerate(zip(joints, counts, strict=True)):
         first = joint.names < base.count  # without payload
         free = joint.columns[:, first].any(axis=1)
         names, W, effort = joint.names[first], joint.columns[free][:, first], joint.effort[free, j]
         gravity, torque = joint.weight[free][:, first] @ values[names], W @ values[names]
         driven = W[:, [of_drive(base.standard[k], dataset.model.actuated[j]) for k in names]]
-        of_gravity.append(_coefficient(effort, gravity, np.column_stack([torque - gravity, driven]), count))
-        of_torque.append(_coefficient(effort, torque, driven, count))
-        without += of_gravity[-1][-1]
-    if not any(size for _, _, size, _ in of_gravity):
+        gravity_terms.append(_coefficient(effort, gravity, np.column_stack([torque - gravity, driven]), count))
+        torque_terms.append(_coefficient(effort, torque, driven, count))
+        without += gravity_terms[-1][-1]
+    if not any(size for _, _, size, _ in gravity_terms):
         return None
-    return _weighted(of_gravity), _weighted(of_torque), without
+    return _weighted(gravity_terms), _weighted(torque_terms), without
 
 
 def _coefficient(
     effort: np.ndarray, column: np.ndarray, others: np.ndarray, count: float
 ) -> tuple[float, float, float, float]:
-    """Regress on a column beside others: its coefficient, variance and size, and the likelihood of 0 over that of 1."""
+    """Regress on a column beside others: its coefficient, variance and size, and the likelihood ratio of 0 to 1."""
     basis = basis_of(others)
     x, y = beside(basis, column), beside(basis, effort)
     size = float(x @ x)

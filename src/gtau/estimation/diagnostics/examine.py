@@ -176,24 +176,24 @@ def estimates_of(
 ) -> Estimates:
     """Collect the estimates of a fit with their covariance.
 
-    ``moved`` by all effects the covariance is their posterior; otherwise it is that of the block jackknife, and what
-    the effects leave open, and for a method that ``mixes`` by how much they would move an estimate; without
-    ``correlated`` that of the method's formula, as the paper has it.
+    ``moved`` by all effects the covariance is their posterior; otherwise it comes from the block jackknife, from
+    what the effects leave open, and for a method that ``mixes`` from how much they would move an estimate; without
+    ``correlated`` from the method's formula, as in the paper.
     """
     problem, solution, mixed = fit.system.problem, fit.solution, examined.mixed
-    of_scale = scale_uncertainty(fit.system, fit.solve)
+    scale_part = scale_uncertainty(fit.system, fit.solve)
     if not correlated:
-        parts = (solution.covariance, of_scale, np.zeros_like(of_scale))
+        parts = (solution.covariance, scale_part, np.zeros_like(scale_part))
         return Estimates(problem.unknowns, solution.values, *parts, None)
-    of_file = solution.prior_covariance if fit.dataset.scaled_by_file else 0.0
-    model = np.zeros_like(of_scale) if mixed is None else mixed.covariance - mixed.random
+    file_part = solution.prior_covariance if fit.dataset.scaled_by_file else 0.0
+    model = np.zeros_like(scale_part) if mixed is None else mixed.covariance - mixed.random
     if mixed is not None and moved:
         ratio = np.divide(mixed.values, solution.values, out=np.ones(len(mixed.values)), where=solution.values != 0)
-        parts = (mixed.random - of_file, of_scale * np.outer(ratio, ratio) + of_file, model)
+        parts = (mixed.random - file_part, scale_part * np.outer(ratio, ratio) + file_part, model)
         return Estimates(problem.unknowns, mixed.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
     if mixed is not None and mixes:
         shift = mixed.values - solution.values
         model = model + np.outer(shift, shift)
-    parts = (solution.jackknife - of_file, of_scale + of_file, model)
+    parts = (solution.jackknife - file_part, scale_part + file_part, model)
     return Estimates(problem.unknowns, solution.values, *parts, freedom)

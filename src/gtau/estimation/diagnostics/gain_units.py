@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 
 PRIOR_FACTOR = 2.0  # gain over its prior, or the inverse
 GAINS_APART = 15.0  # gain of a joint over the next smaller one, turning joints and slides each among themselves
-FILE_FACTOR = 2.0  # rms of the identified first moments over that of the robot's file, or the inverse
-FILE_ALIKE = 1.5  # factor of a moment over that of all, or the inverse, within which it has that factor
+FILE_FACTOR = 2.0  # rms of the identified first moments over the file's, or the inverse
+FILE_ALIKE = 1.5  # factor of a moment over the factor of all, or the inverse, within which it has that factor
 FILE_SHARE = 2 / 3  # share of the moments within FILE_ALIKE, from which a factor is one of all
-LIGHTEST = 0.03  # kg/m, of an arm whose largest first moment is that of a rod as long as its reach, and at most
+LIGHTEST = 0.03  # kg/m, of an arm with the largest first moment of a rod as long as its reach: least, and most
 HEAVIEST = 2000.0
 OTHER_UNIT = 10.0  # factor from which a unit is wrong
 EFFORT_FACTOR = 2.0  # rms torque over the joint's limit of effort
@@ -166,7 +166,7 @@ def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
 
 
 def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
-    """Find first moments that are out of scale with those of the robot's file, by one factor for all."""
+    """Find first moments that are out of scale with the robot's file, by one factor for all."""
     moments = [
         (audited.value, audited.stated)
         for audited in audit.parameters
@@ -180,7 +180,7 @@ def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
         common = np.mean(np.abs(ratios) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
         if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
             text = (
-                f"the first moments of the links are {factor:.3g} times those of the robot's file (rms of "
+                f"the first moments of the links are {factor:.3g} times the first moments in the robot's file (rms of "
                 f"{len(moments)})"
             )
             advice = (

@@ -17,7 +17,7 @@ CORRECT = {True: "correct the robot file", False: "correct the positions by the 
 class ConstantChange:
     """A constant of the geometry: the ``change`` of its ``value`` that explains the poses best, in ``unit``.
 
-    ``std`` is the standard deviation of the change, ``share`` that of the residual variance which goes with it;
+    ``std`` is the standard deviation of the change, and ``share`` the share of the residual variance that it explains;
     ``alike`` are constants that explain as much.
     """
 

@@ -48,7 +48,7 @@ class AuditedParameter:
     interval : tuple of float or None
         95 %.
     z : float or None
-        Difference from the file over its standard deviation, with that of a prior where the file was one.
+        Difference from the file over its standard deviation, which includes the prior's where the file was one.
     """
 
     name: str
@@ -147,8 +147,8 @@ def audit_inertias(fit: Fit, estimates: Estimates, loaded: bool) -> tuple[Fit | 
 def _file_values(fit: Fit, identified: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Replace parameters of the whole problem (n_whole,) by the file's, with masks (n_b,) of base parameters.
 
-    The first of those that regroup inertias alone, the second of those of them that regroup a rotor inertia which the
-    file does not state.
+    The first mask holds the parameters that regroup inertias alone, the second those among them that regroup a rotor
+    inertia which the file does not state.
     """
     base, names = fit.dataset.base, fit.dataset.model.parameter_names
     values, inertial, unknown = file_sums(fit.dataset.model, base)
@@ -187,8 +187,8 @@ def _kept(fit: Fit, file: np.ndarray, prior: float) -> dict[Parameter, tuple[flo
     T = T * scale / scale[places][:, None]
     stds = inertia_priors(fit.dataset.robot, prior) if prior else {}
     sigma = np.array([stds[name].std if name in stds else 0.0 for name in fit.dataset.model.parameter_names])
-    of_prior = np.linalg.norm(T[:, : base.count] @ base.matrix * sigma, axis=1)
-    return dict(zip(kept, zip((T @ file).tolist(), of_prior.tolist(), strict=True), strict=True))
+    prior_stds = np.linalg.norm(T[:, : base.count] @ base.matrix * sigma, axis=1)
+    return dict(zip(kept, zip((T @ file).tolist(), prior_stds.tolist(), strict=True), strict=True))
 
 
 def _parameters(
@@ -212,17 +212,17 @@ def _parameters(
         name, kind, body = base.names[k], base.standard[k].kind, base.standard[k].body
         entry = AuditedParameter(name, body, unit_of(kind, robot, body), "not identifiable", float(file[k]))
         if name in kept:
-            place, (of_file, prior_std) = places[name], kept[name]
+            place, (stated_sum, prior_std) = places[name], kept[name]
             value, std = float(fit.solution.theta[place]), float(stds[place])
             nu = np.inf if freedom is None else float(freedom[place])
             half = std * float(stdtrit(nu, 0.975))
-            entry = replace(entry, stated=of_file, value=value, std=std, interval=(value - half, value + half))
+            entry = replace(entry, stated=stated_sum, value=value, std=std, interval=(value - half, value + half))
             sizes = sizes_of(stated, body) if Parameter("m", body) in stated else None
-            size = abs(of_file) if kind == "ia" else (sizes or {}).get(kind, 0.0)
+            size = abs(stated_sum) if kind == "ia" else (sizes or {}).get(kind, 0.0)
             if unstated[k]:
                 entry = replace(entry, standing="not stated", stated=fitted[k] if kind in INERTIAL else None)
-            elif half <= max(size, abs(of_file)):
-                entry = replace(entry, z=(value - of_file) / float(np.hypot(std, prior_std)))
+            elif half <= max(size, abs(stated_sum)):
+                entry = replace(entry, z=(value - stated_sum) / float(np.hypot(std, prior_std)))
                 tested[name] = nu
         audited[name] = entry
     for name, nu in tested.items():
@@ -279,7 +279,7 @@ def prior_findings(audit: InertiaAudit) -> Iterator[Finding]:
         yield Finding(
             PRIOR_INERTIA,
             subject=link,
-            # z has the prior of the regrouped sum; here that of the parameter itself counts, in halves of its interval
+            # z has the prior of the regrouped sum; here the prior of the parameter counts, in halves of its interval
             size=max(
                 abs(entry.value - entry.stated) / (1.96 * np.hypot(entry.std, audit.prior * entry.stated))
                 for entry in entries

@@ -38,7 +38,7 @@ LAG_JOINTS = 2  # joints whose acceleration shows the lag, or all of the robot: 
 LAG_SAMPLES = 1.0  # lag of all commands together behind the motion, samples
 LAG_LEAST = 0.003  # lag of all commands together behind the motion, s
 LAG_LOSS = 0.01  # share of a command that a low-pass of the lag takes away at the bandwidth
-LIMIT_SHARE = 0.02  # largest torque over its limit of effort, all joints: below, torques are those of motors
+LIMIT_SHARE = 0.02  # largest torque over its limit of effort, all joints: below, torques are measured before the gears
 STEPS = 3.0  # largest whole number of commands that are all whole, from which they are shares or counts
 WHOLE = 0.9  # share of commands that are whole numbers, from which all were
 UNSEEN_RATIO = 4.0  # unexplained share of a joint where another's position is frozen, over its share where that moves
@@ -159,7 +159,7 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
 
 
 def motor_side_torques(text: str, joints: tuple[str, ...] = ()) -> Finding:
-    """Note that torques are those of motors before their gears, by what ``text`` says."""
+    """Note, for the reason in ``text``, that torques are measured before the gears."""
     return Finding(
         MOTOR_SIDE,
         joints,

@@ -35,7 +35,7 @@ COLUMNS = "columns"
 
 
 def reversed_torques(fit: Fit) -> EstimatedEffect | None:
-    """Find the joints whose torques are reversed against those of the others; None where gains have their own signs."""
+    """Find the joints whose torques are reversed against the other joints; None where gains have their own signs."""
     if fit.free_gains:
         return None
     own, joints = unrefined(fit), fit.system.problem.joints
@@ -68,7 +68,7 @@ def _reversed(fit: Fit, joint: int) -> Fit:
 
 
 def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:
-    """Find a joint whose angle, and motor, are those of a parallelogram."""
+    """Find a joint whose angle is measured, and whose motor stands, as in a parallelogram."""
     own, best, cause = unrefined(fit), fit, None
     remains = float(TURNED_LEFT)
     described = list(_with_parallelogram(fit.dataset.robot))
@@ -103,7 +103,7 @@ def angle_of_parallelogram(system: System, progress: Progress) -> Finding | None
 
 
 def _with_parallelogram(robot: Robot) -> Iterator[tuple[str, str, Robot]]:
-    """Describe the robot with each motor standing beside that of the joint before it, where their axes are parallel."""
+    """Describe the robot with each motor standing beside the motor before it, where their axes are parallel."""
     joints = {joint.name: joint for joint in robot.joints}
     for joint in robot.joints:
         before = joints.get(joint.antecedent)

@@ -29,12 +29,12 @@ from gtau.findings.words import percent
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import BY_LOAD
 
-REFUTED_SHARE = 0.05  # share of the residual variance that a description alternative explains
+REFUTED_SHARE = 0.05  # share of the residual variance that another gravity explains
 GRAVITY_SHARE = 0.5  # share of the residual variance that gravity along another axis takes away
 GRAVITY_LEAST = 5.0  # angle from the stated gravity, degrees, below which the linear test of a tilt speaks
 GRAVITY_FELT = 0.06  # torque of gravity over the whole, rms, of the joint that feels it most: below, no test of gravity
 UNFELT = 1e-6  # torque of gravity over the whole, rms, below which no motion changes the torque of gravity
-GRAVITY_ALIKE = 1.05  # residual variance over that of the best axis, below which another one explains as much
+GRAVITY_ALIKE = 1.05  # residual variance over the least of all axes, below which another one explains as much
 OTHER_GRAVITY, WITHOUT_GRAVITY = "gravity", "torques without gravity"
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 

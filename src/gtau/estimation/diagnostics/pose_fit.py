@@ -1,9 +1,9 @@
 """Fit of frames and constants of the geometry to logged poses, with the loops closed anew after each step.
 
-A logged pose is ``T_t(0_T_b(q(t - d))) T_m``: that of the body in the base, after a frame ``T_m`` of a tool or marker
+A logged pose is ``T_t(0_T_b(q(t - d))) T_m``: of the body in the base, after a frame ``T_m`` of a tool or marker
 fixed to the body, in the frame ``T_t`` of a tracker, delayed by ``d`` to the positions. The unknown ones are estimated
 together with any other unknowns, and absorb the residuals that both explain. A tracker may have been moved or
-calibrated anew between runs: it has a frame in each (that of the UPV logs moved by 9 mm before the last run).
+calibrated anew between runs: it has a frame in each (the tracker of the UPV logs moved by 9 mm before the last run).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class PoseFit:
     """Poses with ``frames`` that are guessed, ``moved`` by a vector, and the constants ``chosen`` free.
 
     ``moved`` (7 + 6 runs,) are the delay in s, shift and rotation of the marker, and of the tracker in each run, about
-    the middle of its poses. ``change`` (constants,) are those of the geometry, and ``c`` (n_c, N) the configurations
+    the middle of its poses. ``change`` (constants,) is of the geometry, and ``c`` (n_c, N) the configurations
     closed with them, where the body is at ``body``.
     """
 
@@ -136,12 +136,12 @@ class PoseFit:
     def _apart(self, moved: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Compute logged less computed components (N, m) with the body (N, 3), (N, 3, 3) in the base."""
         poses, frames = self.poses, self.frames
-        columns, run, of_tracker = poses.columns, poses.run, moved[7:].reshape(-1, 6)
+        columns, run, tracker_moves = poses.columns, poses.run, moved[7:].reshape(-1, 6)
         twist = self._twist
         R_b = Rotation.from_rotvec(-moved[0] * twist[:, 3:]).as_matrix() @ rotation
         p_b = position - moved[0] * twist[:, :3] + R_b @ moved[1:4]
-        R_t = Rotation.from_rotvec(of_tracker[:, 3:]).as_matrix() @ frames.R_t
-        p_t = frames.p_t + of_tracker[:, :3] + _turned(frames.R_t, frames.about)
+        R_t = Rotation.from_rotvec(tracker_moves[:, 3:]).as_matrix() @ frames.R_t
+        p_t = frames.p_t + tracker_moves[:, :3] + _turned(frames.R_t, frames.about)
         R = R_t[run] @ R_b @ Rotation.from_rotvec(moved[4:7]).as_matrix() @ frames.R_m
         p = _turned(R_t[run], p_b - frames.about[run]) + p_t[run]
         apart, logged = poses.values[:, : len(columns.axes)] - p[:, list(columns.axes)], len(columns.axes)
@@ -187,7 +187,7 @@ class PoseFit:
 
     @cached_property
     def _factors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Sizes (k,) of the columns, and the singular value decomposition of those of unit length, the rank kept."""
+        """Sizes (k,) of the columns, and the singular value decomposition at unit length, the rank kept."""
         size = np.linalg.norm(self.columns, axis=0)
         size[size == 0] = 1.0
         U, sigma, Vt = np.linalg.svd(self.columns / size, full_matrices=False)

@@ -1,8 +1,8 @@
 """Noise of the positions: instrumental variables agree with the estimator used where the regressor is exact.
 
 Their difference is then noise, with a standard deviation from its scatter over the windows of the runs (Hausman's
-test). The equations are weighted by the motion filtered much further, whose noise is not that of the regressor, so that
-noise of the positions does not bias them. They take one step from the solution, on the middle of the runs.
+test). The equations are weighted by the motion filtered much further, whose noise is not the noise of the regressor, so
+that noise of the positions does not bias them. They take one step from the solution, on the middle of the runs.
 """
 
 from __future__ import annotations
@@ -33,19 +33,17 @@ from gtau.robots.parameter import DRY, TERMS
 from gtau.signals.preparation.filters import below_nyquist
 from gtau.signals.preparation.prepared_run import Preparation
 
-FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, alternatives fit the noise and are not tried
+FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, effects fit the noise and are not tried
 NOISE_STD = 4.0  # Hausman's statistic of instrumental variables, from which noise of the positions is named
-DIFFERENT_STD = 3.0  # difference of another estimator's parameter, standard deviations, that makes it an alternative
+DIFFERENT_STD = 3.0  # difference of another estimator's parameter, standard deviations, from which it counts
 
 POSITION_NOISE = "position noise"
 FURTHER = 4.0  # cut-off of the instruments over the bandwidth of the motion
-# and at most that of the position filter times this: instruments above would share more than 3 % of the noise of the
-# accelerations.
-HALF = 0.5
+HALF = 0.5  # and over the position filter's, at most: instruments above share more than 3 % of the accelerations' noise
 SPANNED = 1e-6  # of the largest singular value: directions that the instruments do not reach are left as they are
 
 Moments = tuple[np.ndarray, np.ndarray]
-"""Of a window: ``Z^T J`` (k, k) and ``Z^T e`` (k,) of instruments Z; those of least squares are J."""
+"""Of a window: ``Z^T J`` (k, k) and ``Z^T e`` (k,) of instruments Z; J for least squares."""
 
 
 def position_noise(fit: Fit) -> Iterator[Finding]:

@@ -32,7 +32,7 @@ def refitted(
 
 
 def unrefined(fit: Fit) -> Fit:
-    """Give a fit the residuals of one pass, comparable with those of others."""
+    """Give a fit the residuals of one pass, to compare with other fits."""
     return replace(fit, solution=replace(fit.solution, sigma=fit.solve(fit.system.problem).sigma))
 
 

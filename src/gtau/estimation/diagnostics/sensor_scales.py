@@ -22,9 +22,10 @@ SENSOR_ADVICE = "check the sensor's calibration, unit and joint; a payload's mas
 
 @dataclass(frozen=True, eq=False)
 class SensorScale:
-    """Ratio of a joint's torque from the other stated constants to that of its sensor, with its standard deviation.
+    """Ratio of a joint's torque from the other stated constants to its sensor's torque, with its standard deviation.
 
-    By ``gain_shift`` (n,), a share of itself, each gain moves where the scale of the sensor is found, not taken for 1.
+    Each gain moves by ``gain_shift`` (n,), a share of itself, where the scale of the sensor is estimated, not taken as
+    1.
     """
 
     channel: Channel
@@ -49,17 +50,17 @@ def sensor_verdict(scale: SensorScale, accuracy: float) -> Finding:
 def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     """Estimate the scale of each sensor from the other stated constants, to first order, where there are any.
 
-    Each sensor is offered the torque of its model once more, with an unknown factor; all other unknowns adapt to it.
+    Each sensor gets the torque of its model once more, with an unknown factor; all other unknowns adapt to it.
     """
     problem, solution, sensors = fit.system.problem, fit.solution, fit.system.problem.sensor_channels
     if not sensors:
         return ()
     rows, *units = (_with_sensors(fit, blocks) for blocks in (stacked(problem), *problem.units))
     size = rows.shape[1] - len(sensors) - 1
-    of_known = np.zeros((len(problem.known), rows.shape[1]))
-    of_known[:, :size] = jacobian_of_known(problem, True)
-    of_known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
-    R = triangle(rows, of_known)
+    known = np.zeros((len(problem.known), rows.shape[1]))
+    known[:, :size] = jacobian_of_known(problem, True)
+    known[:, -1] = problem.known[:, :-1] @ solution.theta - problem.known[:, -1]
+    R = triangle(rows, known)
     T = slopes_of(fit)[problem.gain_rows] / fit.gains[:, None]
     scales = []
     for k, sensor in enumerate(sensors):
@@ -73,8 +74,8 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
         for unit in units:
             A, e = unit[:, columns] @ back, unit[:, -1] + unit[:, columns] @ step
             sides.append((A.T @ A, A.T @ e))
-        of_known_part = back[-1] @ (of_known[:, columns] @ back).T  # what no unit of the data shows
-        variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + of_known_part @ of_known_part
+        unseen = back[-1] @ (known[:, columns] @ back).T  # what no unit of the data shows
+        variance = jackknife(one_step(sides) @ back[-1:].T)[0, 0] + unseen @ unseen
         std = float(np.hypot(np.sqrt(variance), channel.std))
         scales.append(SensorScale(channel, 1 - float(step[-1]), std, T @ step[:-1]))
     return tuple(scales)
@@ -84,10 +85,10 @@ def _with_sensors(fit: Fit, blocks: np.ndarray) -> np.ndarray:
     """Build weighted rows ``[J | sensor torques | residuals]`` (., size + m + 1) of all channels in blocks."""
     solution, sensors = fit.solution, fit.system.problem.sensor_channels
     torques = modelled(blocks, solution.theta) * (weights_of(fit) / solution.gains)[:, None]
-    offered = np.zeros((*torques.shape, len(sensors)))
-    offered[sensors, :, range(len(sensors))] = -torques[sensors]
+    again = np.zeros((*torques.shape, len(sensors)))
+    again[sensors, :, range(len(sensors))] = -torques[sensors]
     e, J = weighted(fit, blocks)
-    rows = np.concatenate([J, offered, e[..., None]], axis=-1)
+    rows = np.concatenate([J, again, e[..., None]], axis=-1)
     return np.asarray(rows.reshape(-1, rows.shape[-1]))
 
 

@@ -54,7 +54,7 @@ def stated_constants(system: System) -> list[StatedConstant]:
     """
     problem, constants = system.problem, list[StatedConstant]()
     known = problem.known[:, -1]
-    of_channels = np.eye(len(problem.channels))[:, :, None, None]
+    by_channel = np.eye(len(problem.channels))[:, :, None, None]
 
     def add(
         source: str, value: float, std: float, torques: np.ndarray | float, readings: np.ndarray | float, share: float
@@ -74,12 +74,12 @@ def stated_constants(system: System) -> list[StatedConstant]:
             add(f"payload '{name}'", value, std, _torques_of_unit(system, name, kind), 0.0, 0.0)
     for k in problem.sensor_channels:
         channel = problem.channels[k]
-        add(f"{channel.kind.name} of '{channel.joint}'", 1.0, channel.std, 0.0, of_channels[k], 0.0)
+        add(f"{channel.kind.name} of '{channel.joint}'", 1.0, channel.std, 0.0, by_channel[k], 0.0)
     if problem.base or system.wrench_columns is not None:
         torques = 0.0 if system.wrench_columns is None else system.wrench_columns
         channels = system.dataset.runs[0].channels
         std = max((channel.std for channel in channels if not channel.kind.measures_joint), default=0.0)
-        add(_wrenches(problem), 1.0, std, torques, of_channels[problem.base].sum(axis=0), 0.0)
+        add(_wrenches(problem), 1.0, std, torques, by_channel[problem.base].sum(axis=0), 0.0)
     if len(known):
         source = SCALED_BY_FILE if system.dataset.scaled_by_file else "known parameters"
         add(source, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -93,8 +93,8 @@ def _torques_of_unit(system: System, name: str, kind: str) -> np.ndarray:
     for run, label in ((item.run, item.label) for item in system.payloads if item.payload.name == name):
         block = next(item for item in system.effects if Parameter(kind, label) in item.stated)
         k, R = block.names.index(Parameter(kind, label)), dataset.factors[run].R
-        of_channels = [block.columns(run, channel, np.zeros(()))[:, k] for channel in channels]
-        parts[run] = np.stack([R[:, j] @ column for j, column in enumerate(of_channels)], axis=1)
+        columns = [block.columns(run, channel, np.zeros(()))[:, k] for channel in channels]
+        parts[run] = np.stack([R[:, j] @ column for j, column in enumerate(columns)], axis=1)
     filled = np.concatenate([factor.rows for factor in dataset.factors]).sum(axis=1) > 0
     return np.concatenate(parts)[filled]
 
@@ -114,12 +114,12 @@ def estimate_slopes(fit: Fit, constants: Sequence[StatedConstant]) -> np.ndarray
     triangles, known = stacked(problem), jacobian_of_known(problem, fit.free_gains)
     J = weighted(fit, triangles)[1].reshape(-1, known.shape[1])
     back = whitening(np.concatenate([J, known]), curvature_of_delays(triangles, solution.values, problem, weights))
-    of_blocks = jacobian(problem.blocks, solution.values, problem, fit.free_gains)
+    block_jacobian = jacobian(problem.blocks, solution.values, problem, fit.free_gains)
     sides = []
     for constant in constants:
         read, torques = delayed_signal(constant.columns, solution.delays), constant.columns[..., KNOWN]
         change = read - torques / solution.gains[:, None]
-        side = np.einsum("ujpk,ujp,j->k", of_blocks, change, weights**2)
+        side = np.einsum("ujpk,ujp,j->k", block_jacobian, change, weights**2)
         sides.append(side + known.T @ constant.known)
     T = slopes_of(fit)
     return np.asarray(-(T @ back) @ (back.T @ np.reshape(sides, (-1, len(back))).T))

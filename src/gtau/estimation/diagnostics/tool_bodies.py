@@ -23,7 +23,7 @@ from gtau.findings.words import to_width
 from gtau.robots.parameter import Parameter, payload_label
 from gtau.signals.reading.statements import Payload
 
-REFUTED_STD = 6.0  # size of a description alternative in standard deviations
+REFUTED_STD = 6.0  # size of another description in standard deviations
 LOAD_LEFT = 0.5  # part of the residual variance that is left with another load of a run, or payloads on another body
 MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
 LOAD_ALIKE = 1.01  # residual variance with another load of one run over the least of all runs: below, as likely

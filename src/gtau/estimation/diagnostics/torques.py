@@ -32,9 +32,9 @@ from gtau.robots.parameter import Parameter
 
 BASE_MISFIT = 0.15  # share of the forces, or of the moments, on a floating base that is unexplained
 ALIKE = 0.05  # probability that the torque scales of joints which share one differ by as much
-FRICTIONLESS = 0.02  # friction over torque, rms, of the joint with most of it: below, torques are those of a model
-MODEL_RESIDUAL = 0.02  # unexplained share of the joint with most of it, below which torques are those of a model
-GEARED = 5.0  # least torque scale of the joints, from which torques are those of motors before their gears
+FRICTIONLESS = 0.02  # friction over torque, rms, of the joint with most of it: below, torques come from a model
+MODEL_RESIDUAL = 0.02  # unexplained share of the joint with most of it, below which torques come from a model
+GEARED = 5.0  # least torque scale of the joints, from which torques are measured before the gears
 
 UNEXPLAINED, MODEL_TORQUES = "unexplained current", "torques of a model"
 

@@ -165,7 +165,7 @@ def half_widths(fit: Fit, estimates: Estimates) -> np.ndarray:
 
 
 def motors(fit: Fit) -> tuple[str, ...]:
-    """List the joints whose gains are judged: all but those of a floating base."""
+    """List the joints whose gains are judged: all but the joints of a floating base."""
     return tuple(channel.joint for channel in fit.system.problem.channels if channel.kind.unknown_gain)
 
 

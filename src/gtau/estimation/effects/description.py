@@ -38,13 +38,13 @@ def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
             size, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
             if not size:
                 continue
-            of_all = np.zeros_like(common), [np.zeros_like(part) for part in own]
+            all_sizes = np.zeros_like(common), [np.zeros_like(part) for part in own]
             if effect.shared:
-                of_all[0][common != 0] = size / column.plausible
+                all_sizes[0][common != 0] = size / column.plausible
             else:
                 j = result.rows.fit.system.problem.joints.index(column.joint)
-                of_all[1][j][layout.places] = mixed.sizes[number] * mixed.at.own[j][layout.places]
-            share, moves, torque = explained(*of_all)
+                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own[j][layout.places]
+            share, moves, torque = explained(*all_sizes)
             if effect.function:
                 size, std = torque, torque * std / abs(size)
             against = effect.description or abs(size) - 2 * std > effect.harmless
@@ -96,9 +96,9 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
             k for k in np.argsort(-gains) if k != best and gains[k] > gains[best] - CLOSE and np.isfinite(curvature[k])
         ]
         if alike:
-            other, of_other = listed[alike[0]][:2]
-            size_of_other = float(left[alike[0]] / curvature[alike[0]] * of_other.plausible)
-            also, _ = other.say(result.rows.fit, of_other, size_of_other)
+            other, other_column = listed[alike[0]][:2]
+            other_size = float(left[alike[0]] / curvature[alike[0]] * other_column.plausible)
+            also, _ = other.say(result.rows.fit, other_column, other_size)
             cause = replace(cause, text=f"{cause.text}, or as likely {also}")
         found.append(EstimatedEffect(effect.name, cause, size, std, column.unit, float(gains[best]), share, moves, True,
                                      abs(size) > column.largest))  # fmt: skip
@@ -149,7 +149,7 @@ class Influence:
         self.e, self.left = e, max(square - float(e @ self.inverse @ e), 1e-300)
 
     def __call__(self, common: np.ndarray, own: Sequence[np.ndarray]) -> tuple[float, dict[str, float], float]:
-        """Compute share, moves of the gains (per cent), and the largest rms torque over that of its joint.
+        """Compute share, moves of the gains (per cent), and the largest rms torque over the torque of its joint.
 
         Sizes of the columns, in plausible sizes, are those among the ``common`` and each channel's ``own`` ones.
         """

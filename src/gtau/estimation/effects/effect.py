@@ -56,7 +56,7 @@ class Effect:
     say : callable
         From a fit, a column with its joint, and its size to the cause in words, and what to do about it.
     shared : bool
-        Whether a column acts on all joints with one size, as those of the links do, and reaches torque sensors too;
+        Whether a column acts on all joints with one size, as columns of links do, and reaches torque sensors too;
         otherwise it is of a drive, with a size for each joint.
     description : bool
         Whether it contradicts the user's description of robot and logs; otherwise it is physics that the model lacks.
@@ -95,7 +95,8 @@ class EstimatedEffect:
     cause : Finding
         What it is, and what to do about it.
     size, std, unit : float, float, str
-        Size of its largest column with the standard deviation; of a function its rms torque over that of the joint.
+        Size of its largest column with the standard deviation; of a function its rms torque over the rms torque of the
+        joint.
     likelihood : float
         Log-likelihood that the data lose without this effect, all others being found again.
     share : float

@@ -112,7 +112,7 @@ class Dataset:
     def notes(self) -> tuple[Finding, ...]:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
         runs = (
-            note.of_source(prepared.run.name)
+            note.from_source(prepared.run.name)
             for prepared in self.prepared
             for note in (*prepared.run.notes, *prepared.notes)
         )

@@ -158,7 +158,7 @@ def configurations(idm: InverseDynamics, window: SampleWindow) -> np.ndarray:
 
 
 def _along_whole(idm: InverseDynamics, prepared: PreparedRun | SampleWindow) -> np.ndarray:
-    """Compute the configurations along a whole run, which factors, friction and windows of hypotheses share."""
+    """Compute the configurations along a whole run, which factors, friction and windows of effects share."""
     if idm not in prepared.paths:
         window = prepared.all_samples if isinstance(prepared, PreparedRun) else prepared
         prepared.paths[idm] = idm.path(window.q.T.copy(), instants(prepared.run.name, window.time))

@@ -1,4 +1,4 @@
-"""Runs cut into blocks, which the jackknife leaves out, and into windows, on which hypotheses are tested.
+"""Runs cut into blocks, which the jackknife leaves out, and into windows, on which effects are estimated.
 
 Blocks are of as many samples in motion each, windows of the middle of their run without long rests.
 

@@ -184,8 +184,8 @@ def remarks(result: Result) -> list[Finding]:
         notes.append(
             Finding(
                 "autocorrelated residuals",
-                text=f"residuals are autocorrelated: standard errors are {lack:.1f} times those of white noise, so the "
-                "model lacks an effect, such as another kind of friction, motor ripple, cables or elasticity",
+                text=f"residuals are autocorrelated: standard errors are {lack:.1f} times as large as for white "
+                "noise, so the model lacks an effect, such as other friction, motor ripple, cables or elasticity",
                 shown_as="model",
             )
         )

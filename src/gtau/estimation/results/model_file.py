@@ -82,7 +82,7 @@ def _problems(result: Result) -> Iterator[str]:
         ("delays", result.delays, robot.actuated),
     ):
         if tuple(estimates) != joints:
-            yield f"the {what} are not those of the joints {', '.join(joints)}"
+            yield f"the {what} are not of the joints {', '.join(joints)}"
         if any(estimate.value is None for estimate in estimates.values()):
             yield f"one of the {what} is null"
     preparation = result.preparation
@@ -90,7 +90,7 @@ def _problems(result: Result) -> Iterator[str]:
         yield f"'preparation.cutoff' is {preparation.cutoff:g} Hz, more than half the rate"
     cutoffs, noise = len(preparation.prediction_cutoffs), len(preparation.position_noise)
     if not {cutoffs, noise} <= {0, len(robot.actuated)} or cutoffs > noise:
-        yield "'prediction_cutoffs' and 'position_noise' are not those of the joints"
+        yield "'prediction_cutoffs' and 'position_noise' do not have a value for each joint"
     strange = set(result.curves) - {joint.name for joint in robot.joints}
     if strange:
         yield f"'curves' has the friction of '{sorted(strange)[0]}', which is no joint"

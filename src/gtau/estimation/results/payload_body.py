@@ -1,8 +1,8 @@
 """Payload estimates, and the rigid body that was weighed in the frame that a controller needs.
 
 A weighing finds sums of the ten inertial parameters ``chi`` at the frame of the body that carries the payload. The body
-is the one whose sums are nearest to these, in units of their covariance, among those of positive definite
-pseudo-inertia. Its intervals are those of the sums, by the derivatives of each quantity (delta method), so that the
+is the one whose sums are nearest to these, in units of their covariance, among bodies with a positive definite
+pseudo-inertia. Its intervals follow from the sums by the derivatives of each quantity (delta method), so that the
 centre ``mx/m`` has the correlation of mass and first moments.
 """
 
@@ -69,7 +69,7 @@ class PayloadBody:
     ``parameters`` are the ``QUANTITIES`` by name, without a value where the motion does not show them; products of
     inertia are entries of the tensor (``Ixy = -int x y dm``). ``rigid`` is a body that can exist: where the motion
     shows nothing, what a compact one would have; None where the mass is not identifiable. ``named`` says whether the
-    frame was chosen; else it is that of the carrier.
+    frame was chosen; else it is the carrier's.
     """
 
     name: str
@@ -203,8 +203,8 @@ def _consistent(weighed: Weighed, mass: float) -> np.ndarray:
     whiten = (axes / np.sqrt(np.maximum(spread, 1e-9))).T / stds
     tight = 1 / (EXACT * (np.abs(weighed.exact) @ unit))
     known, stated = weighed.exact * tight[:, None], weighed.stated * tight
-    of_mass = np.eye(10)[9:] / (EXACT * mass)
-    R = np.concatenate([whiten @ weighed.sums, known, of_mass, np.diag(1 / (LOOSE * unit))])
+    mass_row = np.eye(10)[9:] / (EXACT * mass)
+    R = np.concatenate([whiten @ weighed.sums, known, mass_row, np.diag(1 / (LOOSE * unit))])
     y = np.concatenate([whiten @ weighed.values, stated, [1 / EXACT], supposed / (LOOSE * unit)])
     body = Body("payload", np.arange(10), np.zeros(10))
     return constrained_least_squares(R, y, unbounded([body], unit, mass, length))

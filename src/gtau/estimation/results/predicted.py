@@ -23,11 +23,11 @@ class Prediction:
 
     ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
 
-    Measured torques are raw. Those predicted are at the instants of the commands, and behind no low-pass but that of
-    the positions, up to where their noise takes over; :attr:`in_band` has both behind the low-pass of identification,
-    ``decimator``, and :attr:`rows` one sample in its factor. ``keep`` (N, n) is False near a joint's reversals and
-    rests, which identification of gains and inertia leaves out, and near gaps; ``valid``
-    (N, n) is False near gaps and repaired samples, and at the ends of the log up to where the motion begins.
+    Measured torques are raw. Predicted torques are at the instants of the commands, and behind no low-pass but the one
+    of the positions, up to where their noise takes over; :attr:`in_band` has both behind the low-pass of
+    identification, ``decimator``, and :attr:`rows` one sample in its factor. ``keep`` (N, n) is False near a joint's
+    reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid`` (N, n) is False
+    near gaps and repaired samples, and at the ends of the log up to where the motion begins.
     """
 
     joints: tuple[str, ...]

@@ -89,10 +89,10 @@ def torque_headline(result: Result) -> str:
             "The logged torques are assumed to be correct: their scale was not tested. To test it, log one run with a "
             "payload of known mass and one without."
         )
-    of_state: dict[str, list[TorqueScale]] = {}
+    by_state: dict[str, list[TorqueScale]] = {}
     for scale in scales:
-        of_state.setdefault(scale.state, []).append(scale)
-    sentences, wrong, right = [], of_state.get("wrong", []), of_state.get("consistent with 1", [])
+        by_state.setdefault(scale.state, []).append(scale)
+    sentences, wrong, right = [], by_state.get("wrong", []), by_state.get("consistent with 1", [])
     if wrong:
         parts = [f"{_reported(scale)}{' of the torque' * (k == 0)} at '{scale.joint}'" for k, scale in enumerate(wrong)]
         sentences.append(f"The arm reports {listed(parts)} (95 % intervals).")
@@ -100,12 +100,12 @@ def torque_headline(result: Result) -> str:
         widest = percent_text(max(scale.gain.half_width or 0.0 for scale in right))
         known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
         sentences.append(_scales_are(right, known, "all joints" if len(right) == len(scales) > 1 else ""))
-    if undecided := of_state.get("undecided"):
+    if undecided := by_state.get("undecided"):
         one = len(undecided) == 1
         outside = f"1 is outside {'its 95 % interval' if one else 'their 95 % intervals'}, but by too little to correct"
         sentences.append(_scales_are(undecided, f"undecided: {outside} {'it' if one else 'them'}"))
     for state in ("in doubt", Grade.NOT_IDENTIFIABLE.value):
-        if members := of_state.get(state):
+        if members := by_state.get(state):
             sentences.append(_scales_are(members, state))
     return " ".join(sentences)
 

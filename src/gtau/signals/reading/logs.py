@@ -135,7 +135,7 @@ def read_logs(
     if len(paths) == 2 and not stamps:
         files.append(replace(read_log(paths[1], commands), texts=table.texts))
     refuse_unstated_units(files, signals, units)
-    notes += [note.of_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
+    notes += [note.from_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
     if stamps:
         inside, commands_at = _aligned(paths[0], paths[-1], signals, time_scale, notes)
         rows = inside[rows.start : rows.stop]

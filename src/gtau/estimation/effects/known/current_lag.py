@@ -1,6 +1,6 @@
 """A low-pass filter of the current: the second derivative of the torque beside its delay, to first order.
 
-It is that of the model's torque: the measured current's is correlated with the noise of the current.
+The derivative is of the model's torque: the measured current is correlated with its own noise.
 """
 
 from __future__ import annotations

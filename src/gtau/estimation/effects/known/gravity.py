@@ -1,7 +1,7 @@
 """A tilt of the base, or another strength of gravity, which a wrong clock has the effect of.
 
 Time that runs s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
-torques against those of gravity, whose strength on Earth is known to 0.3 %.
+torques against gravity, whose strength on Earth is known to 0.3 %.
 """
 
 from __future__ import annotations

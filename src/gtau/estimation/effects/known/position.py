@@ -1,6 +1,6 @@
 """A torque that repeats at the same positions in every run: motor ripple, cables, springs that the model lacks.
 
-Each joint is offered any function of its own position, piecewise linear over its range in all runs.
+Each joint may have any function of its own position, piecewise linear over its range in all runs.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Friction of any shape in speed: Stribeck's, cubic, or different in the two directions.
 
-Each joint is offered any function of its own speed, piecewise linear in ``atan(2 qd / rms qd)``: fine near rest.
+Each joint may have any function of its own speed, piecewise linear in ``atan(2 qd / rms qd)``: fine near rest.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ def _torques(at: FitWindow) -> Torques:
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    what = f"torques of '{column.joint}' in another scale than those of the other joints"
+    what = f"torques of '{column.joint}' in another scale than the torques of the other joints"
     return what, "check the gear ratio, the torque constant and the unit of its torques"
 
 

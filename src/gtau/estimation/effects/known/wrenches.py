@@ -35,8 +35,8 @@ def _offset_columns(fit: Fit) -> Iterator[EffectColumn]:
         return
     squares = [np.mean(run.command[:, run.given] ** 2, axis=0) for run in fit.dataset.runs]
     levels = np.sqrt(np.mean(squares, axis=0).reshape(-1, 2, 3).sum(axis=2))
-    for body, of_body in zip(bodies, levels, strict=True):
-        for quantity, unit, level in zip(("moment", "force"), ("N m", "N"), of_body, strict=True):
+    for body, body_levels in zip(bodies, levels, strict=True):
+        for quantity, unit, level in zip(("moment", "force"), ("N m", "N"), body_levels, strict=True):
             yield from (
                 EffectColumn(float(OFFSET * level), unit, subject=body, about=f"{quantity} {axis}") for axis in "xyz"
             )
