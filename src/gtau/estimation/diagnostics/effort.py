@@ -32,10 +32,10 @@ from gtau.estimation.diagnostics.effort_rows import (
     with_gravity,
 )
 from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
-from gtau.estimation.diagnostics.verdict import WRENCHES
+from gtau.estimation.diagnostics.verdict import WRENCHES, contradiction
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.dataset import Dataset
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding
 from gtau.findings.words import listed
 
 LATE = 0.5  # unexplained share of a joint's current, shifted by more than a delay can be, over that as logged
@@ -133,16 +133,12 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
         missing = as_well and near < NO_GRAVITY and abs(coefficient) + SIGN_STD * std < WITH_GRAVITY
         if (turned := scale[0] / scale[1]) < -SIGN_STD:  # of the coefficient, at its size with either sign
             names, command = dataset.model.actuated, dataset.runs[0].kind
-            reversed_ = Finding(
-                REVERSED_CHANNELS,
-                names,
-                size=1 - float(logged.max()),
-                text=f"the {command}s of {listed(names)} look reversed: the inertias of the robot file contradict "
-                "their sign",
-                advice=f"check the signs of the {command} and position columns",
-                grade=Grade.CONTRADICTORY,
+            text = (
+                f"the {command}s of {listed(names)} look reversed: the inertias of the robot file contradict their sign"
             )
-            tried.append((2 * turned**2, REVERSED_CHANNELS, (reversed_,)))
+            advice = f"check the signs of the {command} and position columns"
+            opposite = contradiction(REVERSED_CHANNELS, names, text, advice, size=1 - float(logged.max()))
+            tried.append((2 * turned**2, REVERSED_CHANNELS, (opposite,)))
     if not _wrenches(dataset) and missing and without > MEANING_CLOSE:
         tried.append((without, WITHOUT_GRAVITY, ()))
     _, kind, findings = max(tried, key=lambda each: each[0])
@@ -217,49 +213,40 @@ def _altered_findings(
     kind, altered = dataset.runs[0].kind, other.altered
     names = tuple(dataset.model.actuated[j] for j in altered)
     if other.kind == LATE_CURRENTS:
-        return tuple(
-            Finding(
-                LATE_CURRENTS,
-                (name,),
-                size=float(other.before[j]),
-                text=f"the {kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
-                f"{100 * other.left[j]:.2g} % is unexplained after shifting them, {100 * other.before[j]:.2g} % as "
-                "logged",
-                advice="log them with the time stamps of the positions, or if all joints are equally late, "
-                f"write 'preparation: {{delay: {lag:.3g}}}'",
-                grade=Grade.CONTRADICTORY,
+        findings = []
+        for j, name in zip(altered, names, strict=True):
+            lag, left, before = joints[j].lag or 0.0, other.left[j], other.before[j]
+            text = (
+                f"the {kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
+                f"{100 * left:.2g} % is unexplained after shifting them, {100 * before:.2g} % as logged"
             )
-            for j, name in zip(altered, names, strict=True)
-            if (lag := joints[j].lag) is not None
-        )
+            advice = (
+                "log them with the time stamps of the positions, or if all joints are equally late, write "
+                f"'preparation: {{delay: {lag:.3g}}}'"
+            )
+            findings.append(contradiction(LATE_CURRENTS, (name,), text, advice, size=float(before)))
+        return tuple(findings)
     # means as the likelihood weighs them, so that what is likelier leaves less
     after, before = (
         float(np.exp(np.average(np.log(np.maximum(left[altered], TINY)), weights=counts[altered])))
         for left in (other.left, other.before)
     )
     if other.kind == SWAPPED_CHANNELS:
-        advice = f"check that the position and {kind} columns are of the same joint in all runs"
-        swapped = Finding(
-            SWAPPED_CHANNELS,
-            names,
-            size=1 - after / before,
-            text=f"the {kind}s of {listed(names)} look {'swapped' if len(names) == 2 else 'permuted'}: "
-            f"{100 * after:.2g} % is unexplained after exchanging them, {100 * before:.2g} % as logged",
-            # wrong wrenches make single currents look wrong
-            advice=f"{WRENCHES}; otherwise {advice}" if _wrenches(dataset) else advice,
-            grade=Grade.CONTRADICTORY,
+        how = "swapped" if len(names) == 2 else "permuted"
+        text = (
+            f"the {kind}s of {listed(names)} look {how}: {100 * after:.2g} % is unexplained after exchanging them, "
+            f"{100 * before:.2g} % as logged"
         )
-        return (swapped,)
-    magnitudes = Finding(
-        MAGNITUDES,
-        names,
-        size=1 - after / before,
-        text=f"the {kind}s of {listed(names)} look like magnitudes: {100 * after:.2g} % is unexplained with signs that "
-        f"fit the motion, {100 * before:.2g} % as logged",
-        advice="log signed values (some drives store the sign in a separate bit or column)",
-        grade=Grade.CONTRADICTORY,
+        advice = f"check that the position and {kind} columns are of the same joint in all runs"
+        if _wrenches(dataset):  # wrong wrenches make single currents look wrong
+            advice = f"{WRENCHES}; otherwise {advice}"
+        return (contradiction(SWAPPED_CHANNELS, names, text, advice, size=1 - after / before),)
+    text = (
+        f"the {kind}s of {listed(names)} look like magnitudes: {100 * after:.2g} % is unexplained with signs that fit "
+        f"the motion, {100 * before:.2g} % as logged"
     )
-    return (magnitudes,)
+    advice = "log signed values (some drives store the sign in a separate bit or column)"
+    return (contradiction(MAGNITUDES, names, text, advice, size=1 - after / before),)
 
 
 def _wrenches(dataset: Dataset) -> bool:

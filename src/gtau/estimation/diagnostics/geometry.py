@@ -91,36 +91,29 @@ class GeometryTest:
         before, after = map(" and ".join, zip(*sizes, strict=True))
         pose, changes = f"the logged pose of '{self.body}'", " and ".join(map(str, self.explained_by))
         if self.outcome == "confirmed":
+            text, shown_as = f"{pose} confirms the robot's geometry to {before} rms", "robot description"
             return Finding(
-                "confirmed geometry",
-                subject=self.body,
-                text=f"{pose} confirms the robot's geometry to {before} rms",
-                grade=Grade.INFORMATION,
-                shown_as="robot description",
+                "confirmed geometry", subject=self.body, text=text, grade=Grade.INFORMATION, shown_as=shown_as
             )
         if self.outcome == "unexplained":
             more = f"; {changes} would explain {percent(self.share)} of its variance" if changes else ""
-            return Finding(
-                "unexplained pose",
-                subject=self.body,
-                text=f"{pose} is {before} rms from the one computed from the positions, which lengths and encoder "
-                f"zeros do not explain{more}",
-                advice="check its columns, units and sequence of angles, whether it is of this body (source: tool) and "
-                "in the robot's base (source: tracker), and the angles of the robot's geometry",
-                grade=Grade.WARNING,
-                shown_as="geometry",
+            text = (
+                f"{pose} is {before} rms from the one computed from the positions, which lengths and encoder zeros do "
+                f"not explain{more}"
             )
-        explain, with_them = (
-            ("explains", "that change") if len(self.explained_by) == 1 else ("explain", "these changes")
+            advice = (
+                "check its columns, units and sequence of angles, whether it is of this body (source: tool) and in the "
+                "robot's base (source: tracker), and the angles of the robot's geometry"
+            )
+            return Finding("unexplained pose", subject=self.body, text=text, advice=advice, shown_as="geometry")
+        several = len(self.explained_by) > 1
+        text = (
+            f"the geometry is off: {changes} {'explain' if several else 'explains'} {percent(self.share)} of the "
+            f"residual variance of {pose}, which is {before} rms from the one computed, and {after} with "
+            f"{'these changes' if several else 'that change'}"
         )
-        return Finding(
-            "geometry",
-            subject=self.body,
-            text=f"the geometry is off: {changes} {explain} {percent(self.share)} of the residual variance of {pose}, "
-            f"which is {before} rms from the one computed, and {after} with {with_them}",
-            advice=" and ".join(dict.fromkeys(CORRECT[bool(constant.value)] for constant in self.explained_by)),
-            grade=Grade.WARNING,
-        )
+        advice = " and ".join(dict.fromkeys(CORRECT[bool(constant.value)] for constant in self.explained_by))
+        return Finding("geometry", subject=self.body, text=text, advice=advice)
 
 
 def to_document(test: GeometryTest) -> dict[str, Any]:

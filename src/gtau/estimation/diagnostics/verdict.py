@@ -61,14 +61,8 @@ def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Findin
 
 def coupled(joint: str, other: str) -> Finding:
     """Doubt a gain beside a joint that contradicts the model."""
-    return Finding(
-        "coupled joint",
-        (joint,),
-        other,
-        text=f"joint '{other}' contradicts the model, whose parameters all joints share",
-        advice="resolve that joint first",
-        grade=Grade.WEAK,
-    )
+    text = f"joint '{other}' contradicts the model, whose parameters all joints share"
+    return Finding("coupled joint", (joint,), other, text=text, advice="resolve that joint first", grade=Grade.WEAK)
 
 
 def worst(verdicts: Iterable[Finding]) -> Grade:
@@ -79,28 +73,18 @@ def worst(verdicts: Iterable[Finding]) -> Grade:
 def parameter_verdict(value: float | None, std: float | None) -> Finding:
     """Judge a parameter by its value and standard deviation."""
     if value is None:
-        return Finding(
-            "not separable",
-            text="these motions cannot separate it from the parameters listed before it",
-            advice="add runs with different motions of the joints",
-            grade=Grade.NOT_IDENTIFIABLE,
-        )
+        text = "these motions cannot separate it from the parameters listed before it"
+        advice = "add runs with different motions of the joints"
+        return Finding("not separable", text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
     if std is None:
         return GOOD
     if abs(value) < 2 * std:
-        return Finding(
-            "near zero",
-            text="it is within two standard deviations of zero",
-            advice="treat it as small, or move its joint faster and further",
-            grade=Grade.NOT_IDENTIFIABLE,
-        )
+        text = "it is within two standard deviations of zero"
+        advice = "treat it as small, or move its joint faster and further"
+        return Finding("near zero", text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
     if std > WEAK_PARAMETER * abs(value):
-        return Finding(
-            "uncertain parameter",
-            text=f"its standard deviation is {percent(std / abs(value), '.0f')}",
-            advice="add longer runs",
-            grade=Grade.WEAK,
-        )
+        text = f"its standard deviation is {percent(std / abs(value), '.0f')}"
+        return Finding("uncertain parameter", text=text, advice="add longer runs", grade=Grade.WEAK)
     return GOOD
 
 
@@ -108,14 +92,9 @@ def judge_parameter(value: float | None, std: float | None, terms: Mapping[Param
     """Judge a base parameter from its value, standard deviation, and the ``terms`` that it regroups."""
     if value is None or not std or value >= -NEGATIVE_STD * std or not cannot_be_negative(terms):
         return parameter_verdict(value, std)
-    friction = next(iter(terms)).kind in ("fv", "fs")
-    return Finding(
-        "physically impossible",
-        text=f"it is negative by {-value / std:.0f} standard deviations: "
-        + ("friction that drives the joint" if friction else "a negative inertia"),
-        advice=IMPOSSIBLE,
-        grade=Grade.CONTRADICTORY,
-    )
+    kind = "friction that drives the joint" if next(iter(terms)).kind in ("fv", "fs") else "a negative inertia"
+    text = f"it is negative by {-value / std:.0f} standard deviations: {kind}"
+    return contradiction("physically impossible", (), text, IMPOSSIBLE)
 
 
 def cannot_be_negative(terms: Mapping[Parameter, float]) -> bool:
@@ -129,24 +108,18 @@ def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period
     A delay lost in noise was not estimated. One within the ``period`` of the samples, s, is believed whatever its
     relative standard deviation.
     """
-    size = np.abs(solution.delays)
-    uncertain = (size > period) & (std > DELAY_STD * size)
-    verdicts = [GOOD] * len(size)
-    for k, longest in enumerate(problem.longest_delays):
+    verdicts = []
+    for delay, longest, deviation in zip(np.abs(solution.delays), problem.longest_delays, std, strict=True):
+        verdict = GOOD
         if not longest:
-            verdicts[k] = Finding(
-                "delay lost in noise",
-                text="the current's rate of change may be nothing but noise",
-                advice="treat it as unknown, or move this joint faster; the drive gain does not depend on it",
-                grade=Grade.NOT_IDENTIFIABLE,
-            )
-        elif uncertain[k]:
-            verdicts[k] = Finding(
-                "uncertain delay",
-                text=f"its standard deviation is {1000 * std[k]:.2g} ms",
-                advice="treat it as a nuisance parameter, or move this joint faster",
-                grade=Grade.WEAK,
-            )
+            text = "the current's rate of change may be nothing but noise"
+            advice = "treat it as unknown, or move this joint faster; the drive gain does not depend on it"
+            verdict = Finding("delay lost in noise", text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
+        elif delay > period and deviation > DELAY_STD * delay:
+            text = f"its standard deviation is {1000 * deviation:.2g} ms"
+            advice = "treat it as a nuisance parameter, or move this joint faster"
+            verdict = Finding("uncertain delay", text=text, advice=advice, grade=Grade.WEAK)
+        verdicts.append(verdict)
     return verdicts
 
 
