@@ -14,6 +14,7 @@ from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant, five_bar, path
 
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import to_document
+from gtau.findings import Finding, Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.signals.reading.statements import Payload
@@ -43,6 +44,18 @@ def test_a_model_survives_writing_and_reading(result: Result, again: Result) -> 
     assert again.payloads == result.payloads
     assert again.residuals == result.residuals
     assert again.summary() == result.summary()
+
+
+def test_a_finding_survives_writing_and_reading(result: Result, tmp_path: Path) -> None:
+    words = {"text": "the 95 % interval is {own}", "own": "+-5 %", "advice": "use longer runs"}
+    verdict = Finding("wide interval", ("left",), "3", {"remains": 0.1}, ("gravity",), grade=Grade.WEAK, **words)
+    place = {"source": "free", "time": 1.5, "share": 0.1, "text": "10 % of the samples are stale"}
+    note = Finding("stale samples", ("left",), grade=Grade.INFORMATION, shown_as="repaired log", **place)
+    gains = {name: replace(gain, verdict=verdict) for name, gain in result.drive_gains.items()}
+    result.replaced(drive_gains=gains, notes=(note,)).save(tmp_path / "model.json")
+    again = Result.load(tmp_path / "model.json")
+    assert {gain.verdict for gain in again.drive_gains.values()} == {verdict}
+    assert again.notes == (note,)
     np.testing.assert_array_equal(again.covariance, result.covariance)
 
 

@@ -87,21 +87,17 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
         return []
     phase = float(2 * np.pi * bandwidth * lag)
     loss = 1 - 1 / np.sqrt(1 + phase**2)
-    much = loss > LAG_LOSS
     # of a lag beyond what the motion shows, only that it is longer
     by = f"{1000 * lag:.2g} ms (standard deviation {1000 * std:.2g} ms)"
     by = by if phase < 1 else f"more than {1000 * lag / phase:.2g} ms"
-    return [
-        Finding(
-            COMMAND_LAG if much else "slight command lag",
-            text=f"the {kind}s lag behind the motion by {by}, so they look low-passed, held or logged late; a low-pass "
-            f"filter with that time constant attenuates them by {percent(loss)} at the bandwidth of the motion, "
-            f"{bandwidth:.3g} Hz",
-            advice=f"log the {kind}s before any filter and with the time stamps of the positions",
-            grade=Grade.WARNING if much else Grade.INFORMATION,
-            shown_as="filtered command" if much else "reading",
-        )
-    ]
+    text = (
+        f"the {kind}s lag behind the motion by {by}, so they look low-passed, held or logged late; a low-pass filter "
+        f"with that time constant attenuates them by {percent(loss)} at the bandwidth of the motion, {bandwidth:.3g} Hz"
+    )
+    advice = f"log the {kind}s before any filter and with the time stamps of the positions"
+    if loss > LAG_LOSS:
+        return [Finding(COMMAND_LAG, text=text, advice=advice, shown_as="filtered command")]
+    return [Finding("slight command lag", text=text, advice=advice, grade=Grade.INFORMATION, shown_as="reading")]
 
 
 def smoothed_commands(runs: Sequence[Run]) -> Iterator[Finding]:
@@ -138,14 +134,15 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
         for run, share in zip(runs, shares, strict=True)
     )
     if integers > WHOLE and peaks.max() >= STEPS:
-        yield Finding(
-            WHOLE_NUMBERS,
-            text=f"the {kind}s are whole numbers, up to {peaks.max():.0f}: ‰ of the rated {kind} (CiA 402, object "
-            "0x6077), mA, counts, or SI units without decimals",
-            advice=f"state their unit and the rated values (units: {{{kind}: ‰, rated: {{...}}}}), or {{{kind}: mA}}; "
-            "in SI units, log them with decimals",
-            shown_as="unit",
+        text = (
+            f"the {kind}s are whole numbers, up to {peaks.max():.0f}: ‰ of the rated {kind} (CiA 402, object 0x6077), "
+            "mA, counts, or SI units without decimals"
         )
+        advice = (
+            f"state their unit and the rated values (units: {{{kind}: ‰, rated: {{...}}}}), or {{{kind}: mA}}; in SI "
+            "units, log them with decimals"
+        )
+        yield Finding(WHOLE_NUMBERS, text=text, advice=advice, shown_as="unit")
         return
     efforts = {joint: robot.joint(joint).limits.effort for joint in robot.motors}
     limits = {joint: limit for joint, limit in efforts.items() if limit}
@@ -160,14 +157,12 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
 
 def motor_side_torques(text: str, joints: tuple[str, ...] = ()) -> Finding:
     """Note, for the reason in ``text``, that torques are measured before the gears."""
-    return Finding(
-        MOTOR_SIDE,
-        joints,
-        text=f"{text}: by their size they are motor-side torques (before the gear) or currents",
-        advice="write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are "
-        "in A, or correct the limits",
-        shown_as="unit",
+    text = f"{text}: by their size they are motor-side torques (before the gear) or currents"
+    advice = (
+        "write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are in A, "
+        "or correct the limits"
     )
+    return Finding(MOTOR_SIDE, joints, text=text, advice=advice, shown_as="unit")
 
 
 def require_payload_excitation(system: System) -> None:

@@ -38,8 +38,8 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     """Find the joints whose torques are reversed against the other joints; None where gains have their own signs."""
     if fit.free_gains:
         return None
-    own, joints = unrefined(fit), fit.system.problem.joints
-    best, turned = own, list[int]()
+    unaltered, joints = unrefined(fit), fit.system.problem.joints
+    best, turned = unaltered, list[int]()
     while len(turned) < len(joints) // 2:
         tried = [(_reversed(best, j), j) for j in range(len(joints)) if j not in turned]
         other, j = min(tried, key=lambda pair: residual_ratio(pair[0], best))
@@ -49,14 +49,11 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     if not turned:
         return None
     names = tuple(joints[j] for j in turned)
-    cause = Finding(
-        REVERSED_CHANNELS,
-        names,
-        values={"remains": residual_ratio(best, own)},
-        text=f"reversed torques of {listed(names)}",
-        advice=f"check the signs of the {fit.dataset.runs[0].kind} and position columns of {listed(names)}",
-    )
-    return described_otherwise(fit, COLUMNS, cause, best, own)
+    advice = f"check the signs of the {fit.dataset.runs[0].kind} and position columns of {listed(names)}"
+    remains = {"remains": residual_ratio(best, unaltered)}
+    text = f"reversed torques of {listed(names)}"
+    cause = Finding(REVERSED_CHANNELS, names, values=remains, text=text, advice=advice)
+    return described_otherwise(fit, COLUMNS, cause, best, unaltered)
 
 
 def _reversed(fit: Fit, joint: int) -> Fit:
@@ -69,7 +66,7 @@ def _reversed(fit: Fit, joint: int) -> Fit:
 
 def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find a joint whose angle is measured, and whose motor stands, as in a parallelogram."""
-    own, best, cause = unrefined(fit), fit, None
+    unaltered, best, cause = unrefined(fit), fit, None
     remains = float(TURNED_LEFT)
     described = list(_with_parallelogram(fit.dataset.robot))
     for number, (joint, before, robot) in enumerate(described):
@@ -78,19 +75,17 @@ def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | N
             other = _fitted(fit, robot)
         except GtauError:
             continue
-        if (ratio := residual_ratio(other, own)) < remains:
+        if (ratio := residual_ratio(other, unaltered)) < remains:
             remains, best = ratio, other
             beside = fit.dataset.robot.joint(before).antecedent
-            cause = Finding(
-                COLUMNS,
-                (joint,),
-                values={"remains": ratio},
-                text=f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,",
-                advice="log the angle between the links, or describe the parallelogram in the robot file, as the "
-                f"catalog's 'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link",
+            text = f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,"
+            advice = (
+                "log the angle between the links, or describe the parallelogram in the robot file, as the catalog's "
+                f"'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link"
             )
+            cause = Finding(COLUMNS, (joint,), values={"remains": ratio}, text=text, advice=advice)
     progress("angles from other links", len(described), len(described))
-    return None if cause is None else described_otherwise(fit, COLUMNS, cause, best, own)
+    return None if cause is None else described_otherwise(fit, COLUMNS, cause, best, unaltered)
 
 
 def angle_of_parallelogram(system: System, progress: Progress) -> Finding | None:

@@ -132,22 +132,13 @@ def _described(
     gravity, floating = list(other.dataset.robot.gravity), bool(unaltered.dataset.robot.floating)
     values = {"gravity": gravity, "also": also, "left": left, "remains": residual_ratio(other, unaltered)}
     if any(gravity):
-        cause = Finding(
-            OTHER_GRAVITY,
-            tuple(left),
-            values=values,
-            text=f"gravity along {' or '.join(map(_direction, [gravity, *also]))} of the "
-            f"{'world' if floating else 'base'}{rest}",
-            advice=gravity_advice(gravity, floating),
-        )
+        along = " or ".join(map(_direction, [gravity, *also]))
+        text = f"gravity along {along} of the {'world' if floating else 'base'}{rest}"
+        advice = gravity_advice(gravity, floating)
+        cause = Finding(OTHER_GRAVITY, tuple(left), values=values, text=text, advice=advice)
     else:
-        cause = Finding(
-            WITHOUT_GRAVITY,
-            tuple(left),
-            values=values,
-            text=f"torques without gravity, as from a driver that compensates it{rest}",
-            advice=log_with_gravity(),
-        )
+        text = f"torques without gravity, as from a driver that compensates it{rest}"
+        cause = Finding(WITHOUT_GRAVITY, tuple(left), values=values, text=text, advice=log_with_gravity())
     return described_otherwise(fit, GRAVITY.name, cause, other, unaltered)
 
 

@@ -36,21 +36,21 @@ def unrefined(fit: Fit) -> Fit:
     return replace(fit, solution=replace(fit.solution, sigma=fit.solve(fit.system.problem).sigma))
 
 
-def residual_ratio(other: Fit, own: Fit) -> float:
-    """Compute the residual variance relative to ``own``, the geometric mean over all channels (the likelihood's).
+def residual_ratio(other: Fit, unaltered: Fit) -> float:
+    """Compute the residual variance relative to another fit, the geometric mean over all channels (the likelihood's).
 
     So a single joint that feels gravity, say, counts among many that do not.
     """
-    rows = own.system.problem.total_rows
-    return float(np.exp(2 * rows @ np.log(other.solution.sigma / own.solution.sigma) / rows.sum()))
+    rows = unaltered.system.problem.total_rows
+    return float(np.exp(2 * rows @ np.log(other.solution.sigma / unaltered.solution.sigma) / rows.sum()))
 
 
-def described_otherwise(fit: Fit, effect: str, cause: Finding, other: Fit, own: Fit) -> EstimatedEffect:
-    """Describe a fit with another description beside ``own``, the same fit with the description of the user."""
-    rows, ratio = own.system.problem.total_rows, other.solution.sigma / own.solution.sigma
+def described_otherwise(fit: Fit, effect: str, cause: Finding, other: Fit, unaltered: Fit) -> EstimatedEffect:
+    """Compare a fit with another description to the ``unaltered`` one, with the user's description."""
+    rows, ratio = unaltered.system.problem.total_rows, other.solution.sigma / unaltered.solution.sigma
     likelihood = -float(rows @ np.log(ratio))
     share = min(1 - float(rows @ ratio**2 / rows.sum()), 1.0)
-    change = 100 * (other.gains / own.gains - 1) if fit.free_gains else np.zeros(len(fit.gains))
+    change = 100 * (other.gains / unaltered.gains - 1) if fit.free_gains else np.zeros(len(fit.gains))
     moves = dict(zip(fit.dataset.model.actuated, map(float, change), strict=True))
     moves = {joint: move for joint, move in moves.items() if joint in fit.dataset.robot.motors}
     return EstimatedEffect(effect, cause, 1.0, 0.0, "", likelihood, share, moves, description=True)

@@ -77,7 +77,7 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
     declared = [_declared(fit, run) for run in carried]
     if np.any(np.abs(masses) < np.maximum(REFUTED_STD * std, MASS_ABSENT * np.array(declared))):
         return None
-    return _of_bodies(best, unaltered, carried, masses, std)
+    return _described(best, unaltered, carried, masses, std)
 
 
 def _loaded(fit: Fit, runs: tuple[int, ...]) -> Fit | None:
@@ -110,7 +110,7 @@ def _declared(fit: Fit, run: int) -> float:
     return 0.0 if payload is None else payload.mass or 0.0
 
 
-def _of_bodies(
+def _described(
     other: Fit, unaltered: Fit, carried: Sequence[int], masses: np.ndarray, std: np.ndarray
 ) -> EstimatedEffect:
     from scipy.special import stdtrit
@@ -124,18 +124,17 @@ def _of_bodies(
         bodies.append({"run": run.name, "more": more, "half": half, "declared": declared})
     helped = (other.solution.sigma / unaltered.solution.sigma) ** 2 < LOAD_LEFT
     joints = tuple(joint for joint, less in zip(unaltered.system.problem.joints, helped, strict=False) if less)
-    cause = Finding(
-        TOOL_BODY,
-        joints,
-        values={"bodies": bodies, "remains": residual_ratio(other, unaltered)},
-        text=" and ".join(_of_body(**body) for body in bodies),
-        advice="check which runs carry the payload and its mass, and declare the load of every run ('payload: {name: "
-        "..., mass: ...}' beside its 'log')",
+    text = " and ".join(_at_the_tool(**body) for body in bodies)
+    advice = (
+        "check which runs carry the payload and its mass, and declare the load of every run ('payload: {name: ..., "
+        "mass: ...}' beside its 'log')"
     )
+    values = {"bodies": bodies, "remains": residual_ratio(other, unaltered)}
+    cause = Finding(TOOL_BODY, joints, values=values, text=text, advice=advice)
     return described_otherwise(unaltered, TOOL_BODIES, cause, other, unaltered)
 
 
-def _of_body(run: str, more: float, half: float, declared: str) -> str:
+def _at_the_tool(run: str, more: float, half: float, declared: str) -> str:
     """Describe the body at the tool in a run, by its mass beyond what is ``declared``."""
     low, mass, high = (to_width(abs(more) + side * half, half) for side in (-1, 0, 1))
     sized = f"{mass} kg (95 % interval {low} to {high} kg)"

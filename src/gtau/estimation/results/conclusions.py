@@ -170,25 +170,17 @@ def remarks(result: Result) -> list[Finding]:
             seen = "it affects no joint torque: the body that carries it turns about a fixed point"
             if sums:
                 seen = f"only sums with its other parameters affect the joint torques: {', '.join(sums)}"
-            notes.append(
-                Finding(
-                    "payload mass not identifiable",
-                    subject=name,
-                    text=f"the mass of payload '{name}' is not identifiable, because {seen}",
-                    advice="if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m",
-                    shown_as="model",
-                )
-            )
+            text = f"the mass of payload '{name}' is not identifiable, because {seen}"
+            advice = "if its centre of mass is known, write it as 'center: [x, y, z]' of the payload, m"
+            kind = "payload mass not identifiable"
+            notes.append(Finding(kind, subject=name, text=text, advice=advice, shown_as="model"))
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(error.relative > VISIBLE for error in result.residuals):
-        notes.append(
-            Finding(
-                "autocorrelated residuals",
-                text=f"residuals are autocorrelated: standard errors are {lack:.1f} times as large as for white "
-                "noise, so the model lacks an effect, such as other friction, motor ripple, cables or elasticity",
-                shown_as="model",
-            )
+        text = (
+            f"residuals are autocorrelated: standard errors are {lack:.1f} times as large as for white noise, so the "
+            "model lacks an effect, such as another kind of friction, motor ripple, cables or elasticity"
         )
+        notes.append(Finding("autocorrelated residuals", text=text, shown_as="model"))
     return notes + not_separated([name for name, estimate in result.parameters.items() if estimate.value is None])
 
 
