@@ -85,13 +85,13 @@ class Effort:
 
 @dataclass(frozen=True)
 class Altered:
-    """Columns of the joints ``altered`` read otherwise: what is ``left`` and was left ``before`` (n,) of all.
+    """Columns of the joints ``altered`` read otherwise: what is left of all ``after`` that and was ``before`` (n,).
 
     ``chosen`` is how many numbers that chooses.
     """
 
     kind: str
-    left: np.ndarray
+    after: np.ndarray
     before: np.ndarray
     altered: list[int]
     chosen: int = 0
@@ -105,13 +105,13 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
     joints = joint_rows(dataset, slowest)
     if not joints:
         return Effort()
-    shares = np.array([joint.left(joint.effort) for joint in joints])  # (n, n + 1)
+    shares = np.array([joint.shares_of(joint.effort) for joint in joints])  # (n, n + 1)
     logged, counts = np.diag(shares), np.array([_independent(joint, j) for j, joint in enumerate(joints)])
     rows = float(counts.sum())
 
-    def gain(left: np.ndarray, before: np.ndarray = logged) -> float:
+    def gain(after: np.ndarray, before: np.ndarray = logged) -> float:
         """Compute the log-likelihood over the columns as stated."""
-        return float(counts @ np.log(np.maximum(before, TINY) / np.maximum(left, TINY)))
+        return float(counts @ np.log(np.maximum(before, TINY) / np.maximum(after, TINY)))
 
     none = gain(np.full(len(logged), MISFIT))
     tried: list[tuple[float, str, tuple[Finding, ...]]] = [(0.0, AS_STATED, ()), (none, NONE, ())]
@@ -120,7 +120,7 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
     others += _exchanged(joints, logged) if torques and none < 0 else ()
     for other in others:
         findings = _altered_findings(other, joints, counts, dataset)
-        tried.append((gain(other.left, other.before) - other.chosen / 2 * np.log(rows), other.kind, findings))
+        tried.append((gain(other.after, other.before) - other.chosen / 2 * np.log(rows), other.kind, findings))
     gains = np.array([gain(with_gravity(joints, share)) for share in SHARES])
     held = np.array(SHARES)[gains > gains.max() - LIKELY_SHARES]
     low, high = float(held.min()), float(held.max())
@@ -141,7 +141,7 @@ def effort_of(dataset: Dataset, slowest: float) -> Effort:
             tried.append((2 * turned**2, REVERSED_CHANNELS, (opposite,)))
     if not _wrenches(dataset) and missing and without > MEANING_CLOSE:
         tried.append((without, WITHOUT_GRAVITY, ()))
-    _, kind, findings = max(tried, key=lambda each: each[0])
+    _, kind, findings = max(tried, key=lambda reading: reading[0])
     return Effort(kind, findings, (low, high), as_well and low <= NO_GRAVITY and by_inertias is None, scale)
 
 
@@ -179,14 +179,14 @@ def _permuted(shares: np.ndarray, counts: np.ndarray) -> Iterator[Altered]:
 
 def _magnitudes(joints: Sequence[JointRows], logged: np.ndarray) -> Iterator[Altered]:
     """Give columns without negative values the signs with which the equations explain most of them."""
-    left = logged.copy()
+    after = logged.copy()
     for j, joint in enumerate(joints):
         effort = joint.effort[:, j]
         if effort.size and effort.min() > -HARDLY_NEGATIVE * effort.max():
-            left[j] = joint.left(signed(joint.basis, effort))
-    altered = np.flatnonzero(left < SWAPPED * logged).tolist()
+            after[j] = joint.shares_of(signed(joint.basis, effort))
+    altered = np.flatnonzero(after < SWAPPED * logged).tolist()
     if altered:
-        yield Altered(MAGNITUDES, left, logged, altered, len(altered))
+        yield Altered(MAGNITUDES, after, logged, altered, len(altered))
 
 
 def _exchanged(joints: Sequence[JointRows], logged: np.ndarray) -> Iterator[Altered]:
@@ -201,9 +201,9 @@ def _exchanged(joints: Sequence[JointRows], logged: np.ndarray) -> Iterator[Alte
         if wrong[pair].any():
             exchanged = order.copy()
             exchanged[pair] = pair[::-1]
-            left = fitted_together(joints, exchanged)
-            if np.all((left < SWAPPED * before)[pair]):
-                yield Altered(SWAPPED_CHANNELS, left, before, pair)
+            after = fitted_together(joints, exchanged)
+            if np.all((after < SWAPPED * before)[pair]):
+                yield Altered(SWAPPED_CHANNELS, after, before, pair)
 
 
 def _altered_findings(
@@ -215,10 +215,10 @@ def _altered_findings(
     if other.kind == LATE_CURRENTS:
         findings = []
         for j, name in zip(altered, names, strict=True):
-            lag, left, before = joints[j].lag or 0.0, other.left[j], other.before[j]
+            lag, after, before = joints[j].lag or 0.0, other.after[j], other.before[j]
             text = (
                 f"the {kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
-                f"{100 * left:.2g} % is unexplained after shifting them, {100 * before:.2g} % as logged"
+                f"{100 * after:.2g} % is unexplained after shifting them, {100 * before:.2g} % as logged"
             )
             advice = (
                 "log them with the time stamps of the positions, or if all joints are equally late, write "
@@ -228,8 +228,8 @@ def _altered_findings(
         return tuple(findings)
     # means as the likelihood weighs them, so that what is likelier leaves less
     after, before = (
-        float(np.exp(np.average(np.log(np.maximum(left[altered], TINY)), weights=counts[altered])))
-        for left in (other.left, other.before)
+        float(np.exp(np.average(np.log(np.maximum(shares[altered], TINY)), weights=counts[altered])))
+        for shares in (other.after, other.before)
     )
     if other.kind == SWAPPED_CHANNELS:
         how = "swapped" if len(names) == 2 else "permuted"

@@ -56,7 +56,7 @@ class JointRows:
         """Triangle of its columns, gravity's part of them, and all efforts."""
         return triangle(np.hstack([self.columns, self.weight, self.effort]))
 
-    def left(self, effort: np.ndarray) -> np.ndarray:
+    def shares_of(self, effort: np.ndarray) -> np.ndarray:
         """Compute the shares of columns (K, m), or of one, that the equations leave, rms."""
         return unexplained(self.basis, effort)
 
@@ -189,11 +189,11 @@ def _lags(
 
 def with_gravity(joints: Sequence[JointRows], share: float) -> np.ndarray:
     """Fit the columns with a ``share`` of gravity, relative to inertia: the shares that they leave (n,)."""
-    left = []
+    shares = []
     for j, joint in enumerate(joints):
         R, p = joint.factor, joint.columns.shape[1]
-        left.append(unexplained(basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p]), R[:, 2 * p + j]))
-    return np.array(left)
+        shares.append(unexplained(basis_of(R[:, :p] - (1 - share) * R[:, p : 2 * p]), R[:, 2 * p + j]))
+    return np.array(shares)
 
 
 def fitted_together(joints: Sequence[JointRows], order: np.ndarray) -> np.ndarray:
@@ -206,13 +206,13 @@ def fitted_together(joints: Sequence[JointRows], order: np.ndarray) -> np.ndarra
         rows[-1][:, joint.names] = R[:, :p]
         efforts.append(R[:, 2 * p + column])
     norms = np.array([max(float(np.linalg.norm(effort)), 1e-300) for effort in efforts])
-    left = np.ones(len(joints))
+    shares = np.ones(len(joints))
     for _ in range(REWEIGHTED):
-        weights = 1 / (norms * np.maximum(left, TINY))
+        weights = 1 / (norms * np.maximum(shares, TINY))
         J, e = (np.concatenate([w * part for w, part in zip(weights, parts, strict=True)]) for parts in (rows, efforts))
         theta = least_squares_step(J, -e)
-        left = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
-    return left
+        shares = np.array([np.linalg.norm(v - A @ theta) for v, A in zip(efforts, rows, strict=True)]) / norms
+    return shares
 
 
 def signed(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:

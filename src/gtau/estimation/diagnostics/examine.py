@@ -99,7 +99,7 @@ class Examination:
         if self.refits:
             return self.refits
         beyond_physics = [effect for effect in self.effects if effect.effect not in DESCRIPTIONS]
-        found = [
+        contradicting = [
             # of one effect on several joints, all of which change where one does, the largest
             max((other for other in beyond_physics if other.effect == effect.effect), key=lambda other: abs(other.size))
             if effect in beyond_physics
@@ -111,7 +111,7 @@ class Examination:
             and not effect.beyond
             and abs(effect.size) > REFUTED_STD * effect.std
         ]
-        return tuple(sorted(dict.fromkeys(found), key=lambda effect: -effect.share))
+        return tuple(sorted(dict.fromkeys(contradicting), key=lambda effect: -effect.share))
 
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:

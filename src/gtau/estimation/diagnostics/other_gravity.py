@@ -124,21 +124,21 @@ def _described(
     joints, before = unaltered.system.problem.joints, unaltered.solution.sigma
     shares, ratio = before / unaltered.system.problem.balance(unaltered.solution.theta), other.solution.sigma / before
     helped = [j for j in range(len(joints)) if ratio[j] <= most]
-    left = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
+    unexplained = {joints[j]: [float(shares[j]), float(shares[j] * ratio[j])] for j in helped}
     rest = ""
-    if left:
-        joint, (declared, after) = max(left.items(), key=lambda entry: entry[1][0])
+    if unexplained:
+        joint, (declared, after) = max(unexplained.items(), key=lambda entry: entry[1][0])
         rest = f", which leaves {100 * after:.2g} % of '{joint}' unexplained instead of {100 * declared:.2g} %,"
     gravity, floating = list(other.dataset.robot.gravity), bool(unaltered.dataset.robot.floating)
-    values = {"gravity": gravity, "also": also, "left": left, "remains": residual_ratio(other, unaltered)}
+    values = {"gravity": gravity, "also": also, "left": unexplained, "remains": residual_ratio(other, unaltered)}
     if any(gravity):
         along = " or ".join(map(_direction, [gravity, *also]))
         text = f"gravity along {along} of the {'world' if floating else 'base'}{rest}"
         advice = gravity_advice(gravity, floating)
-        cause = Finding(OTHER_GRAVITY, tuple(left), values=values, text=text, advice=advice)
+        cause = Finding(OTHER_GRAVITY, tuple(unexplained), values=values, text=text, advice=advice)
     else:
         text = f"torques without gravity, as from a driver that compensates it{rest}"
-        cause = Finding(WITHOUT_GRAVITY, tuple(left), values=values, text=text, advice=log_with_gravity())
+        cause = Finding(WITHOUT_GRAVITY, tuple(unexplained), values=values, text=text, advice=log_with_gravity())
     return described_otherwise(fit, GRAVITY.name, cause, other, unaltered)
 
 

@@ -269,5 +269,5 @@ def fit_poses(start: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
         solved = least_squares(residual, first, slopes, x_scale="jac", ftol=SETTLED, max_nfev=STEPS)
     except ValueError:  # not finite, as the loops cannot follow
         return None
-    found = at(solved.x)
-    return found if found is not None and np.isfinite(found.columns).all() else None
+    fitted = at(solved.x)
+    return fitted if fitted is not None and np.isfinite(fitted.columns).all() else None

@@ -74,21 +74,21 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
     mean, covariance = at.move(F / plausible[:, None], [part / plausible[:, None] for part in own])
     precision = np.linalg.pinv(covariance, rcond=SPANNED, hermitian=True)
     information, score = precision - np.eye(len(listed)), precision @ mean
-    explained, chosen, found = Influence(result), list[int](), list[EstimatedEffect]()
+    explained, chosen, effects = Influence(result), list[int](), list[EstimatedEffect]()
     while len(chosen) < len(listed):
         # what is left of each once those chosen are fitted
         held = information[np.ix_(chosen, chosen)]
         slopes = np.linalg.solve(held, information[chosen]) if chosen else np.zeros((0, len(listed)))
-        left = score - score[chosen] @ slopes
+        remaining = score - score[chosen] @ slopes
         curvature = np.diag(information) - np.einsum("ij,ij->j", information[chosen], slopes)
         curvature = np.where(np.isin(range(len(listed)), chosen) | (curvature < SPANNED), np.inf, curvature)
-        gains = left**2 / curvature / 2
+        gains = remaining**2 / curvature / 2
         best = int(np.argmax(gains))
         if gains[best] < CONTRADICTED:
             break
         chosen.append(best)
         effect, column, common, parts = listed[best]
-        size = float(left[best] / curvature[best])
+        size = float(remaining[best] / curvature[best])
         share, moves, _ = explained(size * (common != 0), [size * (part != 0) for part in parts])
         size, std = size * column.plausible, float(column.plausible / np.sqrt(curvature[best]))
         cause = effect.cause(result.rows.fit, column, size)
@@ -97,12 +97,14 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
         ]
         if alike:
             other, other_column = listed[alike[0]][:2]
-            other_size = float(left[alike[0]] / curvature[alike[0]] * other_column.plausible)
+            other_size = float(remaining[alike[0]] / curvature[alike[0]] * other_column.plausible)
             also, _ = other.say(result.rows.fit, other_column, other_size)
             cause = replace(cause, text=f"{cause.text}, or as likely {also}")
-        found.append(EstimatedEffect(effect.name, cause, size, std, column.unit, float(gains[best]), share, moves, True,
-                                     abs(size) > column.largest))  # fmt: skip
-    return tuple(found)
+        likelihood, beyond = float(gains[best]), abs(size) > column.largest
+        effects.append(
+            EstimatedEffect(effect.name, cause, size, std, column.unit, likelihood, share, moves, True, beyond)
+        )
+    return tuple(effects)
 
 
 def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[EffectColumn, np.ndarray, list[np.ndarray]]]:
@@ -146,7 +148,7 @@ class Influence:
         self.inverse = np.linalg.pinv(J, rcond=1e-10, hermitian=True)
         e = model.known[:k, k] + sum(part[self.unknown, -1] for part in self.plain)
         square = sum(float(part[-1, -1]) for part in self.plain)
-        self.e, self.left = e, max(square - float(e @ self.inverse @ e), 1e-300)
+        self.e, self.squares = e, max(square - float(e @ self.inverse @ e), 1e-300)
 
     def __call__(self, common: np.ndarray, own: Sequence[np.ndarray]) -> tuple[float, dict[str, float], float]:
         """Compute share, moves of the gains (per cent), and the largest rms torque over the torque of its joint.
@@ -169,7 +171,7 @@ class Influence:
             torque = max(torque, rms / max(float(fit.system.problem.balance(fit.solution.theta)[j]), 1e-300))
         step = self.inverse @ J_c
         rest = c_c - float(J_c @ step)
-        share = -(2 * (c_e - float(step @ self.e)) + rest) / self.left
+        share = -(2 * (c_e - float(step @ self.e)) + rest) / self.squares
         move = self.result.linear.slopes[:, :k] @ step
         gains = fit.solution.gains
         moves = {
