@@ -198,9 +198,9 @@ def require_motion(fit: Fit, estimates: Estimates) -> None:
     problem, dataset = fit.system.problem, fit.dataset
     parts, gains = slice(problem.n_theta), problem.gain_rows
     values, covariance = estimates.values[parts], estimates.covariance
-    # at the gains as estimated: a scale that nothing determines, such as that of noise, is another matter
-    of_gains = covariance[parts, gains] @ np.linalg.pinv(covariance[gains, gains], hermitian=True)
-    std = np.sqrt(np.maximum(np.diag(covariance)[parts] - np.sum(of_gains * covariance[parts, gains], axis=1), 0.0))
+    # at the gains as estimated: a scale that nothing determines, such as the scale of noise, is another matter
+    by_gains = covariance[parts, gains] @ np.linalg.pinv(covariance[gains, gains], hermitian=True)
+    std = np.sqrt(np.maximum(np.diag(covariance)[parts] - np.sum(by_gains * covariance[parts, gains], axis=1), 0.0))
     inertial = np.array([name.kind in (*INERTIAL, "ia") for name in problem.parameters])
     worst = int(np.argmax(shares := unexplained_shares(problem, fit.solution)))
     if shares[worst] > 1 and inertial.any() and np.all(np.abs(values) < DETERMINED * std, where=inertial):

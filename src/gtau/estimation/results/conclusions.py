@@ -10,7 +10,7 @@ from gtau.estimation.diagnostics.verdict import LONGER
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import Result
-from gtau.estimation.results.torque_scale import listed, torque_headline
+from gtau.estimation.results.torque_scale import enumerated, torque_headline
 from gtau.findings import Finding, Grade
 from gtau.findings.words import moment, percent_text
 from gtau.robots.parameter import TEMPERATURE_TERMS
@@ -87,7 +87,7 @@ def _known(result: Result) -> str:
     weak = {gain.name: gain.half_width or 0.0 for gain in gains if gain.verdict.outcome == Grade.WEAK}
     wide = [f"'{name}'{{}} to +-{percent_text(width, accuracy)} %" for name, width in weak.items() if width > accuracy]
     if wide:
-        sentences.append(listed([text.format("" if k else " is known") for k, text in enumerate(wide)]) + ".")
+        sentences.append(enumerated([text.format("" if k else " is known") for k, text in enumerate(wide)]) + ".")
     # for what is wrong elsewhere
     if doubted := [name for name, width in weak.items() if width <= accuracy]:
         sentences.append(f"{_subject(doubted, 'is', 'are')} in doubt.")
@@ -145,7 +145,7 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
 
 def _subject(joints: Sequence[str], one: str, several: str) -> str:
     """Begin a sentence on joints, with its verb for one of them or several."""
-    names = listed([f"'{joint}'" for joint in joints])
+    names = enumerated([f"'{joint}'" for joint in joints])
     return f"Joint {names} {one}" if len(joints) == 1 else f"Joints {names} {several}"
 
 

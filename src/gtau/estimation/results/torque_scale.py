@@ -95,7 +95,7 @@ def torque_headline(result: Result) -> str:
     sentences, wrong, right = [], by_state.get("wrong", []), by_state.get("consistent with 1", [])
     if wrong:
         parts = [f"{_reported(scale)}{' of the torque' * (k == 0)} at '{scale.joint}'" for k, scale in enumerate(wrong)]
-        sentences.append(f"The arm reports {listed(parts)} (95 % intervals).")
+        sentences.append(f"The arm reports {enumerated(parts)} (95 % intervals).")
     if right:
         widest = percent_text(max(scale.gain.half_width or 0.0 for scale in right))
         known = f"consistent with 1, known to within {widest} %{'' if wrong else ' (95 % intervals)'}"
@@ -111,7 +111,7 @@ def torque_headline(result: Result) -> str:
 
 
 def _scales_are(members: Sequence[TorqueScale], state: str, called: str = "") -> str:
-    names = called or listed([f"'{scale.joint}'" for scale in members])
+    names = called or enumerated([f"'{scale.joint}'" for scale in members])
     return (
         f"The torque scale{'s' if len(members) > 1 else ''} of {names} {'are' if len(members) > 1 else 'is'} {state}."
     )
@@ -123,7 +123,7 @@ def _reported(scale: TorqueScale) -> str:
     return f"{value} ({low} to {high})"
 
 
-def listed(parts: Sequence[str]) -> str:
+def enumerated(parts: Sequence[str]) -> str:
     """Join parts by commas, and the last by 'and'."""
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" and {parts[-1]}"
 
