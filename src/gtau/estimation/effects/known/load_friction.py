@@ -1,8 +1,9 @@
 """Friction that grows with the load of a joint.
 
 The load is the model's, without friction, as in the term ``fl``: the measured current is the friction itself where
-friction exceeds the load, so it would explain the noise of the current and any drive gain. The model cannot tell the
-inertia of some links from their rotor's, which the gear does not transmit: a second column takes the rotor out of it.
+friction exceeds the load, so it would explain the noise of the current and any drive gain. The model does not
+separate the inertia of some links from their rotor's, which the gear does not transmit: a second column takes the rotor
+out of it.
 """
 
 from __future__ import annotations
