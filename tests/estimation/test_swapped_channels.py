@@ -62,9 +62,9 @@ def test_right_columns_are_good(runs: list[Run]) -> None:
     for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
         assert gain.verdict.outcome == Grade.GOOD
         assert gain.value == pytest.approx(truth, rel=2e-3)
-    left = np.array([joint.left(joint.effort[:, :4]) for joint in joint_rows(reduce_runs(SCARA, runs), 0.0)])
-    assert np.all(np.diag(left) < 0.01)
-    assert np.all(left[~np.eye(4, dtype=bool)] > 0.03)
+    shares = np.array([joint.shares_of(joint.effort[:, :4]) for joint in joint_rows(reduce_runs(SCARA, runs), 0.0)])
+    assert np.all(np.diag(shares) < 0.01)
+    assert np.all(shares[~np.eye(4, dtype=bool)] > 0.03)
 
 
 @pytest.mark.slow
