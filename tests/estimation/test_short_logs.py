@@ -23,7 +23,7 @@ def test_no_lag_without_acceleration_that_shows_it(rng: np.random.Generator, ine
     columns, nothing = np.column_stack([acceleration, friction]), np.zeros((400, 2))
     effort = np.column_stack([logged, shifted])
     joint = JointRows(columns, nothing, columns * [0.0, 1.0], np.array([0, 1]), effort, -0.25)
-    assert bool(list(_late([joint], joint.left(effort)[None]))) == late
+    assert bool(list(_late([joint], joint.shares_of(effort)[None]))) == late
 
 
 @pytest.mark.parametrize(("share", "value", "refused"), [(7.0, 0.1, True), (0.3, 0.1, False), (7.0, 9.0, False)])
