@@ -438,7 +438,7 @@ MODELS = [
     ),
     Case(
         "noise of one joint",
-        "'prediction_cutoffs' and 'position_noise' are not",
+        "'prediction_cutoffs' and 'position_noise' do not have a value for each joint",
         _model(lambda text: re.sub(r'"position_noise": \[[^]]*', '"position_noise": [0.0', text, count=1)),
         VALIDATE,
     ),
