@@ -6,9 +6,12 @@ import subprocess
 import sys
 from typing import Any
 
+import numpy as np
 import pytest
 
+from gtau.model.home import load_robot
 from gtau.model.interpreter import kernel
+from gtau.model.inverse_dynamics import InverseDynamics
 
 
 def test_without_a_folder_for_the_cache_the_loops_are_compiled_anyway(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,3 +39,14 @@ def test_help_needs_no_numba() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.endswith("set()\n")
+
+
+def test_paths_of_coupled_joints_do_not_depend_on_what_memory_held() -> None:
+    """Their condition number is a constant, which no instruction of the step computes."""
+    model = InverseDynamics(load_robot("staubli-tx40"))
+    rng = np.random.default_rng(0)
+    q = 0.1 * rng.normal(size=(6, 40))
+    for _ in range(30):
+        poison = [np.full((rows, 200), np.nan) for rows in range(1, 30)]
+        del poison
+        assert np.isfinite(model.path(q)).all()

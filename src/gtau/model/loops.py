@@ -103,7 +103,7 @@ class Loops:
 
     def followed(self, shortest: float) -> tuple[Any, ...]:
         """Return what the compiled loops follow paths with, in steps of at least the share ``shortest``."""
-        programs = tuple(program.bound() for program in (self.step, self.fast_step, self.gap))
+        programs = tuple((*program.bound(), *program.fixed) for program in (self.step, self.fast_step, self.gap))
         actuated = np.array(self.layout.actuated, dtype=np.int64)
         return programs, self.scale, actuated, (shortest, RESIDUAL, CONTRACTION, REACH)
 

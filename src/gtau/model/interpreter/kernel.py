@@ -167,7 +167,9 @@ def _newton(programs, scale, limits, trial, now, going, good, share, used):  # t
     iteration, busy = 0, True
     while True:
         last_of_all = not busy or iteration == ITERATIONS
-        code, signs, rows = programs[2 if last_of_all else min(iteration, 1)]
+        code, signs, rows, constant, values = programs[2 if last_of_all else min(iteration, 1)]
+        for k in range(len(constant)):  # such as the condition number of coupled joints
+            made[constant[k]] = values[k]
         evaluate(code, signs, rows, (trial, nothing, nothing, nothing), made, 0, used, 0)
         if last_of_all:
             break
@@ -245,9 +247,9 @@ def follow(programs, scale, actuated, limits, c, q, starts, filled, length):  # 
     """Fill ``c`` (n_c, N) along ``q`` (n, N) from each of ``starts``: ``length`` samples, or as many as can be reached.
 
     ``filled`` becomes how many were; the sample after them is where the loops closed last. ``programs``, with rows to
-    work with, are a step with its condition number, a step, and the gap; ``limits`` are the shortest step, the largest
-    residual, the contraction and the reach; ``scale`` (n_c,) makes entries of c rad or lengths over the characteristic
-    length. The initial guess extrapolates the parabola through the last three samples.
+    work with and their constant outputs, are a step with its condition number, a step, and the gap; ``limits`` are the
+    shortest step, the largest residual, the contraction and the reach; ``scale`` (n_c,) makes entries of c rad or
+    lengths over the characteristic length. The initial guess extrapolates the parabola through the last three samples.
     """
     n_c, samples, paths = len(c), c.shape[1], programs[0][2].shape[1]
     now, guess, target = np.empty((n_c, paths)), np.empty((n_c, paths)), np.empty((len(q), paths))
