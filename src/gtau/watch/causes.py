@@ -115,12 +115,7 @@ def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarra
 
 
 def _stated(
-    model: Result,
-    log: LogStatistics,
-    heaviest: float,
-    hypothesis: Hypothesis,
-    sizes: np.ndarray,
-    halves: np.ndarray,
+    model: Result, log: LogStatistics, heaviest: float, hypothesis: Hypothesis, sizes: np.ndarray, halves: np.ndarray
 ) -> Cause | None:
     """State the parameter of a hypothesis whose interval does not hold 0: the first, unless only another is certain."""
     kind, joint, columns = hypothesis
