@@ -315,7 +315,7 @@ def test_inactive_equalities_are_left_out_and_said(tmp_path: Path) -> None:
 
 LEFT_OUT = [
     ("material", '<body name="b"><site material="m"/><geom size="1" material="m"/></body>',
-     '<asset><material name="m"/></asset>', "the file states no masses, and those of its shapes at the density of"),
+     '<asset><material name="m"/></asset>', "the file states no masses, and masses of its shapes at the density of"),
     ("keyframe", "", '<keyframe><key name="home" qpos="0.3 0.2"/></keyframe>', "keyframe 'home' has 2 positions for 1"),
     ("loose body", '<body name="f"><freejoint/></body>', "", "free body 'f' attached to nothing: left out"),
     ("site", '<site name="s"/>', '<actuator><motor joint="j"/><motor name="m" site="s"/></actuator>',

@@ -135,8 +135,8 @@ def _fields(annotation: Any, keys: KeyPath) -> set[str]:
     if not keys or not arguments:
         return set()
     # of a dict its values, of a list or tuple its items
-    of_tuple = origin is tuple and isinstance(keys[0], int) and keys[0] < len(arguments)
-    item = arguments[int(keys[0]) if of_tuple else -1]
+    in_tuple = origin is tuple and isinstance(keys[0], int) and keys[0] < len(arguments)
+    item = arguments[int(keys[0]) if in_tuple else -1]
     return _fields(arguments[0] if item is Ellipsis else item, keys[1:])
 
 

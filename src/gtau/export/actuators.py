@@ -37,7 +37,7 @@ from gtau.robots.robot import Limits
 from gtau.simulation.mujoco_plant import STEP
 
 TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
-OF_DRIVE = ("armature", "damping", "frictionloss")
+DRIVE_ATTRIBUTES = ("armature", "damping", "frictionloss")
 """Attributes of a joint of MJCF that belong to its drive."""
 ISAACLAB = {
     "armature": "armature",
@@ -270,7 +270,7 @@ def _body_texts(
     outer = SubElement(SubElement(drives, "default"), "default", {"class": "drives"})
     for joint in root.iter("joint"):
         if (name := joint.get("name")) in driven:  # an equality names no joint
-            values = {key: joint.attrib.pop(key) for key in OF_DRIVE if key in joint.attrib}
+            values = {key: joint.attrib.pop(key) for key in DRIVE_ATTRIBUTES if key in joint.attrib}
             SubElement(SubElement(outer, "default", {"class": f"drive {name}"}), "joint", values)
             joint.set("class", f"drive {name}")
     elements = SubElement(drives, "actuator")

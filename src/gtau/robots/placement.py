@@ -95,7 +95,7 @@ class WrenchFrame(NamedTuple):
     """
 
     body: str
-    of_world: bool = False
+    in_world: bool = False
 
 
 def compose(first: Placement, second: Placement) -> Pose:

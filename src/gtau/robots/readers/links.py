@@ -113,11 +113,11 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
     Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
     from the body's frame, or these as a pose.
     """
-    of_body = f"the frame of '{body}'"
+    body_frame = f"the frame of '{body}'"
     if isinstance(frame, Pose):
         return f"a frame on '{body}'", frame
     if not frame:
-        return of_body, Pose()
+        return body_frame, Pose()
     words = frame.replace(",", " ").split()
     try:
         numbers = [float(word) for word in words]
@@ -125,10 +125,10 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
         return frame, _link(body, frame, file)
     if len(numbers) != 6:
         raise GtauError(
-            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {of_body}."
+            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {body_frame}."
         )
     x, y, z, roll, pitch, yaw = numbers
-    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {of_body}", Pose((x, y, z), (roll, pitch, yaw))
+    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {body_frame}", Pose((x, y, z), (roll, pitch, yaw))
 
 
 def links_on(body: str, file: str | Path) -> list[str]:
