@@ -31,8 +31,8 @@ NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 def export(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
 
-    Raises GtauError where the result has no physically consistent parameters, the file describes another robot, or its
-    bodies do not appear in it one by one.
+    Raises GtauError without consistent parameters, or if the file describes another robot or includes or repeats
+    bodies.
     """
     mujoco = imported()
     model = consistent_model(result, "MJCF")
@@ -67,7 +67,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
 
 
 def _within(element: Element, *tags: str) -> Iterator[Element]:
-    """List the elements of a kind in the order in which MuJoCo numbers them: bodies at any depth, joints of a body."""
+    """List elements in MuJoCo's order: bodies at any depth, or joints of one body."""
     for child in element:
         if child.tag in tags:
             yield child

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
 TINY = 1e-9  # kg m2: smaller inertias belong to frames that have none
-SLACK = 1e-2  # by which the largest principal moment may exceed the sum of the others: files round to a few digits
-HEAVIEST = 1000.0  # kg, and times the median mass of the file
+SLACK = 1e-2  # excess of the largest principal moment over the sum of the others: files round to a few digits
+HEAVIEST = 1000.0  # largest mass in kg, and over the median mass of the file
 SHOWN = 4  # bodies that a note lists
 
 
@@ -49,7 +49,7 @@ def _urdf_body(name: str, inertial: Element) -> RigidBody:
 
 
 def mjcf_inertias(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[tuple[str, float], ...]:
-    """Sum MuJoCo's inertias of an MJCF file by what carries each body, with armatures of joints as rotor inertias."""
+    """Sum MuJoCo's inertias of an MJCF file by the carriers of the bodies; armatures of joints are rotor inertias."""
     from gtau.robots.readers.mjcf_file import name_in, rotation_in
 
     model = file.model

@@ -18,7 +18,7 @@ from gtau.robots.readers.xml_document import numbers
 from gtau.robots.robot import Placement, Pose
 
 Blob = tuple[np.ndarray, float]
-"""Points (K, 3), m, and the radius about each: their convex hull encloses a shape."""
+"""Points (K, 3), m, and the radius of a ball about each; the convex hull of the balls encloses a shape."""
 LARGEST_MESH = 64 * 2**20  # bytes
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -59,7 +59,7 @@ def _origin(collision: Element) -> Pose:
 
 
 def _blob(shape: Element, path: Path) -> Blob | None:
-    """Turn a box, sphere, cylinder, capsule or mesh into points and a radius; None for a mesh that is not there."""
+    """Turn a box, sphere, cylinder, capsule or mesh into points and a radius; None for a missing mesh."""
 
     def number(key: str, count: int = 1) -> list[float]:
         return numbers(shape.get(key, ""), count, f"{key} of a {shape.tag} in <collision>")
@@ -80,7 +80,7 @@ def _blob(shape: Element, path: Path) -> Blob | None:
 
 
 def _places(name: str, path: Path) -> Iterator[Path]:
-    """List where the file of a mesh may be: below one of the folders that hold the robot's file."""
+    """List possible places of a mesh file: below the folders that contain the robot's file."""
     scheme, _, rest = name.rpartition("://")
     inside = rest.partition("/")[2]
     if scheme == "package":
@@ -90,7 +90,7 @@ def _places(name: str, path: Path) -> Iterator[Path]:
 
 
 def mesh_points(path: Path) -> np.ndarray | None:
-    """Read the corners (K, 3) of a mesh of STL or OBJ; None for any other format, or where it holds no corner."""
+    """Read the corners (K, 3) of an STL or OBJ mesh; None for other formats or an empty mesh."""
     content = read_at_most(LARGEST_MESH, path, f"{path}: the mesh is larger than 64 MiB; give a simpler one.")
     if path.suffix.lower() == ".stl" and len(content) == 84 + RECORD.itemsize * int.from_bytes(
         content[80:84], "little"
@@ -108,10 +108,10 @@ def mesh_points(path: Path) -> np.ndarray | None:
 
 
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's own frame.
+    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's frame.
 
-    Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
-    from the body's frame, or these as a pose.
+    The ``frame`` is empty for the body's frame, a link of the URDF ``file``, the six numbers ``x y z roll pitch yaw``
+    (m, rad) from the body's frame, or a pose.
     """
     body_frame = f"the frame of '{body}'"
     if isinstance(frame, Pose):
@@ -132,7 +132,7 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
 
 
 def links_on(body: str, file: str | Path) -> list[str]:
-    """List the links of the robot's ``file`` that are fixed to a ``body``; none where it is no URDF."""
+    """List the links of the robot's ``file`` that are fixed to a ``body``; none if it is not a URDF."""
     if Path(file).suffix.lower() != ".urdf":
         return []
     from gtau.robots.readers.urdf_tree import read_urdf_tree
