@@ -164,7 +164,7 @@ def _lengths(robot: Robot) -> Iterator[str]:
 
 
 def _angles(robot: Robot) -> Iterator[str]:
-    # except motor shafts before a gear, which do turn that often
+    # except motor shafts before a gear
     links = (joint for joint in robot.joints if joint.turns and joint.parameters != "drive")
     far = [f"joint '{joint.name}' ({_limits(joint)})" for joint in links if _reach(joint) > TURNS * 2 * pi]
     if far:

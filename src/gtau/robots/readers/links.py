@@ -13,7 +13,7 @@ from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
 from gtau.robots.placement import compose
 from gtau.robots.readers.source import Base
-from gtau.robots.readers.urdf_tree import read_urdf_tree
+from gtau.robots.readers.urdf_tree import origin_of, read_urdf_tree
 from gtau.robots.readers.xml_document import numbers
 from gtau.robots.robot import Placement, Pose
 
@@ -44,18 +44,10 @@ def urdf_shapes(path: Path) -> tuple[dict[str, list[Blob]], dict[str, list[np.nd
             if blob is None:
                 missing[at.body] = missing.get(at.body, 0) + 1
                 continue
-            placement = compose(at.placement, _origin(collision))
+            placement = compose(at.placement, origin_of(collision.find("origin"), "a collision shape")[0])
             points = blob[0] @ placement.rotation.T + placement.position
             shapes.setdefault(at.body, []).append((np.asarray(points), blob[1]))
     return shapes, ends, missing
-
-
-def _origin(collision: Element) -> Pose:
-    origin = collision.find("origin")
-    if origin is None:
-        return Pose()
-    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of a collision shape") for key in ("xyz", "rpy"))
-    return Pose((xyz[0], xyz[1], xyz[2]), (rpy[0], rpy[1], rpy[2]))
 
 
 def _blob(shape: Element, path: Path) -> Blob | None:
@@ -135,8 +127,6 @@ def links_on(body: str, file: str | Path) -> list[str]:
     """List the links of the robot's ``file`` that are fixed to a ``body``; none if it is not a URDF."""
     if Path(file).suffix.lower() != ".urdf":
         return []
-    from gtau.robots.readers.urdf_tree import read_urdf_tree
-
     tree = read_urdf_tree(Path(file), {}, Base())
     links = (link.get("name", "") for link in tree.root.findall("link"))
     return [link for link in links if link in tree.frames and tree.frames[link].body == body]
@@ -148,8 +138,6 @@ def _link(body: str, link: str, file: str | Path | None) -> Placement:
             f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
             f"pitch yaw' (m, rad) from the frame of '{body}'."
         )
-    from gtau.robots.readers.urdf_tree import read_urdf_tree
-
     tree = read_urdf_tree(Path(file), {}, Base())
     on_body = [name for name, frame in tree.frames.items() if frame.body == body]
     if link not in tree.frames:

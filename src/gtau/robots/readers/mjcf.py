@@ -189,7 +189,7 @@ class Motors:
 
 
 def read_motors(file: MjcfFile, kinds: Mapping[str, JointKind]) -> Motors:
-    """Read the actuators; those of fixed tendons become motors only if no other actuator drives a joint.
+    """Read the actuators; tendon actuators become motors only if no other actuator drives a joint.
 
     Such a motor is a shaft on the ground whose position is the tendon's length: the force along a tendon acts on a
     joint by the joint's coefficient in this length. ``kinds`` maps joint names to kinds.
