@@ -120,7 +120,6 @@ def on_terminal() -> bool:
 
 
 def _answered(draft: Draft) -> Draft:
-    """Ask the user for missing information."""
     from gtau.signals.reading.drafting import with_kind, with_masses, with_rate
 
     if "rate" in draft.open:

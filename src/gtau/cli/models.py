@@ -156,7 +156,7 @@ def payload(
         for exported in () if to is None else export_bodies(bodies, to, out):
             written += exported.files
             notes += exported.notes
-    document = {"payloads": payload_documents(weighed), "bodies": bodies_document(bodies)}
+    document: dict[str, Any] = {"payloads": payload_documents(weighed), "bodies": bodies_document(bodies)}
     document |= {"files": [str(path) for path in written], "notes": notes}
     document |= {"gains": gains.value, "gain_uncertainty_included": not exact}
     answer(json_, lambda: document, page, written)

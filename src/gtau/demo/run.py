@@ -101,7 +101,6 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> None:
 
 
 def _document(result: Result, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
-    """Compare true and estimated values; errors are in per cent of the true values."""
     gains = [
         {
             "joint": joint,

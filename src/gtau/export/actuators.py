@@ -198,7 +198,6 @@ def export_isaaclab(result: Result, out: Path) -> Exported:
 
 
 def _fields(motor: Actuator) -> dict[str, Any]:
-    """List the fields of a motor by their names in mjlab."""
     low, high = motor.lags
     fields = {
         "armature": None if motor.armature is None else motor.armature.value,

@@ -78,7 +78,6 @@ def compiled(compile_model: Callable[[], Any]) -> Any:
 
 
 def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, float]]:
-    """Build the spec, and return the parameters that it expresses."""
     robot = model.result.robot
     spec = robot_spec(mujoco, robot, model.values)
     spec.modelname = robot.name

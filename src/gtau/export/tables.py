@@ -151,7 +151,6 @@ def _sum(variable: str, constant: str) -> str:
 
 
 def _geometry(robot: Robot) -> str:
-    """Tabulate the modified Denavit-Hartenberg parameters, as in the paper's Table 2."""
     names = [joint.name for joint in robot.joints]
     label = _labels(names, INDEX)
     lines = []

@@ -91,7 +91,7 @@ def export_into(result: Result, source: Path, out: Path) -> Exported:
 
 
 def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str] = (), loops: str = "") -> Exported:
-    """Return the files with notes on the loops, which are in the file ``loops``, and on effects that a URDF lacks."""
+    """Return the files, with notes on the loops, which are in the file ``loops``, and on effects that a URDF lacks."""
     robot, name = model.result.robot, identifier(model.result.robot.name)
     figures, difference = differences(model, model.values)
     lost = what_is_lost(robot, "a URDF", name, loops)

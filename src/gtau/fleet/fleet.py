@@ -187,7 +187,6 @@ def _digest(path: Path) -> bytes:
 
 
 def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:
-    """Write a new model with its key, or remove an old one that is no longer valid."""
     model, key = _file(out, member), _file(out, member, "key")
     if isinstance(outcome, GtauError):
         key.unlink(missing_ok=True)

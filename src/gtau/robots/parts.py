@@ -149,7 +149,6 @@ def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, flo
 
 
 def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Coupling]:
-    """List the couplings of the joints that are not held."""
     for coupling in robot.couplings:
         terms = coupling.terms
         held = [name for name in terms if name in positions]

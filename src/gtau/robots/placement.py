@@ -209,7 +209,6 @@ def smallest_unit(numbers: Iterable[float]) -> float:
 
 
 def _digits(number: float) -> tuple[int, int]:
-    """Count the significant digits of a number and return the exponent of its last one."""
     _, digits, exponent = Decimal(repr(float(number))).normalize().as_tuple()
     return len(digits), int(exponent)
 

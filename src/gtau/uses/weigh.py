@@ -153,7 +153,6 @@ def _contradiction(system: System, solution: Solution, gains: np.ndarray) -> Fin
 
 
 def _identified_gains(model: Result) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gains (n,) of a model and their covariance (n, n)."""
     rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in model.robot.actuated]
     return model.gains, model.covariance[np.ix_(rows, rows)]
 

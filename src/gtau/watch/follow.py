@@ -162,7 +162,6 @@ def _lines(text: bytes, count: int) -> bytes:
 
 
 def _replaced(log: Path, file: BinaryIO) -> bool:
-    """Return whether a log is another file than the open one, or has been cut."""
     with suppress(FileNotFoundError):
         state = log.stat()
         return not os.path.samestat(state, os.fstat(file.fileno())) or state.st_size < file.tell()

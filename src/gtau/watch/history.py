@@ -171,7 +171,6 @@ class History:
             self.settings = read_group(WatchSettings, str(self.path), document)
 
     def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
-        """Open a database, and create the tables if there are settings."""
         self._database = sqlite3.connect(uri, PATIENCE, isolation_level=None, check_same_thread=False, uri=True)
         if settings:
             self._database.executescript(TABLES)
@@ -205,7 +204,6 @@ class History:
         return read_group(Alarm, str(self.path), self._document(text)) if text else None
 
     def _one(self, query: str, *values: Any) -> Any:
-        """Return the first value of the first row, or None."""
         return (self._database.execute(query, values).fetchone() or (None,))[0]
 
     def save(self, settings: WatchSettings) -> None:

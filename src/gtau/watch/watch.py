@@ -243,7 +243,6 @@ class Watch:
     def _do(
         self, kind: str, subject: str, alarm: Alarm | None = None, note: str = "", details: Mapping[str, object] = {}
     ) -> None:
-        """Record an event and the alarm that remains after it."""
         with self.history.writing():
             before = self.alarm and self.alarm.model_dump_json()
             self.history.add_event(kind, subject, note=note, details={**details, "alarm": before})

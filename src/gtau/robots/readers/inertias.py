@@ -87,7 +87,11 @@ def urdf_masses(root: Element, frames: Mapping[str, Attachment]) -> Iterator[str
     for name, mass in masses.items():
         if mass < 0.0 or mass > max(HEAVIEST * typical, HEAVIEST):
             odd.append(f"link '{name}' (line {line_of(links[name])}) weighs {mass:,.0f} kg")
-    yield from _note(odd)
+    if odd:
+        yield (
+            f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
+            "but correct them before you use the file elsewhere"
+        )
     moved: dict[str, list[str]] = {}
     for link, joint in carried.items():
         moved.setdefault(joint, []).append(link)
@@ -112,11 +116,3 @@ def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
     if moments[2] > (1.0 + SLACK) * (moments[0] + moments[1]):
         return [f"{where}, the largest above the sum of the others"]
     return []
-
-
-def _note(odd: list[str]) -> Iterator[str]:
-    if odd:
-        yield (
-            f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
-            "but correct them before you use the file elsewhere"
-        )

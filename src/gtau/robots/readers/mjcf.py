@@ -79,7 +79,10 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     kinds = {joint.name: joint.kind for joint in bodies.joints}
     limited = list(limited_tendons(file, kinds, {tie.joint for tie in ties}))
     motors, forces = read_motors(file, kinds), efforts(file.spec)
-    joints = tuple(_with_effort(joint, forces) for joint in (*bodies.joints, *motors.shafts))
+    joints = tuple(
+        replace(joint, limits=replace(joint.limits, effort=forces.get(joint.name)))
+        for joint in (*bodies.joints, *motors.shafts)
+    )
     couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
     rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
@@ -109,10 +112,6 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         ),
     )
     return _without_idle_joints(robot, held, motors.pulled, base)
-
-
-def _with_effort(joint: Joint, largest: Mapping[str, float]) -> Joint:
-    return replace(joint, limits=replace(joint.limits, effort=largest.get(joint.name)))
 
 
 def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alone: bool) -> None:
@@ -262,7 +261,6 @@ def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
 
 
 def _carriers(robot: Robot) -> dict[str, set[str]]:
-    """List the joints, and the ground, that carry each joint."""
     carriers: dict[str, set[str]] = {GROUND: set()}
     for joint in robot.joints:
         carriers[joint.name] = carriers[joint.antecedent] | {joint.antecedent}
@@ -270,7 +268,6 @@ def _carriers(robot: Robot) -> dict[str, set[str]]:
 
 
 def _trees(robot: Robot) -> list[set[str]]:
-    """Group the joints by the trees rooted at the ground."""
     trees: dict[str, set[str]] = {}
     for joint in robot.joints:
         trees[joint.name] = trees.get(joint.antecedent, set())

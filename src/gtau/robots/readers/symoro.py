@@ -31,15 +31,11 @@ def read_par(path: str | Path) -> Robot:
     """
     path = Path(path)
     try:
-        return _robot(_text(path), path)
+        larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
+        content = read_at_most(MAX_BYTES, path, larger)
+        return _robot(content.decode("latin-1"), path)  # old programs wrote accents; the entries read are ASCII
     except GtauError as error:
         raise type(error)(f"{path}: {error}") from None
-
-
-def _text(path: Path) -> str:
-    larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
-    content = read_at_most(MAX_BYTES, path, larger)
-    return content.decode("latin-1")  # older programs wrote accents in it; the entries read are ASCII
 
 
 def _robot(text: str, path: Path) -> Robot:

@@ -62,8 +62,6 @@ KINDS: dict[str, JointKind | None] = {
 
 @dataclass(frozen=True)
 class _Edge:
-    """A URDF joint as written in the file."""
-
     name: str
     kind: JointKind | None  # None where nothing moves
     parent: str
@@ -276,7 +274,6 @@ def _mimics_of_gazebo(root: Element, free: Collection[str]) -> tuple[Coupling, .
 
 
 def _check_circles(couplings: Sequence[Coupling]) -> None:
-    """Refuse circular mimic joints."""
     master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
     for first in master:
         circle = [first]
@@ -380,7 +377,6 @@ def _range(edge: _Edge) -> tuple[float, float] | None:
 
 
 def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
-    """Note position limits with an empty range, which are ignored."""
     ranges = [(edge.name, *(_range(edge) or (0.0, 1.0))) for edge in ordered if edge.kind is not None]
     dropped = [f"'{name}' ({low:g} to {high:g})" for name, low, high in ranges if low >= high]
     if dropped:

@@ -43,8 +43,6 @@ def read_xml(path: Path) -> Element:
 
 
 class _Element(Element):
-    """An XML element with its line number."""
-
     line = 0
 
 
