@@ -14,6 +14,7 @@ from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
+    from gtau.signals.run import Run
     from gtau.watch.follow import Read
     from gtau.watch.watch import Status, Watch
 
@@ -78,20 +79,24 @@ def watch(
     tolerances = None if experiment is None else read_experiment(experiment).tolerances
     settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
     read = partial(read_log, result, experiment=experiment, payload=payload)
+    watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
     if power:
-        from gtau.report.watch import power_page, power_rows
-
-        imagined = Watch(result, None, tolerances, baseline=baseline, **settings)
-        imagined.imagine(read(given[-1]))
-        answer(json_, lambda: power_rows(imagined), lambda: power_page(imagined))
+        _show_power(watched, read(given[-1]), json_)
         return
-    watched = Watch(result, out, tolerances, baseline=baseline, **settings)
     for action, subject in actions.items():
         if subject is not None:
             getattr(watched, action)(subject)
     statuses = blocks(watched, sources[0], read, block) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
+
+
+def _show_power(watched: Watch, run: Run, as_json: bool) -> None:
+    """Show the changes that the motion of a log can reveal."""
+    from gtau.report.watch import power_page, power_rows
+
+    watched.imagine(run)
+    answer(as_json, lambda: power_rows(watched), lambda: power_page(watched))
 
 
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -104,24 +104,13 @@ def weigh(
         )
     if not np.all(moving) and gains == "identified":
         dataset = replace(dataset, reference=reference_of(model))
-    solve = partial(wls, gains=g_tau)
-    system = select_friction(dataset, solve, progress)
-    if _lost(system) and gains == "identified":
-        system = select_friction(replace(dataset, reference=reference_of(model)), solve, progress)
-    if _lost(system):
-        raise GtauError(
-            f"{where}the runs cannot separate the payload from the robot itself; add a run without payload, or "
-            "with a payload whose parameters are all known."
-        )
+    system = _separating(model, dataset, g_tau, gains == "identified", where, progress)
     by_model = system.dataset.reference is not None
     solver = _with_gains_of_today if by_model else wls
     solution = solver(system.problem, g_tau)
     total = solution.jackknife + scale_uncertainty(system, partial(solver, gains=g_tau))
     if covariance.any():
-        # derivatives (k, n) of the estimates by the gains
-        steps = 1e-4 * g_tau
-        moved = np.stack([solver(_moved(model, system, step), g_tau + step).values for step in np.diag(steps)], axis=1)
-        slopes = (moved - solution.values[:, None]) / steps
+        slopes = _slopes(model, system, solver, solution, g_tau)
         total = total + slopes @ covariance @ slopes.T
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, by_model)
@@ -172,10 +161,20 @@ def _reduced(model: Result, runs: Sequence[Run], progress: Progress) -> Dataset:
     return reduce_runs(model.robot, ordered, at_rate_of(ordered, model.preparation), progress=progress, model=model.idm)
 
 
-def _moved(model: Result, system: System, step: np.ndarray) -> Problem:
-    """Return the equations at gains (n,) moved by a ``step``, which moves the equations of a reference too."""
-    moved = None if system.dataset.reference is None else reference_of(model, step)
-    return system.problem if moved is None else system.again(replace(system.dataset, reference=moved)).problem
+def _slopes(
+    model: Result,
+    system: System,
+    solver: Callable[[Problem, np.ndarray], Solution],
+    solution: Solution,
+    gains: np.ndarray,
+) -> np.ndarray:
+    """Compute the derivatives (k, n) of the estimates by the ``gains`` (n,), which move a reference too."""
+    steps, moved, dataset = 1e-4 * gains, [], system.dataset
+    for step in np.diag(steps):
+        known = None if dataset.reference is None else reference_of(model, step)
+        problem = system.problem if known is None else system.again(replace(dataset, reference=known)).problem
+        moved.append(solver(problem, gains + step).values)
+    return np.asarray((np.stack(moved, axis=1) - solution.values[:, None]) / steps)
 
 
 def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
@@ -196,6 +195,22 @@ def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
         replicates=lambda: solution.replicates() @ kept.T,
         prior_covariance=kept @ np.asarray(solution.prior_covariance) @ kept.T + K @ prior @ K.T,
     )
+
+
+def _separating(
+    model: Result, dataset: Dataset, gains: np.ndarray, may_refer: bool, where: str, progress: Progress
+) -> System:
+    """Select the friction; refer to the model if the runs do not separate payload and robot; raises GtauError."""
+    solve = partial(wls, gains=gains)
+    system = select_friction(dataset, solve, progress)
+    if _lost(system) and may_refer:
+        system = select_friction(replace(dataset, reference=reference_of(model)), solve, progress)
+    if _lost(system):
+        raise GtauError(
+            f"{where}the runs cannot separate the payload from the robot itself; add a run without payload, or "
+            "with a payload whose parameters are all known."
+        )
+    return system
 
 
 def _lost(system: System) -> bool:
