@@ -1,4 +1,4 @@
-"""The error that users see, which is a built-in one too where scripts expect that."""
+"""User-facing errors, which also derive from built-in ones where scripts expect these."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """What other distributions add by entry points: exports, log formats, robots and estimators.
 
-The built-in ones are found alike: a module of their package names them in a constant. Nothing is listed twice.
+Built-in ones are found the same way: a module of their package names them in a constant. Nothing is listed twice.
 """
 
 from __future__ import annotations

@@ -123,12 +123,6 @@ def test_a_scheduler_that_is_not_there(address: str) -> None:
         pass
 
 
-def test_a_worker_is_no_scheduler(client) -> None:
-    (address, *_) = client.scheduler_info()["workers"]
-    with pytest.raises(GtauError, match="this is a worker"), dask_workers(address):
-        pass
-
-
 def test_without_workers() -> None:
     with (
         local_cluster(0) as cluster,

@@ -48,7 +48,7 @@ def test_the_weight_of_a_body_is_a_wrench(robot: Robot, rng: np.random.Generator
     at_rest = replace(motion, yd=np.zeros_like(motion.yd), ydd=np.zeros_like(motion.ydd))
     felt = False
     bodies = [body for body in model.robot.bodies if f"m_{body}" in model.parameter_names]
-    frames = [WrenchFrame(body, of_world) for body in bodies for of_world in (False, True)]
+    frames = [WrenchFrame(body, in_world) for body in bodies for in_world in (False, True)]
     columns = model.wrenches(frames)
     entries, at = columns(model.layout, at_rest), [poses(model.layout, c) for c in motion.c.T]
     for b, body in enumerate(bodies):
@@ -75,7 +75,7 @@ def test_wrenches_on_two_feet_are_those_of_pinocchio(rng: np.random.Generator) -
     """One in axes of its body and one in those of the world, on a tree whose base floats, in motion."""
     robot = float_base(tree())
     model = InverseDynamics(robot, "inertial")
-    frames = [WrenchFrame("g"), WrenchFrame("e", of_world=True)]
+    frames = [WrenchFrame("g"), WrenchFrame("e", in_world=True)]
     q, qd, qdd = (each.T for each in 0.7 * rng.normal(size=(3, len(model.actuated), 8)))
     wrenches = rng.normal(size=(12, 8))
     motion = model.motion(*(each.T.copy() for each in (q, qd, qdd)))

@@ -151,7 +151,7 @@ def test_shapes_of_the_density_of_water_are_no_statement_of_the_file(tmp_path: P
     )
     robot = load_robot(tmp_path / "ball.xml")
     assert robot.inertias == {}
-    assert robot.notes == ("the file states no masses, and those of its shapes at the density of water were not read",)
+    assert robot.notes == ("the file states no masses, and masses of its shapes at the density of water were not read",)
 
 
 def test_a_floating_base_has_the_inertia_of_the_root_link(tmp_path: Path) -> None:

@@ -506,7 +506,11 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     ("same twice", good("[x, z]", "[x, x]"), ": robot 'r': the degrees of freedom of platform 'P' must be one or more"),
     ("two rotations", good("[x, z]", "[rx, rz]"), ": robot 'r': platform 'P' has two rotations; give it none, one or"),
     ("platform loose", good("body: P", "body: j"), ": robot 'r': no closure holds platform 'P'; add one or remove the"),
-    ("closure to nothing", good("body: k", "body: x"), ": robot 'r': closure 1 is attached to 'x', which is no joint,"),
+    (
+        "closure to nothing",
+        good("body: k", "body: x"),
+        ": robot 'r': closure 1 is attached to 'x', which is not a joint,",
+    ),
     ("closure to itself", good("body: k", "body: P"), ": robot 'r': closure 1 ties 'P' to itself; attach its ends"),
     ("one end", good("{body: k}, ", ""), ", line 9, closures.1.connect: 1 value is written; write 2."),
     ("three ends", good("{body: k}", "{body: k}, {body: j}"), ", line 9, closures.1.connect: 3 values are written;"),

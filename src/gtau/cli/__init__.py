@@ -11,24 +11,24 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 
 def main() -> None:
-    """Run the command line; what it refuses, wrong options too, is one sentence on stderr and exit code 2.
+    """Run the command line. Refusals, bad options included, print one sentence to stderr and exit with code 2.
 
-    The other exit codes: 0 done, 1 a fault of gtau itself, 3 done but not to be believed, 128 + signal where
-    Ctrl-C (130), SIGHUP (129) or SIGTERM (143) ended it.
+    Other exit codes: 0 finished, 1 a fault of gtau itself, 3 finished, but the result needs attention, 128 + signal
+    after Ctrl-C (130), SIGHUP (129) or SIGTERM (143).
     """
-    gc.set_threshold(50_000)  # imports make many objects and no garbage: collections took a fifth of their time
+    gc.set_threshold(50_000)  # imports create many objects and no garbage: collections took a fifth of their time
     try:
         from gtau.cli.interruption import exit_code, interrupted, listen, report
 
         listen()
         try:
             code = _run()
-            if code == 130 and interrupted():  # typer makes this of an interruption outside of the commands
+            if code == 130 and interrupted():  # as typer returns if interrupted outside of the commands
                 raise KeyboardInterrupt
         except KeyboardInterrupt as interruption:
             report(str(interruption))
             code = exit_code()
-    except KeyboardInterrupt:  # while the lines above are still being imported
+    except KeyboardInterrupt:  # during the imports above
         print("gtau: interrupted; unfinished files were not written.", file=sys.stderr)
         code = 130
     sys.exit(code)
@@ -43,10 +43,10 @@ def _run() -> int:
 
     if len(sys.argv) < 2:
         app()
-    usage_error: type[Exception] = typer.BadParameter.__mro__[1]  # of the click that typer brings or finds
+    usage_error: type[Exception] = typer.BadParameter.__mro__[1]  # of typer's own click or the installed one
     try:
         code = app(standalone_mode=False)
-    except typer.Abort:  # what click makes of Ctrl-C
+    except typer.Abort:  # Ctrl-C in click
         raise KeyboardInterrupt from None
     except usage_error as error:
         message = error.format_message().replace("Value error, ", "").rstrip(".")  # type: ignore[attr-defined]
@@ -60,10 +60,10 @@ def _run() -> int:
         if "GTAU_DEBUG" in os.environ:
             raise
         if isinstance(error, MemoryError):
-            typer.echo("gtau: the memory does not suffice; give shorter logs, or more memory.", err=True)
+            typer.echo("gtau: out of memory; give shorter logs, or more memory.", err=True)
             return 2
         if isinstance(error, OSError) and (error.filename or error.errno in FULL):
-            where = error.filename or "the output"  # without a name it is what was printed
+            where = error.filename or "the output"  # without a name it is stdout
             deed = "written ({}); free some space" if error.errno in FULL else "opened ({}); check the path"
             typer.echo(f"gtau: {where} cannot be {deed.format(error.strerror)}.", err=True)
             return 2

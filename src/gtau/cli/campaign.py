@@ -20,13 +20,13 @@ def campaign(
     robot: Annotated[str | None, option("ROBOT", "Robot file or catalog name, of a new campaign.")] = None,
     payload: Annotated[float | None, option("KG", "Mass of the payload, of a new campaign.", min=0.0)] = None,
     accuracy: Annotated[
-        float | None, option("PERCENT", "Half the 95 % interval of every gain that is wanted; 3 if never given.")
+        float | None, option("PERCENT", "Required half-width of every gain's 95 % interval (default 3).")
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Identify what was played, and decide: done, the next motion to play, or why another motion cannot help.
+    """Identify the robot from the motions played, and decide: done, the next motion, or why none can help.
 
-    The same command again goes on from what the folder holds. The exit code is 3 where the campaign cannot go on.
+    Run the command again to resume from the folder. The exit code is 3 if the campaign cannot continue.
     """
     hold(folder)
     with progress_bar() as progress:

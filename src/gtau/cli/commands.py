@@ -19,7 +19,7 @@ from gtau.extensions import names
 
 
 def show_version(wanted: bool) -> None:
-    """Print the version, where it is asked for."""
+    """Print the version and exit, if wanted."""
     if wanted:
         typer.echo(f"gtau {__version__}")
         raise typer.Exit
@@ -40,7 +40,7 @@ class _Command(TyperCommand):
 
 
 def _no_type(ctx: Any) -> None:
-    """Describe no type."""
+    """Replace the type in the help of arguments."""
 
 
 COMMANDS: dict[str, dict[Callable[..., None], str]] = {
@@ -73,7 +73,7 @@ MASSES = {"allow_extra_args": True}  # of excite: those after --payload-mass are
 
 
 class _Commands(TyperGroup):
-    """The commands by what they are for; a word that is an option (version, help) is answered with the option."""
+    """Commands grouped by purpose; for a word that names an option (version, help), suggests that option."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         for purpose, commands in COMMANDS.items():

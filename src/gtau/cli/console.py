@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from gtau.report.page import Page
 
 P = ParamSpec("P")
-_begun: list[float] = []  # when the command began, s
-_held: list[Callable[[], None]] = []  # what releases the folders that the command holds
+_begun: list[float] = []  # start of the command, s
+_held: list[Callable[[], None]] = []  # functions that release the folders held by the command
 METHODS = "|".join(NAMES)
 EVERY = 15.0  # s between lines where stderr is no terminal
 STARTING = "starting"
@@ -49,7 +49,7 @@ def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
         task = bar.add_task(first, total=None)
 
         def report(stage: str, done: int, total: int) -> None:
-            bar.tasks[task].total = total if total > 1 else None  # which pulses; update() would keep the last total
+            bar.tasks[task].total = total if total > 1 else None  # None pulses; update() would keep the last total
             bar.update(task, description=stage, completed=done)
 
         yield report
@@ -75,12 +75,12 @@ def progress_lines(first: str, every: float) -> Iterator[Callable[[str, int, int
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
-    """Describe an option by the placeholder of its value, which a flag has not, and its help."""
+    """Describe an option by its metavar (none for a flag) and its help."""
     return typer.Option(*names, metavar=metavar or None, help=text, **more)
 
 
 def argument(metavar: str, text: str) -> Any:
-    """Describe an argument by its placeholder and its help."""
+    """Describe an argument by its metavar and its help."""
     return typer.Argument(metavar=metavar, help=text, show_default=False)
 
 
@@ -113,7 +113,7 @@ def base_choice(text: str | None) -> Any:
 
 
 def refusing(command: Callable[P, None]) -> Callable[P, None]:
-    """Turn what a command refuses into one sentence on stderr, with ``--json`` also a document, and exit code 2."""
+    """Turn refusals of a command into one sentence on stderr, with ``--json`` also a document, and exit code 2."""
 
     @wraps(command)
     def run(*arguments: P.args, **options: P.kwargs) -> None:
@@ -145,8 +145,8 @@ def hold(folder: Path | None) -> None:
 
 
 def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
-    """Report the refusal; the exit to raise."""
-    sentence = tidy(sentence)  # click's too
+    """Report a refusal; return the exit to raise."""
+    sentence = tidy(sentence)  # also click's sentences
     typer.echo(f"gtau: {sentence}", err=True)
     if as_json:
         print_json({"error": sentence})
@@ -161,7 +161,7 @@ def seconds() -> float:
 def answer(
     as_json: bool, document: Callable[[], Any], page: Callable[[], Page] | None = None, written: Iterable[Path] = ()
 ) -> None:
-    """Print the answer of a command on stdout: one JSON document, or a page and the paths of what was written."""
+    """Print the result of a command on stdout: one JSON document, or a page and the paths of the written files."""
     if as_json:
         print_json(document())
         return

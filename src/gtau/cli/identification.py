@@ -64,7 +64,7 @@ PriorInertias = Annotated[
 
 
 def percent(text: str | float) -> float:
-    """Read ``--accuracy``, with or without its sign."""
+    """Read ``--accuracy``, with or without the per cent sign."""
     with suppress(ValueError):
         if 0.01 <= (value := float(str(text).removesuffix("%"))) <= 50.0:
             return value
@@ -129,11 +129,10 @@ def identify(
     written = [*([experiment] if guessed else []), report, *written]
     answer(json_, lambda: to_document(result), lambda: (full_page if verbose else summary_page)(result), written)
     if not result.accepted:
-        raise typer.Exit(3)  # so that a script does not go on with such a model
+        raise typer.Exit(3)  # so that scripts do not continue with this model
 
 
 def _write(result: Result, out: Path) -> list[Path]:
-    """Write a result to files, for people and other commands."""
     from gtau.estimation.results.estimate import write_distances
     from gtau.estimation.results.model_file import save
     from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
@@ -182,7 +181,7 @@ Experiments = Annotated[
 def fleet(
     experiments: Experiments,
     out: Annotated[Path, option("DIR", "Folder for report.html, models and table.")],
-    method: Annotated[str, option(METHODS, "Estimator; one that finds drive gains.")] = "ml",
+    method: Annotated[str, option(METHODS, "Estimator; one that estimates drive gains.")] = "ml",
     jobs: Annotated[int | None, option("N", "Processes on this machine; default: one for each core.", min=1)] = None,
     dask: Annotated[
         str | None, option("ADDRESS", "Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'.")
@@ -191,7 +190,7 @@ def fleet(
 ) -> None:
     """Identify many robots, and mark drive gains that are outliers among them.
 
-    Finished robots stay in DIR/models: the same command again identifies those that are missing or have changed.
+    Finished robots stay in DIR/models: run the command again to identify missing or changed robots.
     """
     hold(out)
     from gtau.estimation.estimators.estimator import Gains
@@ -203,7 +202,7 @@ def fleet(
     from gtau.report.write import write_report
 
     if estimator_of(method).gains == Gains.GIVEN:
-        raise GtauError(f"--method {method} takes the drive gains as given; choose one that finds them.")
+        raise GtauError(f"--method {method} uses given drive gains; choose one that estimates them.")
     if dask is not None and jobs is not None:
         raise GtauError("--jobs is for processes without Dask; give one of --jobs and --dask.")
     members = read_fleet(experiments)
@@ -221,4 +220,4 @@ def fleet(
     written = (report, *write_fleet(table, folder))
     answer(json_, lambda: fleet_document(table), lambda: fleet_page(table), written)
     if not table.robots:
-        raise typer.Exit(3)  # so that a script does not go on with such a fleet
+        raise typer.Exit(3)  # so that scripts do not continue with this fleet

@@ -1,8 +1,8 @@
 """Handle Ctrl-C, SIGTERM and SIGHUP alike: one sentence and exit code 128 + signal, within two seconds.
 
-The first one raises KeyboardInterrupt, so that unfinished files are removed and child processes ended. Compilers and
-solvers that call back into Python swallow that exception, or report it as a traceback; so a thread ends the program
-where it still runs after :data:`GRACE`, and so does a second Ctrl-C. Worker processes notice the end by themselves.
+The first signal raises KeyboardInterrupt, so that unfinished files are removed and child processes ended. Compilers
+and solvers that call back into Python swallow this exception or report it as a traceback; therefore a thread ends the
+program after :data:`GRACE`, as does a second Ctrl-C. Worker processes end by themselves.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from typing import Any
 GRACE = 1.5  # s to clean up; removing an unfinished file takes milliseconds, ending eight worker processes 0.3 s
 UNFINISHED = "unfinished files were not written"
 
-_said = threading.Lock()  # held by whoever reports the interruption
+_said = threading.Lock()  # held once the interruption is reported
 _received: list[int] = []  # the signal that interrupts the program
-_searches: list[tuple[threading.Event, str]] = []  # what can stop with a result: its request, and the hint at Ctrl-C
+_searches: list[tuple[threading.Event, str]] = []  # of each search with a usable result: stop request, hint at Ctrl-C
 
 
 def interrupted() -> bool:
-    """Return whether a signal has interrupted the program; what fails afterwards fails because of it."""
+    """Return whether a signal has interrupted the program, which then causes all later failures."""
     return bool(_received)
 
 
 def exit_code() -> int:
-    """Return the exit code of the interrupted program, as shells have it: 128 + signal, 130 for Ctrl-C."""
+    """Return the exit code of the interrupted program by the shells' rule: 128 + signal, 130 for Ctrl-C."""
     return 128 + (_received or [signal.SIGINT])[0]
 
 
 def listen() -> None:
-    """Let Ctrl-C, SIGTERM and SIGHUP end this program as described above."""
+    """Install the handlers of Ctrl-C, SIGTERM and SIGHUP."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         number = getattr(signal, name, None)  # Windows has no SIGHUP
         if number and signal.getsignal(number) is not signal.SIG_IGN:  # as in the background of a shell, under nohup
@@ -61,7 +61,6 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _end() -> None:
-    """End the program at once."""
     report()
     os._exit(exit_code())
 
@@ -74,7 +73,7 @@ def begin() -> None:
 
 
 def report(finished: str = "") -> None:
-    """Say once that the program was interrupted, and what has become of its files; with ``--json`` on stdout too."""
+    """Report once that the program was interrupted and which files it left, with ``--json`` also on stdout."""
     if not _said.acquire(blocking=False):
         return
     sentence = f"interrupted; {finished or UNFINISHED}."
@@ -89,17 +88,17 @@ def report(finished: str = "") -> None:
 
 
 def _without_interruptions(unraisable: Any) -> None:
-    """Report what Python cannot raise, but no interruption that a callback swallowed."""
+    """Report unraisable exceptions, except interruptions that a callback swallowed."""
     if not issubclass(unraisable.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(unraisable)
 
 
 @contextmanager
 def stop_request(hint: str) -> Iterator[Callable[[], bool]]:
-    """Print ``hint`` at the first Ctrl-C, a request that the yielded function reports; the second ends the program.
+    """Make the first Ctrl-C print ``hint`` and request a stop, as the yielded function reports; the second ends all.
 
-    For a search that has something to show for what it has done so far. SIGTERM and SIGHUP are such requests without a
-    hint, after which the program ends; so is Ctrl-C where the ``hint`` is empty.
+    For a search with a usable intermediate result. SIGTERM and SIGHUP, and Ctrl-C without a ``hint``, request a stop
+    after which the program ends.
     """
     request = threading.Event()
     _searches.append((request, hint))

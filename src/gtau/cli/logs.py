@@ -37,7 +37,7 @@ WIDTH = 80
 
 
 class Commands(StrEnum):
-    """What drives were commanded."""
+    """Kind of the logged commands."""
 
     current = "current"
     torque = "torque"
@@ -59,7 +59,7 @@ Payloads = Annotated[
     list[str] | None,
     option(
         "LOG=KG",
-        "With logs: payload mass of a log (kg, 0 for none); default: from names such as loaded_0.48kg.mcap. "
+        "With logs: payload mass of a log (kg, 0 for none); default: from file names such as loaded_0.48kg.mcap. "
         "Repeatable.",
     ),
 ]
@@ -115,12 +115,11 @@ def init(
 
 
 def on_terminal() -> bool:
-    """Return whether somebody can be asked."""
+    """Return whether the user can be asked."""
     return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _answered(draft: Draft) -> Draft:
-    """Ask on the terminal what the logs do not say."""
     from gtau.signals.reading.drafting import with_kind, with_masses, with_rate
 
     if "rate" in draft.open:
@@ -180,7 +179,7 @@ def check(
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Check the logs before identifying: errors, warnings, and what was repaired.
+    """Check the logs before identifying: errors, warnings, and repairs.
 
     Given logs instead of EXPERIMENT.yaml, it drafts that file without questions, in DIR or else 'result'.
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
@@ -215,11 +214,10 @@ def experiment_of(
     folder: Path,
     weigh: bool = False,
 ) -> tuple[Path, tuple[Finding, ...]]:
-    """Take an experiment file as it is; draft one from logs to ``folder``, with a note on every guess in it.
+    """Return an experiment file, drafted from logs to ``folder`` if need be, and a note on every guess in the draft.
 
-    Logs without a stated payload carry none, or one to ``weigh``.
-
-    Raises GtauError where experiment files are mixed with logs, or the logs cannot be drafted without a question.
+    Logs without a stated payload carry none, or with ``weigh`` an unknown one. Raises GtauError if experiment files are
+    mixed with logs, or the draft needs an answer of the user.
     """
     stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not is_log(sources[0]):
@@ -260,7 +258,7 @@ def experiment_of(
 
 @contextmanager
 def said_if_refused(guesses: tuple[Finding, ...]) -> Iterator[None]:
-    """Say the guesses at logs, each with the option that corrects it, before the refusal that may be due to them."""
+    """Print the guesses about logs, each with the option that corrects it, before a refusal that may be due to them."""
     try:
         yield
     except GtauError:
@@ -270,7 +268,7 @@ def said_if_refused(guesses: tuple[Finding, ...]) -> Iterator[None]:
 
 
 def is_log(path: Path) -> bool:
-    """Decide by its ending or content whether a file is a log."""
+    """Return whether a file is a log, by its ending or content."""
     from gtau.signals.reading.logs import is_log_folder, reader_of
 
     return reader_of(path.suffix.lower()) is not None or (

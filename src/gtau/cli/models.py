@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from enum import StrEnum
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -114,7 +115,7 @@ def payload(
     out: WeighingFolder = None,
     json_: Json = False,
 ) -> None:
-    """Weigh unknown payloads from loaded logs, best beside a log without payload.
+    """Weigh unknown payloads from loaded logs, ideally together with a log without payload.
 
     Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
 
@@ -147,33 +148,28 @@ def payload(
     notes += [f"{guess.what}; {guess.advice}".removesuffix("; ") for guess in guessed]
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)
+    page = partial(weighing_page, result, weighed, gains.value, exact, bodies)
     if out is not None:
-        page = weighing_page(result, weighed, gains.value, exact, bodies, described.expected_gains)
         inputs = (("model", model), *inputs_of(experiment, described))
         settings = {**settings_of(result), "drive gains": gains.value}
-        written = [write_report(page, folder_of(out), seconds(), inputs, settings)]
+        written = [write_report(page(described.expected_gains), folder_of(out), seconds(), inputs, settings)]
         for exported in () if to is None else export_bodies(bodies, to, out):
             written += exported.files
             notes += exported.notes
-    document = {
-        "payloads": payload_documents(weighed),
-        "bodies": bodies_document(bodies),
-        "files": [str(path) for path in written],
-        "notes": notes,
-        "gains": gains.value,
-        "gain_uncertainty_included": not exact,
-    }
-    answer(json_, lambda: document, lambda: weighing_page(result, weighed, gains.value, exact, bodies), written)
+    document: dict[str, Any] = {"payloads": payload_documents(weighed), "bodies": bodies_document(bodies)}
+    document |= {"files": [str(path) for path in written], "notes": notes}
+    document |= {"gains": gains.value, "gain_uncertainty_included": not exact}
+    answer(json_, lambda: document, page, written)
     _show_notes([] if json_ else notes)
     doubted = gains == GainChoice.identified and not exact and not result.believable
     if doubted or Grade.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
-        raise typer.Exit(3)  # so that a script does not go on with such a mass
+        raise typer.Exit(3)  # so that scripts do not continue with this mass
 
 
 def _drafted(
     result: Result, sources: list[Path], robot: str | None, payloads: list[str] | None, folder: Path
 ) -> tuple[Path, tuple[Finding, ...]]:
-    """Take an experiment file; or draft one from logs, of the model's robot and kind of commands unless given."""
+    """Return an experiment file, drafted from logs if need be, by default with the model's robot and commands."""
     from gtau.robots.readers.native_text import native_text
 
     if not is_log(sources[0]) or robot is not None:
@@ -186,14 +182,14 @@ def _drafted(
 def _bodies(
     weighed: Sequence[PayloadEstimate], frame: str, file: str, needed: bool
 ) -> tuple[list[PayloadBody], list[str]]:
-    """Find the bodies of payloads; without the extra for it masses are weighed all the same, and a note says so."""
+    """Compute the bodies of payloads, or a note that the package for them is missing and only masses are weighed."""
     if needed or find_spec("clarabel"):
         return [payload.in_frame(frame, file) for payload in weighed], []
     return [], [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
 
 
 def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
-    """Refuse a controller that does not exist, or whose frame nobody named, before the work."""
+    """Refuse an unknown controller, or one without a named frame, before the work."""
     from gtau.export.exported import refuse_unknown
     from gtau.export.payload import WRITERS, refuse_unnamed
     from gtau.robots.readers.links import links_on
@@ -205,7 +201,7 @@ def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
 
 
 def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exported]:
-    """Write payloads for a controller, each weighing to its own files."""
+    """Write payloads for a controller, each to its own files."""
     from gtau.documents.files import identifier
     from gtau.export.payload import export_payload
     from gtau.report.check import unique_names
@@ -217,7 +213,7 @@ def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exp
 @refusing
 def export(
     model: ModelFile,
-    to: Annotated[str, option("KIND", "What to write: {exports}.")],
+    to: Annotated[str, option("KIND", "Format: {exports}.")],
     out: Annotated[Path, option("DIR", "Folder for the files.")],
     into: Annotated[
         Path | None, option("FILE", "Robot file (URDF or MJCF) to copy with the identified parameters inserted.")
@@ -329,7 +325,6 @@ def use(
 
 
 def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:
-    """Find a frame on the body that carries the payload, as for 'gtau payload'."""
     from gtau.robots.readers.links import frame_on
     from gtau.signals.reading.experiment import read_experiment
 

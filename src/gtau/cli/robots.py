@@ -43,7 +43,7 @@ def robot(
         list[str] | None, option("PATTERN", "Joints that move ('FL_*'); the others are held. Repeatable.")
     ] = None,
     verbose: Annotated[
-        bool, option("", "List the base parameters, and what each of them regroups.", "--verbose", "-v")
+        bool, option("", "List the base parameters, and the parameters that each regroups.", "--verbose", "-v")
     ] = False,
     json_: Json = False,
 ) -> None:
@@ -79,7 +79,7 @@ def robot(
 
 
 def _save(described: Robot, save: Path, source: str) -> None:
-    """Write a robot as a robot file, but not over the file that it comes from."""
+    """Write a robot file, but never over the source of the robot."""
     from gtau.robots.readers.native_text import write_native
     from gtau.robots.readers.read import is_loops_file
 
@@ -125,7 +125,7 @@ def excite(
 ) -> None:
     """Design the motion that is most informative about the drive gains, and predict their standard deviations.
 
-    The best motion so far is kept in DIR unless a design is there; Ctrl-C stops the search and takes it.
+    The best motion so far is written to DIR unless DIR holds a design; Ctrl-C stops the search and keeps it.
     """
     masses = _masses(payload_mass or [], context.args)
     hold(out)
@@ -140,7 +140,7 @@ def excite(
         task, assumed = read_design(design)
 
         def keep(best: Design) -> None:
-            if not (out / pages.DESIGN).exists():  # an older design stays whole until there is another one
+            if not (out / pages.DESIGN).exists():  # an older design stays complete until the new one is finished
                 pages.write_trajectories(best, folder_of(out))
 
         try:
@@ -150,7 +150,7 @@ def excite(
             raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
         progress("predicting standard deviations", 0, 1)
         outlook = Outlook(best, assumed, tuple(masses))
-        for older in (REPORT, pages.DESIGN):  # of another motion
+        for older in (REPORT, pages.DESIGN):
             (out / older).unlink(missing_ok=True)
         written = pages.write_design(outlook, folder_of(out))
         report = write_report(pages.design_report(outlook), out, seconds(), (("design", design),))
@@ -158,7 +158,7 @@ def excite(
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:
-    """Collect all masses of ``--payload-mass``: those that click took, and the others that follow."""
+    """Collect all masses of ``--payload-mass``: the first ones from click, and the extra ``words`` after them."""
     for word in words:
         try:
             first = [*first, float(word)] if first else first
@@ -190,7 +190,7 @@ def demo(
 
 @refusing
 def tutorial(out: Annotated[Path, argument("DIR", "Folder for the logs.")], json_: Json = False) -> None:
-    """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and say how to go on."""
+    """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and print the next command."""
     from gtau.demo.tutorial import write_tutorial
 
     written = write_tutorial(out)

@@ -14,6 +14,7 @@ from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
+    from gtau.signals.run import Run
     from gtau.watch.follow import Read
     from gtau.watch.watch import Status, Watch
 
@@ -21,8 +22,8 @@ Watched = Annotated[Path, argument("MODEL.json|DIR", "What 'gtau identify' wrote
 HistoryFolder = Annotated[Path, option("DIR", "Folder of the history, continued if it exists, and of report.html.")]
 FalseAlarms = Annotated[float | None, option("NUMBER", "False alarms a year of the whole fleet (1).", min=1e-6)]
 Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date on.")]
-Acknowledge = Annotated[str | None, option("NOTE", "End the alarm: what has changed is the new reference.")]
-Forget = Annotated[str | None, option("LOG", "Leave out a log that was not of this robot or of this state.")]
+Acknowledge = Annotated[str | None, option("NOTE", "End the alarm and accept the change as the new reference.")]
+Forget = Annotated[str | None, option("LOG", "Leave out a log of another robot or state.")]
 Following = "Follow one folder of finished logs, or a growing text log, until Ctrl-C."
 Block = Annotated[float, option("SECONDS", "Length of the blocks of a growing log.", min=10.0, max=60.0)]
 
@@ -41,20 +42,20 @@ def watch(
     reset: Reset = None,
     acknowledge: Acknowledge = None,
     forget: Forget = None,
-    undo: Annotated[str | None, option("LOG|DATE", "Undo what was last done about a log or a date.")] = None,
+    undo: Annotated[str | None, option("LOG|DATE", "Undo the last action on a log or a date.")] = None,
     follow: Annotated[bool, option("", Following, "--follow")] = False,
     block: Block = 30.0,
-    power: Annotated[bool, option("", "Only state which changes the motion of a log would show.", "--power")] = False,
+    power: Annotated[bool, option("", "Only show which changes the motion of a log can reveal.", "--power")] = False,
     json_: Annotated[bool, option("", "Print a line of JSON for each log instead of a table.", "--json")] = False,
 ) -> None:
-    """Watch a robot: compare its logs with its model and with each other, and name what has changed.
+    """Watch a robot: compare its logs with its model and with each other, and name the change.
 
-    Each log is weighed against the model: undeclared load, drive gains at fixed inertia, friction, encoder zeros, lags
-    and residuals. An alarm is raised where the last week is beyond tolerance (`tolerances` of --experiment), and where
-    a quantity has changed since the first healthy logs. Logs that are in the history are skipped, logs that cannot be
-    read set aside. Of a folder of histories one page is made, a line a robot.
+    Each log is compared with the model: undeclared load, drive gains at fixed inertia, friction, encoder zeros, lags
+    and residuals. An alarm is raised if the last week is beyond tolerance (`tolerances` of --experiment), or if a
+    quantity has changed since the first healthy logs. Logs in the history are skipped, unreadable logs are set aside.
+    A folder of histories gives one page with a line per robot.
 
-    The exit code is 3 while a robot needs attention. It is no safety function.
+    The exit code is 3 while a robot needs attention. It is not a safety function.
     """
     if model.is_dir():
         _fleet(model, json_)
@@ -68,34 +69,37 @@ def watch(
     from gtau.watch.watch import Watch
 
     sources = logs or []
-    done = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
+    actions = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
     if follow and len(sources) != 1:
         raise GtauError("--follow takes one folder or one growing text log; give it alone.")
-    if not (sources or any(done.values())):
+    if not (sources or any(actions.values())):
         raise GtauError("there is no log to compare; give logs.")
     given = [] if follow else logs_of(sources)
     result = load(model)
     tolerances = None if experiment is None else read_experiment(experiment).tolerances
     settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
     read = partial(read_log, result, experiment=experiment, payload=payload)
+    watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
     if power:
-        from gtau.report.watch import power_page, power_rows
-
-        imagined = Watch(result, None, tolerances, baseline=baseline, **settings)
-        imagined.imagine(read(given[-1]))
-        answer(json_, lambda: power_rows(imagined), lambda: power_page(imagined))
+        _show_power(watched, read(given[-1]), json_)
         return
-    watched = Watch(result, out, tolerances, baseline=baseline, **settings)
-    for what, subject in done.items():
+    for action, subject in actions.items():
         if subject is not None:
-            getattr(watched, what)(subject)
+            getattr(watched, action)(subject)
     statuses = blocks(watched, sources[0], read, block) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
 
 
+def _show_power(watched: Watch, run: Run, as_json: bool) -> None:
+    """Show the changes that the motion of a log can reveal."""
+    from gtau.report.watch import power_page, power_rows
+
+    watched.imagine(run)
+    answer(as_json, lambda: power_rows(watched), lambda: power_page(watched))
+
+
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:
-    """Add logs in the order of their dates."""
     from gtau.watch.follow import date_of, take
 
     with progress_bar() as progress:
@@ -106,10 +110,10 @@ def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:
 
 
 def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], as_json: bool, follow: bool) -> bool:
-    """Print a line for each log that is set aside or followed, or for all as JSON, then the page of the last.
+    """Print a line for each log set aside or followed, or a line of JSON for every log, then the last page.
 
-    Write a report at the end, at Ctrl-C, and when the state of a robot that is followed changes. Return whether the
-    robot needs attention.
+    Writes a report at the end, at Ctrl-C, and when the state of a followed robot changes. Returns whether the robot
+    needs attention.
     """
     from gtau.report.watch import status_words, watch_page, watch_report
     from gtau.report.write import write_report
@@ -139,7 +143,7 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
 
 
 def _fleet(folder: Path, as_json: bool) -> None:
-    """Write one page for all histories in the folders of a folder."""
+    """Write one page for all histories in a folder."""
     from gtau.report.watch import STATES, fleet_lines, fleet_page
     from gtau.report.write import write_report
 

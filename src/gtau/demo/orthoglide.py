@@ -1,7 +1,7 @@
 """The Orthoglide of the demo: its true standard parameters, drives of known gain, and files.
 
-The sums that can be identified (paper, Table 3) are the paper's; their distribution among the bodies is ours,
-from the dimensions of such a machine.
+The identifiable sums (paper, Table 3) are the paper's; we distributed them among the bodies by the dimensions of such a
+machine.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def drives() -> dict[str, dict[str, Any]]:
 
 
 def standard_parameters() -> dict[str, float]:
-    """List standard parameters by name, SI units; those not named are zero."""
+    """List standard parameters by name, SI units; others are zero."""
     chi: dict[str, float] = {}
     for leg, bar in BARS.items():
         chi |= _leg(leg, bar)

@@ -58,7 +58,7 @@ CONTENT = {
 def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[str, Any], Page]:
     """Make logs of ``duration`` s, identify the robot from them, weigh a second payload, and write all to ``out``.
 
-    Returns true values, estimates and files as a JSON document, and the same as a page. Raises GtauError.
+    Returns true values, estimates and files as a JSON document and as a page. Raises GtauError.
     """
     begun = monotonic()
     make_experiment(out, duration, progress)
@@ -101,7 +101,6 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> None:
 
 
 def _document(result: Result, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
-    """Collect true and estimated values; errors in per cent of the true values."""
     gains = [
         {
             "joint": joint,
@@ -138,7 +137,7 @@ def report(document: Mapping[str, Any]) -> Page:
     size = f"{logs['count']} logs of {logs['duration']:g} s at {logs['rate']:g} Hz"
     lead = (
         f"An Orthoglide whose true values are known: {size}, simulated with friction, force ripple, encoder rounding, "
-        "noise and held currents, then used like any others."
+        "noise and held currents, then used like measured logs."
     )
     number = partial(Column, kind=Kind.NUMBER)
     error = number("error, %", decimals=2)

@@ -23,15 +23,15 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-LONGEST = 40  # characters of an identifier: with what follows, MATLAB's 63 are not exceeded
-FORMULA = r"^(\s*[=+\-@])"  # begins a cell that spreadsheets compute
+LONGEST = 40  # characters of an identifier: with a suffix it is shorter than MATLAB's 63
+FORMULA = r"^(\s*[=+\-@])"  # beginning of a cell that spreadsheets evaluate
 
 
 def write_atomically(path: str | Path, content: str | bytes) -> None:
     """Write ``content`` (text as UTF-8) to ``path``; an interruption leaves the old file, or none; raises GtauError."""
     path = Path(path)
     data = content.encode() if isinstance(content, str) else content
-    unfinished = path.with_name(f".{path.name}.{os.urandom(4).hex()}")  # known before it is made, to be removed
+    unfinished = path.with_name(f".{path.name}.{os.urandom(4).hex()}")  # known before it exists, for its removal
     try:
         try:
             with unfinished.open("xb") as file:
@@ -48,16 +48,16 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
 
 
 def in_csv(table: pl.DataFrame) -> str:
-    """Write a table as CSV; an apostrophe before ``= + - @`` keeps a spreadsheet from computing texts."""
+    """Write a table as CSV; an apostrophe before ``= + - @`` keeps spreadsheets from evaluating texts."""
     import polars as pl
 
     texts = table.with_columns(pl.col(pl.String).str.replace(FORMULA, "'$1"))
-    odd = any(character in name for name in table.columns for character in ';\t"')  # taken for what separates columns
+    odd = any(character in name for name in table.columns for character in ';\t"')  # possible separators of columns
     return texts.write_csv(quote_style="non_numeric" if odd else "necessary")
 
 
 def write_table(table: pl.DataFrame, path: str | Path) -> None:
-    """Write a table as Parquet where the path ends in ``.parquet``, otherwise as CSV, atomically; raises GtauError."""
+    """Write a table atomically, as Parquet if the path ends in ``.parquet``, otherwise as CSV; raises GtauError."""
     if Path(path).suffix.lower() != ".parquet":
         write_atomically(path, in_csv(table))
         return
@@ -67,9 +67,9 @@ def write_table(table: pl.DataFrame, path: str | Path) -> None:
 
 
 def refuse_as_folder(path: str | Path | None) -> None:
-    """Refuse a path, unless None, at which :func:`folder_of` could not make a folder, before hours of work; GtauError.
+    """Refuse a path, unless None, at which :func:`folder_of` would fail, before hours of work; raises GtauError.
 
-    Nothing is made yet, so that what is refused or interrupted leaves no empty folder.
+    The folder is not made yet, so that a refused or interrupted command leaves no empty folder.
     """
     if path is None:
         return
@@ -89,7 +89,7 @@ def refuse_as_folder(path: str | Path | None) -> None:
 def hold_folder(path: str | Path) -> Callable[[], None]:
     """Make a folder, and keep other commands from writing to it until the returned function is called; GtauError.
 
-    That function removes what was made and is still empty.
+    This function removes the new folders that are still empty.
     """
     refuse_as_folder(path)
     made = [place for place in (Path(path), *Path(path).parents) if not place.exists()]
@@ -126,23 +126,20 @@ def folder_of(path: str | Path) -> Path:
 
 
 def _refuse_detour(path: Path) -> None:
-    """Refuse a path that leads through a folder that does not exist, which would be made for nothing; GtauError."""
+    """Refuse a path through a missing folder, which would be made in vain; raises GtauError."""
     for place in (p for p in reversed((path, *path.parents)) if p.name == ".." and not p.parent.exists()):
         raise GtauError(f"{path} leads through {place.parent}, which does not exist; write {os.path.normpath(path)}.")
 
 
 def beside(folder: Path, path: str | Path) -> Path:
-    """Return a path that a file in ``folder`` states, without steps that lead back: ``a/../b`` is ``b``.
-
-    Where a step is a link that leads elsewhere, the path stays as it is.
-    """
+    """Resolve a path stated by a file in ``folder``, with ``a/../b`` shortened to ``b`` unless ``a`` is a link."""
     joined = folder / path
     short = Path(os.path.normpath(joined))
     return short if not joined.exists() or (short.exists() and short.samefile(joined)) else joined
 
 
 def regular(path: Path) -> Path:
-    """Return a path that is no device and no pipe, of which reading might never end; raises OSError otherwise."""
+    """Return a path that is not a device or pipe, whose reading might never end; raises OSError otherwise."""
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise OSError(errno.EINVAL, "it is a device or a pipe")
     return path
@@ -150,7 +147,7 @@ def regular(path: Path) -> Path:
 
 @contextmanager
 def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None]:
-    """Turn an error of the system while a file is read into a GtauError."""
+    """Turn errors of the system while reading a file into a GtauError."""
     try:
         regular(path)
         yield
@@ -164,7 +161,7 @@ def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
     """Read a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
 
-    Raises GtauError where it cannot be read, or is longer (message ``larger``). The caller names the file.
+    Raises GtauError if the file is unreadable or longer (message ``larger``). The caller names the file.
     """
     try:
         with regular(path).open("rb") as file:
@@ -178,7 +175,7 @@ def read_at_most(size: int, path: Path, larger: str) -> bytes:
 
 
 def json_in(text: str, **options: Any) -> Any:
-    """Read JSON; raises ValueError where it is none, or is nested too deep."""
+    """Read JSON; raises ValueError if it is invalid or nested too deep."""
     try:
         return json.loads(text, **options)
     except RecursionError:
@@ -216,16 +213,14 @@ def _word(name: str) -> str:
 
 
 def matching(pattern: Path) -> list[Path]:
-    """List the path itself if it exists, else what it matches as a pattern with ``*``, ``?``, ``[]`` or ``**``."""
+    """List the path itself if it exists, else its matches as a pattern with ``*``, ``?``, ``[]`` or ``**``."""
     if pattern.exists():
         return [pattern]
     return in_order(Path(name) for name in glob(str(pattern), recursive=True))
 
 
-HEAD = 1 << 16  # bytes that are looked at
-LOG_LINES = 40  # of nothing but numbers make a table a log; tables of MDH parameters have one line a joint
-
-
+HEAD = 1 << 16  # bytes that are inspected
+LOG_LINES = 40  # lines of numbers that make a table a log; tables of MDH parameters have one line per joint
 MODEL, DESIGNED = "a model that 'gtau identify' wrote", "a design that 'gtau excite' wrote"
 EXPERIMENT, SIMULATION, DESIGN, FLEET = "an experiment file", "a simulation file", "a design file", "a fleet file"
 ROBOT, LOG, FOLDER, PICTURE = "a robot file", "a log", "a folder", "a picture"
@@ -241,19 +236,18 @@ USES = {
     DESIGNED: "the robot follows the trajectory beside it",
     FOLDER: "give the file itself",
     PICTURE: "give another file",
-    BINARY: "export what it holds as CSV, Parquet, NPZ, MAT or HDF5",
+    BINARY: "export its content as CSV, Parquet, NPZ, MAT or HDF5",
 }
-"""What to do with a file of a kind."""
+"""Use of each kind of file."""
 CONVERSIONS = {
     ".npy": "save arrays by name in its place (np.savez(PATH, t=..., q=..., current=...))",
     **dict.fromkeys(
-        (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz"), "unpack it and give what it holds"
+        (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz"), "unpack it and give its content"
     ),
     **dict.fromkeys((".xlsx", ".xls", ".ods"), "export its table as CSV"),
     **dict.fromkeys((".tdms", ".mf4", ".mdf", ".ulg", ".blf", ".dat"), "export its signals as CSV or MAT"),
 }
-"""What to do with files of other programs, by their endings."""
-
+"""Conversions of files of other programs, by their endings."""
 _KEYS = (
     (EXPERIMENT, {"signals"}),
     (SIMULATION, {"drives"}),
@@ -261,11 +255,11 @@ _KEYS = (
     (ROBOT, {"joints", "closed_loop", "name_mot"}),
     (DESIGN, {"period", "harmonics", "repetitions", "prior", "limits", "space"}),
 )
-"""Keys that only one kind of YAML file has, the first that matches."""
+"""Keys that only one kind of YAML file has; the first match counts."""
 
 
 def kind_of(path: str | Path) -> str | None:
-    """Recognise a file by its content; None if it is of no known kind or cannot be read."""
+    """Recognise a file by its content; None if it is unknown or unreadable."""
     path = Path(path)
     try:
         if path.is_dir():
@@ -293,10 +287,7 @@ def kind_of(path: str | Path) -> str | None:
 
 
 def refuse_other_kind(path: str | Path, wanted: str) -> None:
-    """Refuse a file recognised as another kind, and name the command that accepts it; raises GtauError.
-
-    A file that is not recognised is left to its reader.
-    """
+    """Refuse a file recognised as another kind, and name the command that accepts it; raises GtauError."""
     kind = kind_of(path)
     if kind is None or kind == wanted:
         return
@@ -308,8 +299,8 @@ def refuse_other_kind(path: str | Path, wanted: str) -> None:
 
 
 def _is_table(text: str) -> bool:
-    """Decide whether nearly all lines hold two or more numbers and nothing else, as logs do below their header."""
-    lines = text.splitlines()[1:-1]  # without a header and a line that may be cut
+    """Return whether nearly all lines consist of two or more numbers, as in logs below the header."""
+    lines = text.splitlines()[1:-1]  # without the header and a truncated last line
     numbers = 0
     for line in lines[:LOG_LINES]:
         with suppress(ValueError):

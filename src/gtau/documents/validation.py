@@ -1,4 +1,4 @@
-"""Check what users give: files against pydantic models, and arguments of public functions by type, in one sentence."""
+"""Validate user input: files against pydantic models, and argument types of public functions; one-sentence errors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Model = TypeVar("Model", bound=BaseModel)
 P = ParamSpec("P")
 R = TypeVar("R")
 LONGEST_NAME = 100  # characters: longer ones fit no table, and with a suffix no file name
-LARGEST = 1e30  # of a number, and of its inverse: products of larger ones overflow, and no robot has such sizes
+LARGEST = 1e30  # largest number and inverse of a number: products of larger ones overflow, and no robot has them
 
 
 def _sized(number: float) -> float:
@@ -39,7 +39,7 @@ Positive = Annotated[Number, Field(gt=0)]
 
 
 def text_or_group(value: Any) -> str:
-    """Discriminate, for pydantic, a text from a group."""
+    """Return the tag, for pydantic, of a text or a group."""
     return "text" if isinstance(value, str) else "group"
 
 
@@ -57,10 +57,9 @@ class Keys(BaseModel):
 def validate(model_class: type[Model], document: Document, context: Any = None) -> Model:
     """Check a document against a pydantic model (configured with ``extra="forbid"``), and return an instance of it.
 
-    Its validators may raise ValueError with the correct form as text, without a full stop, and get the ``context`` as
-    ``info.context``.
-
-    Raises GtauError with one sentence on the first error, unknown keys first, with file, line and dotted key.
+    Validators may raise ValueError with the correct form as text, without a full stop, and get the ``context`` as
+    ``info.context``. Raises GtauError with one sentence on the first error, unknown keys first, with file, line and
+    dotted key.
     """
     try:
         return model_class.model_validate(document.data, context=context)
@@ -74,7 +73,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
             choices = _fields(model_class, keys[:-1])
             problem = unknown(f"key '{key}'", str(key), choices)
         case "missing", int(position):  # of a tuple that is too short
-            places = [other["loc"] for other in errors if other["loc"][:-1] == location[:-1]]
+            places = [missing["loc"] for missing in errors if missing["loc"][:-1] == location[:-1]]
             problem = _count(position, f"{1 + max(int(place[-1]) for place in places)}")
         case "missing", key:
             problem = f"the key '{key}' is missing; add it"
@@ -84,7 +83,7 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
 
 
 def read_group(model_class: type[Model], name: str, value: Any) -> Model:
-    """Take an instance, or read a mapping as in a file called ``name``; raises GtauError."""
+    """Return an instance, or validate a mapping like a file called ``name``; raises GtauError."""
     return value if isinstance(value, model_class) else validate(model_class, Document(name, value))
 
 
@@ -99,7 +98,7 @@ def name_problem(name: str) -> str | None:
 
 
 def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
-    """Say that `what` is unknown, with the closest of `choices` to `name`, or with all of them."""
+    """Report that `what` is unknown, with the closest of `choices` to `name`, or with all of them."""
     choices = sorted(choices)
     cutoff = 0.5 if len(name) <= 2 else 0.52  # one letter of two is close
     if close := get_close_matches(name, choices, n=1, cutoff=cutoff):
@@ -108,7 +107,7 @@ def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
 
 
 def _written(location: KeyPath, data: Any) -> KeyPath:
-    """Drop names of union members and of missing keys, which are not in the file, from pydantic's location."""
+    """Drop union members and missing keys, which are not in the file, from pydantic's location."""
     keys: list[str | int] = []
     for key in location:
         inside = range(len(data)) if isinstance(data, list) else data if isinstance(data, dict) else ()
@@ -119,7 +118,6 @@ def _written(location: KeyPath, data: Any) -> KeyPath:
 
 
 def _fields(annotation: Any, keys: KeyPath) -> set[str]:
-    """List the keys that the model accepts at a place."""
     if hasattr(annotation, "__value__"):  # a `type` alias
         annotation = annotation.__value__
     origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
@@ -134,9 +132,9 @@ def _fields(annotation: Any, keys: KeyPath) -> set[str]:
         return _fields(fields.get(str(keys[0])), keys[1:])
     if not keys or not arguments:
         return set()
-    # of a dict its values, of a list or tuple its items
-    of_tuple = origin is tuple and isinstance(keys[0], int) and keys[0] < len(arguments)
-    item = arguments[int(keys[0]) if of_tuple else -1]
+    # values of a dict, or items of a list or tuple
+    in_tuple = origin is tuple and isinstance(keys[0], int) and keys[0] < len(arguments)
+    item = arguments[int(keys[0]) if in_tuple else -1]
     return _fields(arguments[0] if item is Ellipsis else item, keys[1:])
 
 
@@ -149,7 +147,6 @@ BOUNDS = {
 
 
 def _sentence(error: ErrorDetails) -> str:
-    """Translate pydantic's error into a sentence of gtau."""
     value, context = error["input"], error.get("ctx", {})
     match value:
         case None:
@@ -193,9 +190,7 @@ def _count(written: int, needed: str) -> str:
     return f"{written} value{'s are' if written != 1 else ' is'} written; write {needed}"
 
 
-Accepted = tuple[str, tuple[type, ...]]
-"""What to give in words, and its types."""
-
+Accepted = tuple[str, tuple[type, ...]]  # a description, and its types
 PATH: Accepted = ("a path", (str, Path))
 TEXT: Accepted = ("a text", (str,))
 NUMBER: Accepted = ("a number", (Real,))
@@ -207,10 +202,7 @@ FUNCTION: Accepted = ("a function", (Callable,))  # type: ignore[assignment]
 
 
 def takes(**accepted: Accepted) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Check the types of a function's arguments before it runs; defaults are always accepted.
-
-    The function raises GtauError where an argument has another type.
-    """
+    """Make a function check the types of its arguments, defaults always accepted, and raise GtauError."""
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         parameters, called = signature(function), function.__qualname__.removesuffix(".__init__")
@@ -220,7 +212,7 @@ def takes(**accepted: Accepted) -> Callable[[Callable[P, R]], Callable[P, R]]:
             try:
                 given = parameters.bind(*args, **kwargs).arguments
             except TypeError:
-                return function(*args, **kwargs)  # whose own error names it
+                return function(*args, **kwargs)  # its own error names the argument
             for name, value in given.items():
                 if name in accepted and value is not parameters.parameters[name].default:
                     expect(f"'{name}' of {called}()", value, accepted[name])
@@ -232,7 +224,7 @@ def takes(**accepted: Accepted) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def expect(what: str, value: object, accepted: Accepted) -> None:
-    """Refuse a value of another type than those accepted; raises GtauError."""
+    """Refuse a value of another type; raises GtauError."""
     words, types = accepted
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
         raise GtauError(f"{what} cannot be of type {type(value).__name__}; give {words}.")

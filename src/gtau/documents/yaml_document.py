@@ -1,7 +1,7 @@
 """Read YAML files safely, with the line of every key, and write readable YAML.
 
-Nothing in a file is ever executed or guessed: scalars stay the text they were written as (a joint may be called
-``11``, ``01`` or ``on``), and anchors, tags and repeated keys are refused.
+Nothing in a file is executed or guessed: scalars stay text (a joint may be called ``11``, ``01`` or ``on``), and
+anchors, tags and repeated keys are refused.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ MAX_BYTES = 1 << 20
 MAX_DEPTH = 64
 
 KeyPath = tuple[str | int, ...]
-"""The way to a value: keys of mappings and positions (from 0) in lists."""
+"""Path of a value: keys of mappings and positions (from 0) in lists."""
 
 
 class Document:
     """A file of nested dicts and lists of texts: its path, its ``data``, and the line of every value.
 
-    ``content`` is YAML, of whose events PyYAML's parser resolves no tags and constructs no objects, or what was read
-    from a file elsewhere, with keys and integers made texts.
+    ``content`` is YAML, parsed to PyYAML's events without resolving tags or constructing objects, or data from another
+    reader, whose keys and integers become texts.
     """
 
     def __init__(self, path: str | Path, content: str | Mapping[str, Any]) -> None:
@@ -37,13 +37,13 @@ class Document:
         self.data: dict[str, Any] = self._parsed(content) if isinstance(content, str) else _as_written(content)
 
     def line(self, keys: KeyPath) -> int | None:
-        """Find the line (from 1) of the value at `keys`, or of the nearest value around it that is written."""
+        """Find the line (from 1) of the value at `keys`, or of the nearest enclosing value."""
         while keys and keys not in self.lines:
             keys = keys[:-1]
         return self.lines.get(keys) if keys else None
 
     def error(self, keys: KeyPath, problem: str) -> GtauError:
-        """Make an error that names the file, the line and the dotted key; `problem` states the correct form."""
+        """Make an error with file, line and dotted key; `problem` states the correct form."""
         place = [str(self.path)]
         if (line := self.line(keys)) is not None:
             place.append(f"line {line}")
@@ -102,12 +102,12 @@ class Document:
             if key.value in mapping:
                 raise self._error(key, f"the key '{key.value}' is written twice; keep one of them")
             mapping[key.value] = self._value(next(self._events), (*keys, key.value))
-            # Users look at the key's line, even if its value begins below it.
+            # Users look at the line of the key, even if the value begins below.
             self.lines[(*keys, key.value)] = key.start_mark.line + 1
         return mapping
 
     def _refuse_rest(self, event: Any, text: str) -> None:
-        """Refuse the end of an expression: in braces and brackets, a comma ends a value."""
+        """Refuse the rest of an expression: in braces and brackets, a comma ends a value."""
         if text.count(")") > text.count("("):
             raise self._error(
                 event, f"the comma before '{text}' ends a value; quote the expression, as in s: 'atan2(h, a)'"
@@ -126,10 +126,8 @@ def _as_written(data: Any) -> Any:
 def read_yaml(path: str | Path) -> Document:
     """Read a YAML file whose root is a mapping, UTF-8 and at most 1 MiB.
 
-    Every scalar is text as written; values without text are refused, so there is no ``None``.
-
-    Raises GtauError where the file cannot be read, is no valid YAML, or holds what gtau does not read: several
-    documents, aliases, tags, repeated keys, keys that are not text, empty values, or more than 64 levels.
+    Every scalar is text as written, never ``None``. Raises GtauError if the file is unreadable or invalid, or contains
+    several documents, aliases, tags, repeated keys, keys that are not text, empty values, or more than 64 levels.
     """
     path = Path(path)
     with system_refusals(path, "check the path and its permissions"), path.open("rb") as file:
@@ -156,7 +154,7 @@ SYNTAX = (
     ("expected the node content", "a value is missing or misplaced; correct the line"),
     ("control characters are not allowed", "it holds control characters; save it as plain text"),
 )
-"""What PyYAML reports, and the same for people who have not read its source."""
+"""Parts of PyYAML's messages, and their meaning for users."""
 
 
 def _syntax(error: yaml.MarkedYAMLError) -> str:
@@ -181,7 +179,7 @@ _Dumper.add_multi_representer(str, _text)  # parameters
 def yaml_text(data: Any, flow: bool | None = None, width: float = 120) -> str:
     """Write nested dicts and lists as YAML, keys in their order, in lines of at most ``width`` characters.
 
-    ``flow`` is whether all of it is in braces and brackets; if left out, only the innermost groups are.
+    With ``flow`` all groups are in braces and brackets; if omitted, only the innermost ones.
     """
     text: str = yaml.dump(
         data, Dumper=_Dumper, default_flow_style=flow, sort_keys=False, width=width, allow_unicode=True

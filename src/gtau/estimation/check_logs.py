@@ -308,7 +308,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         run=run,
         validation=validation,
         wrenches=tuple(
-            WrenchCheck(frame.body, "world" if frame.of_world else "body", force, moment)
+            WrenchCheck(frame.body, "world" if frame.in_world else "body", force, moment)
             for frame, (moment, force) in zip(run.wrenches, wrench_rms, strict=True)
         ),
         joints=tuple(

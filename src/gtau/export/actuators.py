@@ -37,7 +37,7 @@ from gtau.robots.robot import Limits
 from gtau.simulation.mujoco_plant import STEP
 
 TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
-OF_DRIVE = ("armature", "damping", "frictionloss")
+DRIVE_ATTRIBUTES = ("armature", "damping", "frictionloss")
 """Attributes of a joint of MJCF that belong to its drive."""
 ISAACLAB = {
     "armature": "armature",
@@ -112,7 +112,7 @@ class Actuator:
 
     @property
     def measured(self) -> dict[str, Any]:
-        """What was identified, with intervals, for people and programs."""
+        """Identified values with their intervals."""
         gain = replace(self.model.result.drive_gains[self.joint], value=self.gain)
         armature = {"not_identifiable_apart_from": self.regrouped, "with_exported_bodies": self.of("ia")}
         entry = {
@@ -139,7 +139,7 @@ def actuators(model: ConsistentModel) -> tuple[Actuator, ...]:
 
 
 def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
-    """Find the rotor inertia if it is a base parameter of its own, else the base parameter that contains it."""
+    """Find the rotor inertia if it is a base parameter itself, else the base parameter that contains it."""
     base, name = model.result.base, Parameter("ia", joint)
     rows = np.flatnonzero(base.matrix[:, model.result.idm.parameter_names.index(name)])
     if len(rows) == 1 and np.count_nonzero(base.matrix[rows[0]]) == 1:
@@ -150,11 +150,7 @@ def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]
 
 
 def export_mujoco(result: Result, out: Path) -> Exported:
-    """Write ``NAME_actuators.xml``, and ``NAME.xml``, the bodies that include it, into ``out``.
-
-    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
-    them.
-    """
+    """Write ``NAME_actuators.xml``, and ``NAME.xml``, the bodies that include it; raises GtauError."""
     model, name = consistent_model(result, "mujoco-actuators"), identifier(result.robot.name)
     motors = actuators(model)
     texts, notes, figures = _body_texts(model, motors)
@@ -168,11 +164,7 @@ def export_mujoco(result: Result, out: Path) -> Exported:
 
 
 def export_mjlab(result: Result, out: Path) -> Exported:
-    """Write ``NAME_mjlab.yaml`` and the bodies, ``NAME_body.xml``, into ``out``.
-
-    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
-    them.
-    """
+    """Write ``NAME_mjlab.yaml`` and the bodies, ``NAME_body.xml``, into ``out``; raises GtauError."""
     model, name = consistent_model(result, "mjlab"), identifier(result.robot.name)
     motors, body = actuators(model), f"{name}_body.xml"
     texts, notes, figures = _body_texts(model, motors)
@@ -184,10 +176,7 @@ def export_mjlab(result: Result, out: Path) -> Exported:
 
 
 def export_isaaclab(result: Result, out: Path) -> Exported:
-    """Write ``NAME_isaaclab.yaml``, and the bodies as the export to URDF does, into ``out``.
-
-    Raises GtauError where the result has no physically consistent parameters, or the robot has no URDF.
-    """
+    """Write ``NAME_isaaclab.yaml``, and the bodies as in the export to URDF, into ``out``; raises GtauError."""
     model, name = consistent_model(result, "isaaclab"), identifier(result.robot.name)
     bodies, motors = urdf.export(result, out), actuators(model)
     entries = {motor.joint: _fields(motor) for motor in motors}
@@ -209,7 +198,6 @@ def export_isaaclab(result: Result, out: Path) -> Exported:
 
 
 def _fields(motor: Actuator) -> dict[str, Any]:
-    """List the fields of a motor by their names in mjlab."""
     low, high = motor.lags
     fields = {
         "armature": None if motor.armature is None else motor.armature.value,
@@ -224,7 +212,7 @@ def _fields(motor: Actuator) -> dict[str, Any]:
 
 
 def _notes(motors: Sequence[Actuator], target: str = "") -> list[str]:
-    """List what is not identifiable or missing in the robot's file, and what a ``target`` of YAML has no field for."""
+    """Note parameters that are not identifiable or missing in the robot's file, or have no field in the ``target``."""
     rotors = [f"'{motor.joint}' ({motor.regrouped or 'no effect'})" for motor in motors if motor.armature is None]
     unlimited = [motor.joint for motor in motors if motor.limits.effort is None]
     unknown = [motor.joint for motor in motors if motor.delay.std is None]
@@ -246,7 +234,7 @@ def _notes(motors: Sequence[Actuator], target: str = "") -> list[str]:
 
 
 def _yaml_file(head: str, document: dict[str, Any], motors: Sequence[Actuator]) -> str:
-    """Write a YAML file with a comment on top, and with what was identified of the motors."""
+    """Write a YAML file with a comment on top and the identified values of the motors."""
     measured = {motor.joint: motor.measured for motor in motors}
     return textwrap.indent(f"{head}\n", "# ") + yaml_text(document | {"measured": measured})
 
@@ -270,7 +258,7 @@ def _body_texts(
     outer = SubElement(SubElement(drives, "default"), "default", {"class": "drives"})
     for joint in root.iter("joint"):
         if (name := joint.get("name")) in driven:  # an equality names no joint
-            values = {key: joint.attrib.pop(key) for key in OF_DRIVE if key in joint.attrib}
+            values = {key: joint.attrib.pop(key) for key in DRIVE_ATTRIBUTES if key in joint.attrib}
             SubElement(SubElement(outer, "default", {"class": f"drive {name}"}), "joint", values)
             joint.set("class", f"drive {name}")
     elements = SubElement(drives, "actuator")
@@ -298,7 +286,6 @@ def _general(motor: Actuator, step: float) -> dict[str, str]:
 
 
 def _delays(mujoco: ModuleType) -> bool:
-    """Decide whether this MuJoCo has delays of actuators."""
     return hasattr(mujoco.MjsActuator, "delay")
 
 

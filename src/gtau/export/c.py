@@ -48,7 +48,6 @@ def c_files(model: Identified) -> dict[str, str]:
 
 
 def _fields(model: Identified) -> dict[str, Any]:
-    """Collect the fields that only the templates of C take."""
     robot, loops = model.result.robot, model.result.idm.loops
     joints = [robot.joint(joint) for joint in model.joints]
     velocities = np.array([joint.limits.velocity or 10.0 for joint in joints])
@@ -70,7 +69,6 @@ def _fields(model: Identified) -> dict[str, Any]:
 
 
 def _comment(k: int, model: Identified) -> str:
-    """Describe a parameter in the comment beside its value."""
     estimate = model.parameters[k]
     std = "" if estimate.std is None else f", standard deviation {estimate.std:.2g}"
     regrouping = f" = {estimate.regroups}" if estimate.regroups else ""

@@ -1,9 +1,9 @@
 """Physically consistent standard parameters of a result, for rigid-body engines, and what these engines lack.
 
-A file without loops cannot hold a robot with loops. It has the inertia that the motors move with loops closed: at
-rest, torques are ``M(q) qdd + g(q)`` with ``M = J^T I J``, where I is the inertia of all bodies and rotors in the
-coordinates of the tree, J the motion of these by the motors. A tree of motors alone with ``M`` of its home as their
-armature moves like the robot near home, but for gravity.
+A file without loops cannot describe a robot with loops. It states the inertia at the motors with loops closed instead:
+at rest, torques are ``M(q) qdd + g(q)`` with ``M = J^T I J``, where I is the inertia of all bodies and rotors in the
+coordinates of the tree, and J their motion by the motors. A tree of motors only with the ``M`` at home as armature
+moves like the robot near home, apart from gravity.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ POSES = 200  # at random within the workspace
 class ConsistentModel:
     """Physically consistent parameters by name, friction cubic in speed (f3) included, and drive gains by joint.
 
-    Friction dissipates at every speed: no ``fv``, ``fs`` or ``f3`` is negative. Where identified ones are, or friction
-    bends (``fb``), ``fv`` and ``fs`` are the straight line nearest to the friction up to the fastest logged speed, and
+    Friction dissipates at every speed: no ``fv``, ``fs`` or ``f3`` is negative. If an identified one is, or friction is
+    curved (``fb``), ``fv`` and ``fs`` are the straight line closest to the friction up to the fastest logged speed, and
     ``straight`` names the joint.
     """
 
@@ -78,8 +78,8 @@ def consistent_model(result: Result, target: str) -> ConsistentModel:
 def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> tuple[dict[str, float], str]:
     """Compute the rms difference from the identified torques over random states, per cent by joint, and a note on it.
 
-    None is faster than the logs. ``expressed`` are the parameters that the target holds; the identified torques include
-    all friction terms.
+    No state is faster than the logs. ``expressed`` are the parameters that the target holds; the identified torques
+    include all friction terms.
     """
     result, idm = model.result, model.result.idm
     motion = random_motion(idm, STATES, np.random.default_rng(0))
@@ -124,7 +124,7 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
 
 
 def term_notes(model: ConsistentModel, target: str, expressed: Mapping[str, float], delays: bool = False) -> list[str]:
-    """List what no rigid-body format holds: friction not ``expressed``, and delays unless written elsewhere."""
+    """Note effects that no rigid-body format holds: friction not ``expressed``, and delays unless written elsewhere."""
     result, notes = model.result, friction_notes(model)
     widths = {name.body: estimate for name, estimate in result.friction.items() if name.kind == "width"}
     if held := [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]:
@@ -146,7 +146,7 @@ def motor_inertias(model: ConsistentModel) -> np.ndarray:
     assert idm.loops is not None
     c = np.column_stack([idm.loops.home, random_motion(idm, POSES, np.random.default_rng(0)).c])
     n, poses = len(idm.actuated), c.shape[1]
-    qdd = np.repeat(np.eye(n, n + 1, 1), poses, axis=1)  # of none, then of each motor alone
+    qdd = np.repeat(np.eye(n, n + 1, 1), poses, axis=1)  # no motor, then one motor at a time
     motion = idm.rates(np.tile(c, n + 1), np.zeros_like(qdd), qdd)
     values = np.array([model.values.get(name, 0.0) for name in idm.parameter_names])
     tau = idm.full.torques_along(idm.layout, motion, values).reshape(n, n + 1, poses)
@@ -171,7 +171,7 @@ def serial_equivalent(model: ConsistentModel) -> dict[str, Any]:
 
 
 def what_is_lost(robot: Robot, target: str, name: str, loops: str = "") -> str:
-    """Say that the files of a ``target`` have no loops but in ``NAME.yaml``, or in ``loops``; empty without loops."""
+    """Note that the files of a ``target`` have no loops, except in ``NAME.yaml`` or ``loops``; empty without loops."""
     if not robot.closures:
         return ""
     count = len(robot.closures)

@@ -1,7 +1,4 @@
-"""What a kind of export is: its files, their names, how they are written, and what is returned.
-
-Each kind is named in the constant ``EXPORTS`` of a module of this folder, or by an entry point.
-"""
+"""Kinds of export, named in the constant ``EXPORTS`` of the modules of this folder or by entry points."""
 
 from __future__ import annotations
 
@@ -24,17 +21,15 @@ from gtau.estimation.results.result import Result
 from gtau.extensions import find, homes, names
 from gtau.robots.floating import refuse_floating
 
-HOME = ("gtau.exports", "gtau.export")
-"""Group of entry points, and the package of the built-in kinds."""
-MODELS = 16
-"""Draws that are written as models where nobody says how many."""
+HOME = ("gtau.exports", "gtau.export")  # group of entry points, and the package of the built-in kinds
+MODELS = 16  # default number of draws written as models
 
 
 @dataclass(frozen=True)
 class Exported:
     """Files written, notes on what the target cannot express, and figures by name (``rms_percent_11``).
 
-    ``lost`` is the first of the notes where the files are not the whole robot, to be said before all else.
+    ``lost``, also the first note, says what part of the robot the files lack; it is shown before all else.
     """
 
     files: tuple[Path, ...]
@@ -45,18 +40,11 @@ class Exported:
 
 @dataclass(frozen=True)
 class Export:
-    """A kind of export.
+    """A kind of export: ``write`` writes a result into a folder.
 
-    Attributes
-    ----------
-    write : callable
-        Writes a result into a folder.
-    into : callable, optional
-        Writes a copy of the robot's own file with the identified parameters (result, file, folder).
-    simulates : bool
-        Whether a simulator reads it, so that models can be drawn.
-    floating : bool
-        Whether it holds parameters alone, so that the robot's base may float.
+    ``into``, if any, writes a copy of the robot's own file with the identified parameters (result, file, folder).
+    ``simulates`` says whether a simulator reads it, so that models can be drawn, and ``floating`` whether the robot's
+    base may float, because it holds parameters only.
     """
 
     write: Callable[[Result, Path], Exported]
@@ -66,7 +54,7 @@ class Export:
 
 
 def refuse_unknown(kind: str, kinds: Collection[str]) -> None:
-    """Refuse a ``kind`` that is not among ``kinds``."""
+    """Refuse an unknown ``kind``."""
     if kind not in kinds:
         close = get_close_matches(kind, kinds, n=1)
         hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(kinds)}."
@@ -122,8 +110,8 @@ def export_model(
     out : path
         Folder of the files.
     into : path, optional
-        For the kinds ``urdf`` and ``mjcf``: the robot's own file, of which a copy with the identified parameters
-        and everything else as it was is written, into another folder.
+        For the kinds ``urdf`` and ``mjcf``: the robot's own file; a copy with the identified parameters, otherwise
+        unchanged, is written into another folder.
     samples : int
         Number of models to draw as well, see :func:`gtau.export.samples.draw`: ``samples.npz``, and
         for the kinds that simulate the first ``models`` of them, each in a folder of its own (``samples/0000``).
@@ -138,8 +126,7 @@ def export_model(
     Raises
     ------
     GtauError
-        Where the model lacks what the kind needs, or the files cannot be written. Files that were there are unchanged
-        then.
+        If the model lacks what the kind needs, or the files cannot be written; existing files are then unchanged.
     """
     refuse_unknown(kind, names(*HOME))
     refuse_as_folder(out)
@@ -161,7 +148,7 @@ def export_model(
             return export.write(model, folder)
         return export.into(model, Path(into), folder)
 
-    with TemporaryDirectory() as name:  # so that an export which refuses halfway leaves nothing
+    with TemporaryDirectory() as name:  # so that a refused export leaves nothing
         made = Path(name)
         exported = write(result, made)
         files = [*exported.files]

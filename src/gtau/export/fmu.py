@@ -25,10 +25,7 @@ NEEDS = "the simulator's Python needs the packages casadi and numpy ('pythonfmu3
 
 
 def export(result: Result, out: Path) -> Exported:
-    """Write ``NAME.fmu`` into ``out``.
-
-    Raises GtauError where PythonFMU3 is not installed.
-    """
+    """Write ``NAME.fmu`` into ``out``; raises GtauError if PythonFMU3 is not installed."""
     try:
         from pythonfmu3.builder import FmuBuilder
     except ImportError:
@@ -41,7 +38,7 @@ def export(result: Result, out: Path) -> Exported:
         folder = Path(name)
         script = folder / f"{model.name}.py"
         texts = {"robot": result.robot.name, "friction": result.friction_law.range_sentence}
-        # not as pairs of surrogates, which are no characters in Python
+        # no pairs of surrogates, which are not characters in Python
         quoted = {key: json.dumps(text, ensure_ascii=False)[1:-1] for key, text in texts.items()}
         script.write_text(filled("slave.py", fields | quoted), encoding="utf-8")
         resources = [folder / "model.json", folder / "requirements.txt"]

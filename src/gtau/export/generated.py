@@ -32,7 +32,7 @@ CLOSING = {
 
 
 def fields_of(model: Identified) -> dict[str, Any]:
-    """Collect what templates take: the model, its CasADi functions (``made``), and what both say."""
+    """Collect the fields of the templates: the model, its CasADi functions (``made``), and values of both."""
     made, result = functions(model), model.result
     count = len(made.home) - len(made.presliding)
     return {

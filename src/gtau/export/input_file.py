@@ -82,10 +82,7 @@ class InputFile:
 
 
 def input_file(path: Path, robot: Robot) -> InputFile:
-    """Read the file of ``robot``, so that it can be written with edits.
-
-    Raises GtauError where the file cannot be read, or describes another robot than the model.
-    """
+    """Read the file of ``robot`` for edits; raises GtauError if it is unreadable or describes another robot."""
     if problem := _difference(load_robot(path), robot):
         raise GtauError(f"{path} is not the file of the model's robot '{robot.name}': {problem}; give its own file.")
     try:
@@ -99,7 +96,7 @@ def input_file(path: Path, robot: Robot) -> InputFile:
 
 
 def _spans(content: bytes) -> list[Span]:
-    """Find the spans of all elements, in the order in which they begin."""
+    """Find the spans of all elements in document order."""
     parser = ParserCreate()
     spans: dict[int, Span] = {}  # by where the elements begin
     inside: list[int] = []
@@ -110,7 +107,7 @@ def _spans(content: bytes) -> list[Span]:
 
     def end(name: str) -> None:
         span = spans[inside.pop()]
-        empty = content.endswith(b"/>", 0, span.inner)  # its end is reported where it begins, or after it
+        empty = content.endswith(b"/>", 0, span.inner)  # its end is reported at its beginning, or after it
         spans[span.start] = replace(span, stop=span.inner if empty else _tag_end(content, parser.CurrentByteIndex))
 
     parser.StartElementHandler, parser.EndElementHandler = start, end

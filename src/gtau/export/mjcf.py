@@ -32,11 +32,7 @@ THICKNESS = 0.012  # m: of the links as drawn
 
 
 def export(result: Result, out: Path) -> Exported:
-    """Write ``NAME.xml`` into ``out``.
-
-    Raises GtauError where the result has no physically consistent parameters, or MuJoCo is not installed or refuses
-    them.
-    """
+    """Write ``NAME.xml`` into ``out``; raises GtauError without consistent parameters or MuJoCo."""
     text, said, figures = model_text(imported(), consistent_model(result, "MJCF"))
     return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), tuple(said), figures)
 
@@ -44,9 +40,9 @@ def export(result: Result, out: Path) -> Exported:
 def model_text(
     mujoco: ModuleType, model: ConsistentModel, delays: bool = False
 ) -> tuple[str, list[str], dict[str, float]]:
-    """Write a model as MJCF: its text, notes on what it lacks, and differences of torques; raises GtauError.
+    """Write a model as MJCF: text, notes on missing effects, and differences of torques; raises GtauError.
 
-    With ``delays`` these are written elsewhere, and not noted as missing.
+    With ``delays``, these are written elsewhere and not noted as missing.
     """
     result = model.result
     spec, expressed = _spec(mujoco, model)
@@ -82,7 +78,6 @@ def compiled(compile_model: Callable[[], Any]) -> Any:
 
 
 def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, float]]:
-    """Build the spec, and return the parameters that it expresses."""
     robot = model.result.robot
     spec = robot_spec(mujoco, robot, model.values)
     spec.modelname = robot.name

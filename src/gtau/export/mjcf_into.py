@@ -31,8 +31,8 @@ NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 def export(result: Result, source: Path, out: Path) -> Exported:
     """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
 
-    Raises GtauError where the result has no physically consistent parameters, the file describes another robot, or its
-    bodies do not appear in it one by one.
+    Raises GtauError without consistent parameters, or if the file describes another robot or includes or repeats
+    bodies.
     """
     mujoco = imported()
     model = consistent_model(result, "MJCF")
@@ -67,7 +67,7 @@ def export(result: Result, source: Path, out: Path) -> Exported:
 
 
 def _within(element: Element, *tags: str) -> Iterator[Element]:
-    """List the elements of a kind in the order in which MuJoCo numbers them: bodies at any depth, joints of a body."""
+    """List elements in MuJoCo's order: bodies at any depth, or joints of one body."""
     for child in element:
         if child.tag in tags:
             yield child
@@ -80,7 +80,6 @@ def _joint_name(compiled: Any, number: int) -> str:
 
 
 def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, RigidBody]:
-    """Compute rigid bodies by number of the MuJoCo body, in its frame."""
     robot, layout = model.result.robot, model.result.idm.layout
     data = mujoco.MjData(compiled)
     mujoco.mj_kinematics(compiled, data)
@@ -88,8 +87,9 @@ def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, R
     for body in range(1, compiled.nbody):
         number.setdefault(compiled.body(body).name or f"body {body + 1}", body)
     c = np.zeros(layout.n_c)
+    single = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
     for k, joint in enumerate(robot.joints):
-        if joint.name in number and _single(mujoco, compiled, joint.name):
+        if joint.name in number and int(compiled.joint(joint.name).type[0]) in single:
             c[k] = data.qpos[compiled.joint(joint.name).qposadr[0]]
     for slots in layout.platforms:
         body = data.body(slots.platform.name)
@@ -103,11 +103,6 @@ def _inertias(mujoco: Any, model: ConsistentModel, compiled: Any) -> dict[int, R
             rotation, position = R.T @ at.xmat.reshape(3, 3), R.T @ (at.xpos - p)
             inertias[number[name]] = rigid_body(model.values, name).seen_from(rotation, position)
     return inertias
-
-
-def _single(mujoco: Any, compiled: Any, joint: str) -> bool:
-    kinds = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    return int(compiled.joint(joint).type[0]) in [int(kind) for kind in kinds]
 
 
 def _inertial(body: RigidBody) -> Element:
@@ -142,7 +137,6 @@ def _put_springs(file: InputFile, model: ConsistentModel) -> list[str]:
 
 
 def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
-    """Write drive gains as gears of motors, and list the notes on them."""
     put, unchanged, notes = [], [], []
     for actuator in file.root.iterfind("actuator/*[@joint]"):
         joint = actuator.get("joint", "")

@@ -1,7 +1,7 @@
 """Parameters of bodies in the orders of Pinocchio, MuJoCo, Drake, MATLAB and SYMORO, with their names.
 
-All are given in the frame of the link as gtau places it; a program that places the body's frame elsewhere wants them
-moved with :meth:`gtau.robots.parameter.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
+All are given in gtau's frame of the link; for a program with other frames move them by
+:meth:`gtau.robots.parameter.RigidBody.seen_from`. Products of inertia are entries of the inertia tensor
 (``xy = -int x y dm``) in all five.
 """
 
@@ -25,10 +25,10 @@ from gtau.robots.robot import DRIVE, INERTIAL
 
 @dataclass(frozen=True)
 class Order:
-    """Parameters of a body in a program: their ``names`` in its order, and what stands for each (``kinds``).
+    """Parameters of a body in a program: their ``names`` in its order, and the ``kinds`` of these.
 
-    Kinds are named as gtau's parameters, whose inertia is about the origin; ``x y z`` (centre of mass), ``xx/c`` (about
-    it) and ``xx/m`` (about the origin, over the mass).
+    Kinds are named as gtau's parameters, with inertia about the origin, or ``x y z`` (centre of mass), ``xx/c``
+    (inertia about it) and ``xx/m`` (about the origin, over the mass).
     """
 
     names: str
@@ -67,10 +67,7 @@ ORDERS = {
 
 
 def export(result: Result, out: Path) -> Exported:
-    """Write ``NAME_PROGRAM.csv`` into ``out`` for each program: one row per body, one column per parameter, SI units.
-
-    Raises GtauError where the result has no physically consistent parameters.
-    """
+    """Write ``NAME_PROGRAM.csv`` for each program: a row per body, a column per parameter, SI units; GtauError."""
     model, robot = consistent_model(result, "parameter orders"), result.robot
     texts = {}
     for program in ORDERS:

@@ -1,7 +1,7 @@
 """Payloads in the formats of controllers: URScript, Franka's JSON, KRL, RAPID, and a ROS message.
 
-Every format describes the same body: mass in kg, centre of mass, inertia about it, in the requested frame.
-Numbers have the digits that their intervals allow; what was not measured is rounded too, so that zeros are zeros.
+Every format describes the same body: mass in kg, centre of mass, inertia about it, in the requested frame. Numbers
+have the digits that their intervals allow; unmeasured ones are rounded too, so that zeros are zeros.
 """
 
 from __future__ import annotations
@@ -71,12 +71,12 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
 
 
 TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-FINE = 1e-6, 1e-4  # half an interval of what has none: of a centre, m; of an inertia over the largest of its tensor
-FINER = (1.0, 1e-1, 1e-2, 1e-3)  # of these widths, where a body cannot have the rounded inertia
+FINE = 1e-6, 1e-4  # half-widths without an interval: of a centre, m; of an inertia, share of the largest entry
+FINER = (1.0, 1e-1, 1e-2, 1e-3)  # shares of the half-widths, until the rounded inertia is realisable
 
 
 def _shown(payload: PayloadBody, rigid: RigidBody) -> RigidBody:
-    """Round a body to the digits of its intervals, its inertia to one that a body can have."""
+    """Round a body to the digits of its intervals, its inertia to a realisable one."""
 
     def rounded(values: np.ndarray, keys: Sequence[str], without: float, share: float = 1.0) -> list[float]:
         halves = [payload.parameters[key].half_interval() or without for key in keys]
@@ -95,7 +95,7 @@ def _shown(payload: PayloadBody, rigid: RigidBody) -> RigidBody:
 
 
 def refuse_unnamed(kind: str, frame: str, links: Sequence[str]) -> None:
-    """Refuse a ``frame`` that nobody chose for a controller that has its own; ``links`` are frames on the same body."""
+    """Refuse a default ``frame`` for a controller with its own frame; ``links`` are frames on the same body."""
     if kind == "ros":  # the message goes with any frame_id
         return
     offered = f"{', '.join(links)} in the robot's file, or " if links else ""
@@ -188,7 +188,7 @@ WRITERS: Mapping[str, tuple[Callable[[str, RigidBody, str], Mapping[str, str]], 
     "abb": (_abb, "ABB takes it in the wrist frame as the load of a tool, and in the tool frame as a payload"),
     "ros": (_ros, "geometry_msgs/InertiaStamped names it as header.frame_id"),
 }
-"""How each kind is written, and in which frame it is expected."""
+"""Writer of each kind, and a note on the frame that the controller expects."""
 
 
 def _number(value: float) -> str:

@@ -1,8 +1,8 @@
 """Samples of the identified distribution: models as far apart as the data allow, each physically consistent.
 
-Parameters, drive gains and delays are drawn together, with the correlations of the result's covariance and, each by
-itself, the distribution of its interval (Student's t), among rigid bodies alone (:mod:`gtau.export.rigid_draws`). What
-the data leave open is drawn about the inertias of the robot's file.
+Parameters, drive gains and delays are drawn together, with the correlations of the result's covariance and the marginal
+distributions of their intervals (Student's t), among rigid bodies only (:mod:`gtau.export.rigid_draws`). Directions
+that the data leave open are drawn about the inertias of the robot's file.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Draws:
         low, middle, high = np.quantile(masses, [0.025, 0.5, 0.975])
         worst = max(self.shifts, key=lambda name: self.shifts[name])
         said = (
-            f"{len(self)} draws of what was identified (seed {self.seed}), all of rigid bodies: the moving mass is "
+            f"{len(self)} draws of the identified model (seed {self.seed}), all of rigid bodies: the moving mass is "
             f"{middle:.3g} kg ({low:.3g} to {high:.3g}); the mean of the draws differs from the estimates by at most "
             f"{self.shifts[worst]:.2g} standard deviations ('{worst}')"
         )
@@ -114,7 +114,6 @@ class Draws:
 
 
 def _with(estimates: Mapping[Any, Estimate], values: Mapping[Any, float]) -> dict[Any, Estimate]:
-    """Replace the values of estimates by name."""
     return {name: replace(estimate, value=values.get(name, estimate.value)) for name, estimate in estimates.items()}
 
 

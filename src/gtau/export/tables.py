@@ -38,9 +38,9 @@ SPECIAL = {
     "|": r"\textbar{}",
     '"': "''",
 } | {sign: rf"\{sign}" for sign in "_#%&${}"}
-LETTERS = 0x180  # beyond the European letters, which LaTeX reads
+LETTERS = 0x180  # code beyond the European letters, which LaTeX reads
 INDEX = 4  # characters of a joint's name that fit the table of geometry
-NAME = 24  # characters that fit as an index of a formula; where a name has more, numbers stand for all
+NAME = 24  # characters that fit the index of a formula; numbers replace all names if one is longer
 MDH_HEAD = (
     *("$j$", "$a(j)$", r"$\mu_j$", r"$\sigma_j$", r"$\gamma_j$"),
     *("$b_j$", r"$\alpha_j$", "$d_j$", r"$\theta_j$", "$r_j$"),
@@ -151,7 +151,6 @@ def _sum(variable: str, constant: str) -> str:
 
 
 def _geometry(robot: Robot) -> str:
-    """Tabulate the modified Denavit-Hartenberg parameters, as in the paper's Table 2."""
     names = [joint.name for joint in robot.joints]
     label = _labels(names, INDEX)
     lines = []

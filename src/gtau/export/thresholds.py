@@ -1,8 +1,8 @@
 """Collision thresholds: external torques that motion without contact exceeds once in a stated time.
 
-Of each joint, and of three ranges of its speed, the lowest of which is near reversals, the residuals of logs that the
-identification did not use give a threshold: the tail of their peaks, generalized Pareto, is read at the stated rate.
-Each log is then checked with the thresholds of the others, and all are raised until no more alarms come than stated.
+Each joint has a threshold in three ranges of its speed, the lowest near reversals. It follows from the residuals of
+logs that the identification did not use: a generalized Pareto tail of their peaks, at the stated rate. Each log is then
+checked with the thresholds of the other logs, and all are raised until no more alarms occur than stated.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from gtau.signals.preparation.filters import position_filter
 from gtau.signals.run import Run
 from gtau.uses.external_torques import momentum_observer, predict_under_load
 
-SPEEDS = (0.1, 0.5)  # of a joint's largest speed: bounds of the ranges
-QUANTILE, FEWEST = 0.9, 10  # of the residuals, above which peaks count, and peaks that a tail needs
+SPEEDS = (0.1, 0.5)  # bounds of the ranges, shares of a joint's largest speed
+QUANTILE, FEWEST = 0.9, 10  # quantile of the residuals above which peaks count, and least peaks of a tail
 APART = 0.1  # s between peaks
-HEAVIEST = 0.3  # shape of a tail; the moments of few peaks give any
-CHECKS = 10.0  # alarms that the checks would have with well chosen thresholds
-STEP, MOST = 1.02, 10.0  # factors that are tried, and the largest
+HEAVIEST = 0.3  # largest shape of a tail; the moments of few peaks give any shape
+CHECKS = 10.0  # expected alarms of the checks with well chosen thresholds
+STEP, MOST = 1.02, 10.0  # ratio of the factors that are tried, and the largest factor
 
 Residual = tuple[np.ndarray, np.ndarray, float]
 """Absolute external torques (N, n) of a log, ranges of speed (N, n), -1 where samples are missing, and the step, s."""
@@ -37,8 +37,8 @@ def export_thresholds(
 ) -> Exported:
     """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``.
 
-    The external torque is behind the low-pass of identification, or behind the momentum observer with a bandwidth of
-    ``observer`` Hz. Raises GtauError where the runs are too few, too short or too different.
+    The external torque is taken behind the low-pass of identification, or the momentum observer with a bandwidth of
+    ``observer`` Hz. Raises GtauError if the runs are too few, too short or too different.
     """
     if len(runs) < 2 or not 0 < hours < np.inf:
         raise GtauError("list two runs without contact under 'validation', at least, and give hours above zero.")
@@ -87,14 +87,14 @@ def residual_of(result: Result, run: Run, speed: np.ndarray, observer: float | N
 
 
 def peaks(torque: np.ndarray, step: float, level: float) -> np.ndarray:
-    """Find the heights of the peaks (k,) of a torque (N,) above a level, apart by ``APART``."""
+    """Find the heights (k,) of the peaks of a torque (N,) above a level, at least ``APART`` from each other."""
     above = np.flatnonzero(torque > level)
     groups = np.split(above, np.flatnonzero(np.diff(above) * step > APART) + 1)
     return np.array([torque[group].max() for group in groups if len(group)])
 
 
 def thresholds(residuals: Sequence[Residual], seconds: float) -> np.ndarray:
-    """Compute thresholds (ranges, n) of which one is exceeded in ``seconds``; all share that rate."""
+    """Compute thresholds (ranges, n), of which one is exceeded once in ``seconds``, all at the same rate."""
     total = sum(len(torque) * step for torque, _, step in residuals)
     values = np.zeros((len(SPEEDS) + 1, residuals[0][0].shape[1]))
     for k, j in np.ndindex(values.shape):
@@ -113,10 +113,8 @@ def thresholds(residuals: Sequence[Residual], seconds: float) -> np.ndarray:
 
 
 def raised(residuals: Sequence[Residual], seconds: float) -> tuple[float, int]:
-    """Find the factor on the others' thresholds with which logs have no more alarms than stated; and those without."""
-    pairs = [
-        (judged, thresholds([other for other in residuals if other is not judged], seconds)) for judged in residuals
-    ]
+    """Find the factor on the other logs' thresholds that bounds the alarms of each; also count alarms without it."""
+    pairs = [(judged, thresholds([log for log in residuals if log is not judged], seconds)) for judged in residuals]
 
     def alarms(factor: float) -> int:
         count = 0

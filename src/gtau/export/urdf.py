@@ -47,10 +47,8 @@ UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
 def export(result: Result, out: Path) -> Exported:
     """Write ``NAME.urdf``, ``NAME.yaml`` where the robot has loops, and ``NAME_drives.yaml`` into ``out``.
 
-    A platform is the end of a chain with one passive joint per degree of freedom, with massless links in between.
-
-    Raises GtauError where the result has no physically consistent parameters, or a joint is coupled to more than one
-    other.
+    A platform is the end of a chain with one passive joint per degree of freedom and massless links in between. Raises
+    GtauError without consistent parameters, or if a joint is coupled to more than one other.
     """
     model, robot, name = consistent_model(result, "URDF"), result.robot, identifier(result.robot.name)
     texts = {f"{name}.urdf": '<?xml version="1.0"?>\n' + xml_text(robot_element(model))}
@@ -61,9 +59,9 @@ def export(result: Result, out: Path) -> Exported:
 
 
 def export_into(result: Result, source: Path, out: Path) -> Exported:
-    """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives beside it.
+    """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives.
 
-    Raises GtauError where the result has no physically consistent parameters, or the file describes another robot.
+    Raises GtauError without consistent parameters, or if the file describes another robot.
     """
     model = consistent_model(result, "URDF")
     if source.suffix.lower() != ".urdf":
@@ -93,7 +91,7 @@ def export_into(result: Result, source: Path, out: Path) -> Exported:
 
 
 def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str] = (), loops: str = "") -> Exported:
-    """Return the files with notes: what is lost without the file of ``loops``, and what the URDF has no place for."""
+    """Return the files, with notes on the loops, which are in the file ``loops``, and on effects that a URDF lacks."""
     robot, name = model.result.robot, identifier(model.result.robot.name)
     figures, difference = differences(model, model.values)
     lost = what_is_lost(robot, "a URDF", name, loops)
@@ -153,7 +151,6 @@ def _attach(
 
 
 def _moving(element: Element, joint: Joint) -> None:
-    """Let a joint move: its type, axis and limits."""
     limits, endless = joint.limits, joint.turns and joint.limits.position is None
     element.set("type", "continuous" if endless else "revolute" if joint.turns else "prismatic")
     SubElement(element, "axis", xyz=digits(joint.axis))
@@ -212,7 +209,7 @@ def inertial_element(body: RigidBody) -> Element:
 
 
 def _loops_text(robot: Robot) -> str:
-    """Write the loops in the form that gtau and the Gepetto models of parallel robots use."""
+    """Write the loops as gtau and the Gepetto models of parallel robots do."""
     document = {
         "closed_loop": [[f"closure_{k}_a", f"closure_{k}_b"] for k in range(1, len(robot.closures) + 1)],
         "type": ["3d" if closure.kind == "connect" else "6d" for closure in robot.closures],

@@ -41,7 +41,7 @@ class Member:
 
 @dataclass(frozen=True)
 class Report:
-    """A member with the document of its model, or with the reason why there is none."""
+    """A member with the document of its model, or the reason why it has none."""
 
     member: Member
     model: dict[str, Any] | None
@@ -56,8 +56,8 @@ Patterns = Annotated[
 class FleetFile(Keys):
     """A fleet file: ``experiments``, one of each robot; or one ``experiment`` with the folders of all robots' logs.
 
-    All are paths or patterns, relative to the file. The paths of the one experiment's logs are relative to each of
-    the ``folders``.
+    Paths and patterns are relative to the file. Log paths of the one experiment are relative to each of the
+    ``folders``.
     """
 
     experiments: Patterns | None = None
@@ -75,9 +75,8 @@ class FleetFile(Keys):
 def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
     """List the robots of one fleet file, or of experiment files and patterns that match some.
 
-    They are named after the parts in which their paths differ. Only a fleet file has been read.
-
-    Raises GtauError where no file matches, or a fleet file is wrong.
+    They are named after the parts in which their paths differ. Raises GtauError if no file matches, or a fleet file is
+    wrong.
     """
     files = _matches(map(Path, paths))
     if len(files) == 1:
@@ -88,7 +87,7 @@ def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
             if fleet.experiment is not None:
                 folders = [path for path in _matches(folder / path for path in fleet.folders or ()) if path.is_dir()]
                 if not folders:
-                    raise GtauError(f"{files[0]}: 'folders' matches no folder; give those of the robots' logs.")
+                    raise GtauError(f"{files[0]}: 'folders' matches no folder; give the folders of the robots' logs.")
                 return tuple(Member(name, folder / fleet.experiment, logs) for name, logs in _named(folders))
             files = _matches(folder / path for path in fleet.experiments or ())
     return tuple(Member(name, path) for name, path in _named(files))
@@ -104,7 +103,7 @@ def _matches(patterns: Iterable[Path]) -> list[Path]:
 
 
 def _named(paths: list[Path]) -> list[tuple[str, Path]]:
-    """Name paths, each once, by what remains without their common beginning and end."""
+    """Name paths, each once, by the part between their common beginning and end."""
     paths = in_order(dict.fromkeys(paths))
     parts = [(path if path.is_dir() else path.with_suffix("")).absolute().parts for path in paths]
     if len(set(parts)) < len(parts):  # a.yaml and a.yml
@@ -123,14 +122,12 @@ def identify_fleet(
 ) -> tuple[Report, ...]:
     """Identify every robot of a fleet; finished models are kept and not computed again.
 
-    A model is written to ``out/models/NAME.json``, and the key of its inputs beside it to ``NAME.key``. Where program,
-    robot, experiment and logs are unchanged the next time, the model is taken as it is. Any edit of the program counts
-    as a change: a model depends on all of it.
+    Each model is written to ``out/models/NAME.json``, and a key of its inputs to ``NAME.key``. A model is reused while
+    program, robot, experiment and logs are unchanged; any edit of the program counts as a change.
 
-    ``out`` is an existing folder, ``mapper`` comes from :mod:`gtau.fleet.workers`, ``method`` is that of
-    :func:`gtau.identify`, and ``progress`` is called after each robot.
-
-    Raises GtauError where the folder is not writable. Errors of a robot are in its report.
+    ``out`` is an existing folder, ``mapper`` comes from :mod:`gtau.fleet.workers`, ``method`` is passed to
+    :func:`gtau.identify`, and ``progress`` is called after each robot. Raises GtauError if the folder is not writable;
+    errors of a robot are in its report.
     """
     known = [_read_text(_file(out, member, "key")) if _file(out, member).is_file() else "" for member in members]
     items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
@@ -164,11 +161,9 @@ def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | 
 
 
 def inputs_key(experiment: Experiment, method: str) -> str:
-    """Compute the SHA-256 of all inputs of a model: program, method, robot, settings and logs.
+    """Compute the SHA-256 of all inputs of a model: program, method, robot, settings and logs by name and content.
 
-    Logs enter by name and content, independent of their folder.
-
-    Raises GtauError where the robot or a log cannot be read.
+    Raises GtauError if the robot or a log cannot be read.
     """
     settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
     key = hashlib.sha256(_program())
@@ -182,7 +177,6 @@ def inputs_key(experiment: Experiment, method: str) -> str:
 
 @cache
 def _program() -> bytes:
-    """Digest the source of the package: any edit changes it."""
     root = Path(__file__).parents[1]
     return hashlib.sha256(b"".join(_digest(path) for path in in_order(root.rglob("*.py")))).digest()
 
@@ -193,7 +187,6 @@ def _digest(path: Path) -> bytes:
 
 
 def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:
-    """Write a new model with its key, or remove an old one that is no longer valid."""
     model, key = _file(out, member), _file(out, member, "key")
     if isinstance(outcome, GtauError):
         key.unlink(missing_ok=True)

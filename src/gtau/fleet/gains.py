@@ -12,16 +12,16 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.fleet.fleet import Report
 
 LEAST = 8  # values: the spread of fewer is too uncertain to call one an outlier
-FALSE_ALARM = 0.05  # chance that a fleet without outliers shows one; 0.1 where the spread is small
-EFFICIENCY = 0.37  # of a median-based spread, relative to that of the standard deviation
+FALSE_ALARM = 0.05  # chance of an outlier in a fleet without outliers; 0.1 where the spread is small
+EFFICIENCY = 0.37  # of a median-based spread, relative to the standard deviation
 QUARTILE = 0.4549364  # median of the chi-square distribution with one degree of freedom
 
 
 def median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, float]:
     """Compute the weighted median of values, and their spread beyond their own standard deviations ``std`` (N,).
 
-    The spread makes the median of ``(value - median)^2 / (spread^2 + std^2)`` that of a chi-square variable, so it
-    breaks down only where half of the values are outliers.
+    With this spread ``(value - median)^2 / (spread^2 + std^2)`` has the median of a chi-square variable, so it breaks
+    down only if half of the values are outliers.
     """
     median, spread = float(np.median(values)), 0.0
     for _ in range(20):
@@ -36,15 +36,14 @@ def median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, float
 def outlier_limits(freedom: np.ndarray, spread: float, tests: int) -> np.ndarray:
     """Compute the ``|z|`` (N,) beyond which values are outliers.
 
-    It is the point of a t distribution that is exceeded in ``tests`` draws, as many as values are tested in the whole
-    fleet, with a probability of 5 %. ``freedom`` (N,) are degrees of freedom of the standard deviations (inf: very
-    many).
+    A t distribution exceeds the limit with a probability of 5 % in ``tests`` draws, one per value tested in the whole
+    fleet. ``freedom`` (N,) are the degrees of freedom of the standard deviations (inf: very many).
     """
     from scipy.special import stdtrit
 
-    of_spread = max(EFFICIENCY * (len(freedom) - 1), 1.0)
-    # where there is spread, it may well be the larger part: its few degrees of freedom count for both
-    both = np.minimum(freedom, of_spread) if spread else freedom
+    spread_freedom = max(EFFICIENCY * (len(freedom) - 1), 1.0)
+    # a spread may be the larger part: its few degrees of freedom then count for both
+    both = np.minimum(freedom, spread_freedom) if spread else freedom
     limits: np.ndarray = stdtrit(both, 1 - FALSE_ALARM / (2 * tests))
     return limits
 
@@ -122,8 +121,8 @@ class FleetGain:
 class JointOfFleet:
     """A joint over all robots of one model, in ``unit``: weighted ``median``, its standard deviation and ``spread``.
 
-    The spread is the standard deviation between the robots beyond that of the gains themselves; ``comparable`` is
-    whether there are enough robots to find outliers.
+    The spread is the standard deviation between the robots beyond the gains' own standard deviations; ``comparable``
+    says whether there are enough robots to find outliers.
     """
 
     model: str

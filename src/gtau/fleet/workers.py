@@ -1,8 +1,7 @@
-"""Map over the workers of an executor, which may die: processes of this machine, or those of a Dask scheduler."""
+"""Map a function over processes of this machine or the workers of a Dask scheduler, any of which may die."""
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import os
 import signal
@@ -49,11 +48,11 @@ def mapper_of(
     at_once: int = sys.maxsize,
     check: Callable[[], None] = lambda: None,
 ) -> Mapper:
-    """Make a map of what submits items to the workers of an executor.
+    """Make a map from a function that submits items to an executor.
 
-    ``failure`` makes a GtauError of a future's exception, :class:`WorkerDied` where its worker died, or raises what
-    ends all work. ``at_once`` items at most are submitted at a time: all of them may fail with one worker. ``check``
-    is called at least once a second, and may raise. Items whose worker died are tried once more, one by one.
+    ``failure`` turns a future's exception into a GtauError, :class:`WorkerDied` if its worker died, or raises it and
+    ends all work. At most ``at_once`` items are submitted at a time, since all of them may fail with one worker.
+    ``check`` is called at least once a second, and may raise. Items whose worker died are tried once more, one by one.
     """
 
     def results(function: Function, items: Sequence[Any], indices: Iterable[int]) -> Iterator[tuple[int, Any]]:
@@ -154,7 +153,7 @@ def shielded_from_terminal() -> Iterator[None]:
 def dask_workers(
     address: str, patience: float = PATIENCE, without_workers: float = WITHOUT_WORKERS
 ) -> Iterator[Mapper]:
-    """Open a map over the workers of the Dask scheduler at ``address``, or over those of this machine: ``local``.
+    """Open a map over the workers of the Dask scheduler at ``address``, or of this machine: ``local``.
 
     Leaving cancels the work that is still going on. ``patience`` is the time for the scheduler and its first worker
     to answer, and ``without_workers`` that without any worker until the work is given up, in s.
@@ -173,8 +172,13 @@ def dask_workers(
             with shielded_from_terminal():
                 cluster = LocalCluster(dashboard_address=":0", silence_logs="CRITICAL", **options)
             address = stack.enter_context(cluster).scheduler_address
-        _check_scheduler(address, patience)
-        client = stack.enter_context(Client(address, timeout=patience))
+        try:
+            client = stack.enter_context(Client(address, timeout=patience))
+        except (OSError, ValueError) as error:
+            raise GtauError(
+                f"the Dask scheduler '{address}' cannot be reached ({error}); give an address such as "
+                "tcp://host:8786, or 'local'."
+            ) from None
         check_workers(client, address, patience)
 
         def submit(function: Function, item: Any) -> Future[Any]:
@@ -206,30 +210,8 @@ async def _hand_on(task: Awaitable[Any], answer: Future[Any]) -> None:
         answer.set_exception(error)
 
 
-def _check_scheduler(address: str, patience: float) -> None:
-    """Check that the scheduler responds: a client that fails to connect leaves threads and tracebacks behind."""
-    from distributed import rpc
-
-    async def identity() -> str:
-        async with rpc(address) as scheduler:
-            answer = await asyncio.wait_for(scheduler.identity(), patience)
-        return str(answer["type"]).lower()
-
-    try:
-        reason = f"this is a {asyncio.run(identity())}"
-    except OSError:
-        reason = "it does not answer"
-    except ValueError as error:
-        reason = str(error)
-    if reason != "this is a scheduler":
-        raise GtauError(
-            f"the Dask scheduler '{address}' cannot be reached ({reason}); give an address such as tcp://host:8786, or "
-            "'local'."
-        )
-
-
 def check_workers(client: Client, address: str, patience: float) -> None:
-    """Check that there are workers, and that they have the gtau of this process; raises GtauError."""
+    """Check that there are workers and that they run the gtau version of this process; raises GtauError."""
     try:
         client.wait_for_workers(1, timeout=patience)
     except TimeoutError:
@@ -237,8 +219,6 @@ def check_workers(client: Client, address: str, patience: float) -> None:
             f"the Dask scheduler '{address}' has no workers; start some with 'dask worker {address} --nthreads 1'."
         ) from None
     for worker, theirs in client.run(version, "gtau", on_error="return").items():
-        if isinstance(theirs, PackageNotFoundError):
-            raise GtauError(f"the Dask worker {worker} has no gtau; install gtau {installed()} there.")
         _check_version(worker, theirs, installed())
 
 
@@ -247,7 +227,9 @@ def installed() -> str:
     return version("gtau")
 
 
-def _check_version(worker: str, theirs: str, ours: str) -> None:
+def _check_version(worker: str, theirs: object, ours: str) -> None:
+    if isinstance(theirs, PackageNotFoundError):
+        raise GtauError(f"the Dask worker {worker} has no gtau; install gtau {ours} there.")
     if theirs != ours:
         raise GtauError(
             f"the Dask worker {worker} has gtau {theirs} and this machine {ours}; install the same version everywhere."
@@ -255,7 +237,7 @@ def _check_version(worker: str, theirs: str, ours: str) -> None:
 
 
 def _work(expected: str, function: Function, item: Any) -> Any:
-    """Process an item on a worker, which may have come after the check of the others."""
+    """Process an item on a worker, which may have joined after :func:`check_workers`."""
     from distributed import get_worker
 
     _check_version(get_worker().address, installed(), expected)

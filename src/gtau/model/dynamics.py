@@ -135,10 +135,10 @@ def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[
     for k in range(J.shape[1]):
         partial = twists(layout, frame, J[:, k])
         power = ca.SX(0)
-        for number, (body, of_world) in enumerate(frames_of):
+        for number, (body, in_world) in enumerate(frames_of):
             moment, force = wrenches[6 * number : 6 * number + 3], wrenches[6 * number + 3 : 6 * number + 6]
             angular, linear = partial[body].angular, partial[body].linear
-            if of_world:
+            if in_world:
                 angular, linear = frame[body].R_0 @ angular, frame[body].R_0 @ linear
                 linear += ca.cross(frame[body].p_0, angular)  # of the point that is at the origin of the world
             power += ca.dot(moment, angular) + ca.dot(force, linear)

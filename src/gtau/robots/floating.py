@@ -2,7 +2,7 @@
 
 The base moves in the world by three slides and three turns without motors, about x, the turned y, and z of the base.
 The last of these six joints has the name of the base, and its link is the base. Their rows of the model are the six
-base equations: forces along, and moments about, their axes, of external forces.
+base equations: external forces along, and moments about, their axes.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def _chain(names: Sequence[str], kinds: Sequence[str], antecedent: str, placemen
 
 
 def float_base(robot: Robot, name: str = "base") -> Robot:
-    """Let the base of a robot float: everything mounted on the ground is then carried by a body ``name``.
+    """Let the base of a robot float: a body ``name`` then carries everything mounted on the ground.
 
-    The joints keep their motors; joints of the base have none. A platform that does not move in all six degrees of
-    freedom is tied to the ground, and refused.
+    The joints of the base have no motors. Platforms with fewer than six degrees of freedom, which are tied to the
+    ground, are refused.
     """
     if robot.floating:
         raise GtauError(f"robot '{robot.name}': its base '{robot.floating}' floats already.")
@@ -70,9 +70,9 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
 
 
 def drawn_base(robot: Robot) -> tuple[str, ...]:
-    """Find six unactuated, untied joints, three slides and three turns, that represent a floating base in a file.
+    """Find the chain of three slides and three turns, unactuated and untied, that represents a floating base in a file.
 
-    They form a chain from the ground and carry all others; none if there is no such chain.
+    It starts at the ground and carries all other joints; empty if there is none.
     """
     before, six = GROUND, list[Joint]()
     while len(six) < 6:

@@ -11,11 +11,10 @@ import numpy as np
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import GROUND, INERTIAL, Attachment, Closure, Joint, Placement, Robot, Spring
 
-SAME = 9  # decimals that two legs share, of lengths in m and of directions
-
+SAME = 9  # decimals in which identical legs agree, lengths in m and directions
 TURNS = 2  # a wider range either way suggests limits in degrees
 FAR = 20.0  # m; a longer link suggests mm
-REACHED = 1e-9  # rad or m; a home on a limit is within it
+REACHED = 1e-9  # rad or m; tolerance of a home at a limit
 
 Frame = tuple[np.ndarray, np.ndarray]
 """Orientation (3, 3) and origin (3,) in m, in base axes."""
@@ -38,9 +37,9 @@ def places_on(robot: Robot, body: str) -> list[np.ndarray]:
 
 
 def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
-    """Bound a body's frames by a ball: centre (3,) and radius in m, in its frame, and whether the chain ends here.
+    """Bound the frames of a body, its joints and closures by a ball: centre (3,) and radius in m, in its frame.
 
-    The frames are its own and the frames of joints and closures on it; where there are none the chain ends.
+    Also returns whether the chain ends here, without joints and closures.
     """
     points = places_on(robot, body)
     frames = np.array([np.zeros(3), *points])
@@ -69,7 +68,7 @@ def attached(end: Attachment, frames: dict[str, Frame]) -> Frame:
 
 
 def legs(robot: Robot) -> list[tuple[str, ...]]:
-    """List the joints of every chain or tree that starts at the ground, or at a base that floats, in order."""
+    """List the joints of every chain or tree from the ground or the floating base, in order."""
     root: dict[str, str] = {}
     chains: dict[str, list[str]] = {}
     for joint in robot.joints:
@@ -79,10 +78,10 @@ def legs(robot: Robot) -> list[tuple[str, ...]]:
 
 
 def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
-    """Group legs by their geometry, each seen in the frame of its own first link.
+    """Group legs of the same geometry, whatever their mounting pose, home and limits.
 
-    Legs are identical if their joints have the same kinds, axes, parameters and placements, and the same closures
-    and springs at the same places. Mounting pose, home and limits of a leg are ignored.
+    Their joints have the same kinds, axes, parameters and placements, and the same closures and springs at the same
+    places.
     """
     groups: dict[tuple, list[tuple[str, ...]]] = {}
     for leg in legs(robot):
@@ -123,12 +122,12 @@ def _numbers(array: np.ndarray) -> tuple[float, ...]:
 
 
 def oddities(robot: Robot) -> tuple[str, ...]:
-    """Note implausible entries, a sentence each: links of 350 m, limits of 130 rad, a home outside the limits."""
+    """Describe implausible entries, a sentence each: links of 350 m, limits of 130 rad, a home outside the limits."""
     return (*_lengths(robot), *_angles(robot), *_homes(robot))
 
 
 def tool_note(robot: Robot) -> tuple[str, ...]:
-    """Note that the payload's body is assumed if the file names none and several are possible."""
+    """Note which body is assumed to carry the payload, if the file names none and several are possible."""
     antecedents = {joint.antecedent for joint in robot.joints}
     ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
     if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
@@ -142,7 +141,7 @@ def tool_note(robot: Robot) -> tuple[str, ...]:
 
 
 def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
-    """List links and platforms without a mass, moment or inertia in ``parameters``, which are massless."""
+    """List links and platforms without a mass, moment or inertia in ``parameters``."""
     named = {name.body for name in map(parameter_of, parameters) if name.kind in INERTIAL}
     bodies = [joint.name for joint in robot.joints if joint.has_mass]
     bodies += [platform.name for platform in robot.platforms]
@@ -165,7 +164,7 @@ def _lengths(robot: Robot) -> Iterator[str]:
 
 
 def _angles(robot: Robot) -> Iterator[str]:
-    # a motor's shaft, before its gear, does turn that often
+    # except motor shafts before a gear
     links = (joint for joint in robot.joints if joint.turns and joint.parameters != "drive")
     far = [f"joint '{joint.name}' ({_limits(joint)})" for joint in links if _reach(joint) > TURNS * 2 * pi]
     if far:

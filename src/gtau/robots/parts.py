@@ -1,8 +1,8 @@
 """Hold some joints of a robot, to isolate one leg, one arm of two, or an arm without its gripper; lock idle pins.
 
-CAD exporters put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece
-between them can turn freely; likewise a pin through the centre of a ball, and a rod or a leg between two balls about
-itself, wherever its loop is cut. Such a degree of freedom does not belong to the robot.
+CAD exporters put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece between
+them turns freely. So does a pin through the centre of a ball, and a rod or leg between two balls, wherever the loop is
+cut. These degrees of freedom do not belong to the robot.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ COAXIAL = 1e-8  # rad, and share of the length of the closure's arms
 
 
 def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, float]) -> Robot:
-    """Let some joints of a robot move and hold the others, with a note on these.
+    """Let some joints of a robot move, and hold the others, listed in a note.
 
-    ``patterns`` are names of the joints that move, with ``*`` and ``?``; if empty, all joints not in ``held`` move.
-    ``held`` are positions of held joints, rad or m; those not named are held at home.
+    ``patterns`` are names of moving joints, with ``*`` and ``?``; if empty, all joints not in ``held`` move. ``held``
+    maps held joints to positions, rad or m; other held joints are at home.
     """
     names = [joint.name for joint in robot.joints if joint.name not in robot.base]
     for name in held:
@@ -53,10 +53,7 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
 
 
 def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot:
-    """Hold joints at ``positions``, rad or m, and note which and ``why``.
-
-    Joints determined from them through couplings are held too.
-    """
+    """Hold joints at ``positions``, rad or m, and the joints coupled to them; note which joints and ``why``."""
     positions = _with_coupled(robot, positions)
     shown = [f"'{name}' at {position:z.4g}" for name, position in positions.items()]
     note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {some_of(shown, NAMED)}"
@@ -64,7 +61,7 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
 
 
 def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
-    """Merge the links of joints, at ``positions``, into their carriers, which then have a mass if the links had.
+    """Merge the links of joints at ``positions``, and their masses, into their carriers.
 
     Closures and springs with both ends on one body are dropped.
     """
@@ -117,7 +114,7 @@ def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[st
 
 
 def _after(joint: Joint, placement: Placement, position: float) -> Placement:
-    """Place a joint's link at a position, its frame being at ``placement`` at zero."""
+    """Compute the placement of a joint's link at a position, from its ``placement`` at zero."""
     if not position:
         return placement
     axis, rotation, shift = np.array(joint.axis), np.eye(3), np.zeros(3)
@@ -152,7 +149,6 @@ def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, flo
 
 
 def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Coupling]:
-    """List the couplings of the joints that are not held."""
     for coupling in robot.couplings:
         terms = coupling.terms
         held = [name for name in terms if name in positions]
@@ -170,15 +166,15 @@ def listed(names: Sequence[str]) -> str:
 def without_idle_pins(robot: Robot) -> Robot:
     """Lock, at zero, one of two coaxial pins at each closure, and pins through the point of a ``connect`` or a ball.
 
-    Only passive revolute joints that carry nothing but the closure or the ball count as pins, or a leg that slides
-    along their axis to this point. Where a pin is the last of three that make up a ball, their axes are chosen so that
-    it is idle. Notes name them.
+    Pins are passive revolute joints that carry only the closure, the ball, or a leg that slides along their axis to
+    this point. If a pin is the last of three that form a ball, their axes are chosen so that it is idle. Notes name the
+    locked joints.
     """
     if (carried := _on_ball(robot)) is not robot:
         return without_idle_pins(carried)
     ends: list[tuple[Attachment, Attachment | None, str]] = []
     for number, closure in enumerate(robot.closures, start=1):
-        # the second pin first, so that the first one stays
+        # the second pin first, to keep the first one
         for a, b in ((closure.b, closure.a), (closure.a, closure.b)):
             ends.append((a, None if closure.kind == "connect" else b, f"closure {number}"))
     for ball in filter(None, (_hinges(robot, joint) for joint in robot.joints)):
@@ -213,7 +209,7 @@ def without_idle_pins(robot: Robot) -> Robot:
 
 
 def _on_ball(robot: Robot) -> Robot:
-    """Put a free rod, a platform that is held at two points alone, on a ball at the first that a link carries."""
+    """Put a free rod (a platform held at two points only) on a ball at the first point that a link carries."""
     placed: dict[str, Placement] = {GROUND: Pose()}
     for joint in robot.joints:
         placed[joint.name] = compose(placed[joint.antecedent], _after(joint, joint.placement, joint.home))
@@ -232,7 +228,7 @@ def _on_ball(robot: Robot) -> Robot:
         return replace(
             robot,
             joints=robot.joints + tuple(replace(joint, actuated=False) for joint in ball),
-            platforms=tuple(other for other in robot.platforms if other is not rod),
+            platforms=tuple(platform for platform in robot.platforms if platform is not rod),
             closures=moved_ends(rest, partial(_on_carrier, at))[0],
             file=replace(robot.file, inertias=_inertias(robot, at)),
         )
@@ -240,7 +236,7 @@ def _on_ball(robot: Robot) -> Robot:
 
 
 def _before_slides(robot: Robot, end: Attachment) -> tuple[Attachment, list[np.ndarray]]:
-    """Express a closure's end in the body before the slides that carry nothing else, with their directions (3,)."""
+    """Express a closure's end in the body before slides that carry only it; also return their directions (3,)."""
     directions: list[np.ndarray] = []
     while (slide := _lone(robot, end.body)) is not None and slide.kind == "prismatic":
         turned = slide.placement.rotation
@@ -250,13 +246,13 @@ def _before_slides(robot: Robot, end: Attachment) -> tuple[Attachment, list[np.n
 
 
 def _pin(robot: Robot, end: Attachment) -> Joint | None:
-    """Find the passive revolute joint that moves a closure's end and nothing else."""
+    """Find the passive revolute joint that moves only a closure's end."""
     pin = _lone(robot, end.body)
     return pin if pin is not None and pin.turns and not pin.actuated else None
 
 
 def _lone(robot: Robot, body: str) -> Joint | None:
-    """Find the joint of a body that carries one thing only, a closure's end or another joint."""
+    """Find the joint of a body that carries a single closure's end or joint."""
     if all(joint.name != body for joint in robot.joints):
         return None
     uses = [joint.antecedent for joint in robot.joints] + [end.body for end in robot.ends]
@@ -271,10 +267,10 @@ def _line(pin: Joint, end: Attachment) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_ball(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
-    """Make a ball of three hinges, the last one ``pin`` not ``along`` a rod (3,), that meet in one point.
+    """Make a ball of three hinges that meet in one point, the last one ``pin`` not ``along`` a rod (3,).
 
-    With links in between, the rod turns about itself all the same, and nothing feels it: their masses then are at the
-    point, on the body that carries the ball, and their inertias and the friction of the hinges are left out.
+    The rod then turns about itself without effect. Masses of links between the hinges move to the point, on the body
+    that carries the ball; their inertias and the friction of the hinges are left out.
     """
     hinges = _hinges(robot, pin)
     if hinges is None or _ball(robot, pin) or np.linalg.norm(np.cross(pin.axis, along)) < COAXIAL:
@@ -299,14 +295,14 @@ def _with_ball(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
 
 
 def _ball(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
-    """Find the three pins of a ball, whose links in between are massless, by the last one."""
+    """Find the three pins of a ball with massless links in between, by the last pin."""
     hinges = _hinges(robot, last)
     massless = hinges is not None and all(joint.parameters == "none" for joint in hinges[:2])
     return hinges if massless else None
 
 
 def _hinges(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
-    """Find three passive pins, square to each other, that meet in one point and turn one link, by the last one."""
+    """Find three orthogonal passive pins that meet in one point and turn one link, by the last pin."""
     before = {joint.name: joint for joint in robot.joints}
     middle = before.get(last.antecedent, last)
     ball = (before.get(middle.antecedent, last), middle, last)

@@ -19,9 +19,9 @@ SHORT = 2e-3  # rad: 3.14 stands for pi
 MEANT = 1e-3  # rad: with fewer decimals, 0.79 or 0.26 need not stand for a multiple of pi/12
 STEP = pi / 12  # of angles that may be written short
 
-PRINTED = 5  # significant digits that programs write at least; MuJoCo and others that print by %g write 6
-COMPUTED = 14  # significant digits of numbers that were computed, not written; of 1,000 such numbers, 1 has fewer
-FEWEST = 3  # decimals of numbers that were rounded, m or rad
+PRINTED = 5  # least significant digits that programs write; MuJoCo and others that print by %g write 6
+COMPUTED = 14  # least significant digits of computed numbers; 1 of 1,000 has fewer
+FEWEST = 3  # least decimals of rounded numbers, m or rad
 
 DEGREES_ADVICE = "write deg(...) where these are degrees"
 
@@ -91,11 +91,11 @@ WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 class WrenchFrame(NamedTuple):
     """Frame of a wrench: the body on which it acts, and whether axes and origin are the world's or the body's.
 
-    Measured wrenches act on a floating base, a foot on a force plate, a flange that carries a force sensor.
+    For measured wrenches on a floating base, a foot on a force plate, or a flange with a force sensor.
     """
 
     body: str
-    of_world: bool = False
+    in_world: bool = False
 
 
 def compose(first: Placement, second: Placement) -> Pose:
@@ -111,14 +111,14 @@ def pose_of(rotation: np.ndarray, position: np.ndarray) -> Pose:
 
 
 def rounded_pose(xyz: Iterable[float], rpy: Iterable[float]) -> Pose:
-    """Make lengths below 1e-10 m, and angles as near to a multiple of pi/2, exact in a pose."""
+    """Make a pose in which lengths below 1e-10 m, and angles as close to a multiple of pi/2, are exact."""
     roll, pitch, yaw = (rounded(angle, pi / 2) for angle in rpy)
     x, y, z = map(rounded, xyz)
     return Pose((x, y, z), (roll, pitch, yaw))
 
 
 def rounded(number: float, unit: float = 1.0) -> float:
-    """Round a number that equals a multiple of `unit` up to rounding."""
+    """Round a number that equals a multiple of `unit` within rounding errors."""
     multiple = round(number / unit) * unit
     return multiple if abs(number - multiple) < ROUNDING else float(number)
 
@@ -146,7 +146,7 @@ def turn(axis: np.ndarray, angle: float) -> np.ndarray:
 
 
 def euler_angles(rotation: np.ndarray) -> np.ndarray:
-    """Compute the angles (3,) about x, then the y and z that turned with it, which make a rotation (3, 3)."""
+    """Compute the intrinsic angles (3,) about x, y and z of a rotation (3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(rotation).as_euler("XYZ"))
@@ -160,9 +160,9 @@ def in_degrees(angle: float) -> bool:
 def exact_angle(angle: float) -> float:
     """Return the multiple of pi/12 (15 degrees) that an angle in a file stands for, or the angle itself.
 
-    Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision, pi/4 as 0.7854. An angle is taken
-    for a multiple if it is within 1e-6 of it, or if it is that multiple rounded or cut off to its digits: two decimals
-    for multiples of pi/2, three for the others. A calibrated angle differs by more.
+    Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision, pi/4 as 0.7854. An angle stands for
+    a multiple if it is within 1e-6, or if it is the multiple rounded or truncated to the digits written: at least two
+    decimals for multiples of pi/2, three for others. Calibrated angles differ by more.
     """
     steps = round(angle / STEP)
     off, unit = abs(steps * STEP) - abs(angle), smallest_unit([angle])
@@ -171,7 +171,7 @@ def exact_angle(angle: float) -> float:
 
 
 def exact_placement(placement: Placement) -> tuple[Placement, float]:
-    """Take the angles of a placement that are written short as exact, and return the largest change, rad."""
+    """Replace rounded angles of a placement by the exact ones, and return the largest change, rad."""
     if isinstance(placement, Mdh):
         given: tuple[float, ...] = (placement.gamma, placement.alpha, placement.theta)
         gamma, alpha, theta = map(exact_angle, given)
@@ -181,7 +181,7 @@ def exact_placement(placement: Placement) -> tuple[Placement, float]:
 
 
 def exact_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Compute the rotation (3, 3) by the multiples of pi/12 that are nearest to roll, pitch and yaw of another."""
+    """Round roll, pitch and yaw of a rotation (3, 3) to multiples of pi/12."""
     roll, pitch, yaw = (round(angle / STEP) * STEP for angle in angles_of(rotation))
     return Pose(rpy=(roll, pitch, yaw)).rotation
 
@@ -193,7 +193,7 @@ def largest_change(given: Iterable[float], exact: Iterable[float]) -> float:
 
 
 def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
-    """Note the places of angles written short, with the largest change, rad; no note without such angles."""
+    """Note where rounded angles were replaced, with the largest change, rad; no note without changes."""
     if not (names := [f"'{name}'" for name, change in changes.items() if change]):
         return ()
     return (
@@ -203,28 +203,27 @@ def short_angles_note(changes: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def smallest_unit(numbers: Iterable[float]) -> float:
-    """Return the unit of the last digit that the longest of numbers is written with, zeros not counted."""
+    """Return the unit of the last digit of the longest number, without trailing zeros."""
     exponents = [int(Decimal(repr(float(number))).as_tuple().exponent) for number in numbers if number]
     return 10.0 ** min(exponents, default=0)
 
 
 def _digits(number: float) -> tuple[int, int]:
-    """Count the significant digits of a number and return the exponent of its last one."""
     _, digits, exponent = Decimal(repr(float(number))).normalize().as_tuple()
     return len(digits), int(exponent)
 
 
 def is_written(number: float) -> bool:
-    """Decide whether a number has as few digits as one that is written."""
+    """Return whether a number has as few digits as numbers written by hand."""
     return _digits(number)[0] < COMPUTED
 
 
 @dataclass(frozen=True)
 class Digits:
-    """The digits of the numbers in a file: the number of ``decimals``, and of ``significant`` ones where they count.
+    """The digits of the numbers in a file: ``decimals``, and ``significant`` digits where they limit the precision.
 
-    Trailing zeros are often left out, so a single number does not show them; the longest of all numbers does. ``turn``
-    is the largest turn about an axis by rounding, rad, where a reader computes placements from the numbers.
+    The longest number shows them, as trailing zeros are often left out. ``turn`` is the largest rotation by rounding,
+    rad, where a reader computes placements from the numbers.
     """
 
     decimals: int
@@ -232,7 +231,7 @@ class Digits:
     turn: float = 0.0
 
     def half_unit(self, number: float) -> float:
-        """Return half a unit of the last digit with which a number is written; of numbers of no such file, 0."""
+        """Return half a unit of the last digit of a number, 0 if the digits are unknown."""
         if not self.significant:
             return 0.0
         last = -self.decimals
@@ -242,7 +241,7 @@ class Digits:
 
 
 def digits_of(numbers: Iterable[float]) -> Digits:
-    """Find the digits that numbers are written with; computed ones show none, nor do 0.25 and 0.4, which are exact."""
+    """Find the digits of written numbers; computed numbers, and short ones such as 0.25, which are exact, show none."""
     digits = [_digits(number) for number in numbers if number != round(number) and is_written(number)]
     significant, exponents = zip(*digits, strict=True) if digits else ((0,), (0,))
     return Digits(-min(exponents), max(significant)) if -min(exponents) >= FEWEST else Digits(0, 0)

@@ -1,13 +1,13 @@
 """The robot: a spanning tree of one-dof joints, optional free platforms, and closures.
 
 A serial arm is the case without closures; nothing else in the package distinguishes the two.
-Everything here is frozen data. The mathematics lives in :mod:`gtau.model`.
+Everything here is frozen data; the mathematics is in :mod:`gtau.model`.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -49,11 +49,10 @@ class Limits:
 class Joint:
     """A one-dof joint and the link it moves; both have the joint's name.
 
-    The link's frame sits at ``placement`` in the antecedent's frame when the coordinate is zero,
-    and turns about (or slides along) ``axis``, a unit vector of its own frame. ``parameters`` says which
-    standard parameters it has: all 14, only the link's (``inertial``) or the drive's (``drive``, for a
-    motor's shaft) alone, or ``none`` (a massless link of a spherical joint). ``spring`` is where a spring across the
-    joint is at rest; its stiffness is a parameter, ``k``.
+    At coordinate zero the link's frame is at ``placement`` in the antecedent's frame; it turns about (or slides along)
+    ``axis``, a unit vector of its own frame. ``parameters`` says which standard parameters the joint has: all 14, only
+    the link's (``inertial``), only the drive's (``drive``, for a motor's shaft), or ``none`` (a massless link of a
+    spherical joint). ``spring`` is the rest position of a spring across the joint; its stiffness is a parameter, ``k``.
     """
 
     name: str
@@ -87,8 +86,8 @@ class Joint:
 class Coupling:
     """A joint that moves with others, ``q = sum of ratio * q_other + offset``.
 
-    Gears, mimic joints, and motors that move several joints: the motor is a joint of its own, actuated,
-    and the joints that it moves are passive.
+    Gears, mimic joints, and motors that move several joints: such a motor is an actuated joint of its own, and the
+    joints that it moves are passive.
     """
 
     joint: str
@@ -97,7 +96,7 @@ class Coupling:
 
     @property
     def terms(self) -> dict[str, float]:
-        """Factors of all its joints in their sum, which is the offset."""
+        """Factors of the joints in the sum that equals the offset."""
         return {self.joint: 1.0} | {name: -ratio for name, ratio in self.ratios}
 
 
@@ -106,16 +105,16 @@ RATIO = 1e6  # of a coupling: a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 
 
 
 def base_rows(name: str) -> tuple[str, ...]:
-    """Name the six joints by which a floating base moves in the world; the last has the name of the base."""
+    """Name the six joints of a floating base in the world; the last has the name of the base."""
     return (*(f"{name}_{kind}" for kind in TRANSLATIONS + ROTATIONS[:2]), name) if name else ()
 
 
 @dataclass(frozen=True)
 class Platform:
-    """A free rigid body, a link of no joint, held by closures.
+    """A free rigid body, not the link of a joint, held by closures.
 
-    ``dof`` names its independent twist components in base axes (paper, eq. 10): any of
-    ``x y z rx ry rz``. Rotations are none, one, or all three. ``home`` is its pose in the base.
+    ``dof`` names its independent twist components in base axes (paper, eq. 10): any of ``x y z rx ry rz``, with none,
+    one or all three rotations. ``home`` is its pose in the base.
     """
 
     name: str
@@ -144,9 +143,8 @@ class Closure:
 class Spring:
     """A spring, gas spring, counterbalance or damper between a point of one body and a point of another.
 
-    It pushes the points apart along the line between them by ``f0 - k l - c dl/dt``, their distance being ``l``: so all
-    three parameters are positive where it is built as usual, and ``f0 = k l0`` of a coil at rest at ``l0``.
-    ``parameters`` says which of these terms it has.
+    It pushes the points, at a distance ``l``, apart along their line by ``f0 - k l - c dl/dt``. So all three parameters
+    are usually positive, and ``f0 = k l0`` for a coil at rest at ``l0``. ``parameters`` says which terms it has.
     """
 
     name: str
@@ -157,13 +155,13 @@ class Spring:
 
 @dataclass(frozen=True)
 class RobotFile:
-    """What a robot's file says beside the robot itself; only the ``source`` counts where robots are compared.
+    """Content of a robot's file beside the robot itself; robots compare only the ``source``.
 
-    ``notes`` say what a reader found odd in it or decided for the user, a sentence each. Without ``home_given`` the
-    joints' and platforms' homes are only where the search for one begins. ``constants`` are the numbers that it names,
-    and ``inertias`` the inertial parameters of bodies, and rotor inertias, that it states, by name, SI units: estimates
-    are compared with them. ``rounding`` says how its numbers are rounded where placements are computed from them;
-    without it, placements are the numbers in the file.
+    ``notes`` state, a sentence each, what a reader found odd or decided for the user. Without ``home_given`` the homes
+    of joints and platforms are only starting points of a search. ``constants`` are the named numbers, and ``inertias``
+    the stated inertial parameters of bodies and rotors by name, SI units, with which estimates are compared.
+    ``rounding`` is the rounding of the numbers from which placements are computed; without it, the file states the
+    placements themselves.
     """
 
     source: str = ""
@@ -178,10 +176,9 @@ class RobotFile:
 class Robot:
     """A spanning tree of joints, platforms and closures, and springs between its bodies.
 
-    Joints are ordered so that every antecedent precedes its followers. ``gravity`` is the
-    acceleration of gravity in base axes, m/s2. ``named_tool`` is the body that carries a payload where the robot's
-    file names it, see :attr:`tool`, and ``floating`` the link that is a floating base, see
-    :mod:`gtau.robots.floating`. ``file`` is what the robot's file says besides.
+    Every antecedent precedes its followers. ``gravity`` is the acceleration of gravity in base axes, m/s2.
+    ``named_tool`` is the body that carries a payload, if the robot's file names it (see :attr:`tool`), and ``floating``
+    the link that is a floating base (see :mod:`gtau.robots.floating`). ``file`` is further content of the file.
     """
 
     name: str
@@ -210,12 +207,12 @@ class Robot:
 
     @property
     def source(self) -> str:
-        """Where the robot's file is from."""
+        """Origin of the robot's file."""
         return self.file.source
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a reader found odd in the robot's file or decided for the user, a sentence each."""
+        """Notes of the reader, see :class:`RobotFile`."""
         return self.file.notes
 
     @property
@@ -238,12 +235,12 @@ class Robot:
 
     @property
     def base(self) -> tuple[str, ...]:
-        """Names of the six joints of a floating base, without motors, whose rows are the base equations; else none."""
+        """Names of the six joints without motors of a floating base, whose rows are the base equations; else none."""
         return base_rows(self.floating)
 
     @property
     def motors(self) -> tuple[str, ...]:
-        """Names of the actuated joints that have a motor: all except joints of a floating base."""
+        """Names of the actuated joints with a motor: all except the joints of a floating base."""
         return tuple(joint for joint in self.actuated if joint not in self.base)
 
     @property
@@ -253,17 +250,13 @@ class Robot:
 
     @property
     def tool(self) -> str:
-        """Body that carries a payload: the one named, else the last platform, else the last link with a mass.
-
-        If this is a finger, the link that carries the fingers.
-        """
+        """Body that carries a payload: the named one, the last platform, or the last link with a mass or its palm."""
         if self.named_tool:
             return self.named_tool
         if self.platforms:
             return self.platforms[-1].name
         links = [joint.name for joint in self.joints if joint.has_mass]
-        carriers = {joint.name: joint.antecedent for joint in self.joints}
-        return _palm(carriers, links[-1], links, self.base) if links else self.joints[-1].name
+        return _palm(self, links) if links else self.joints[-1].name
 
     @property
     def ends(self) -> tuple[Attachment, ...]:
@@ -279,24 +272,23 @@ class Robot:
 
     def joint(self, name: str) -> Joint:
         """Return the joint with this name; raises GtauError if there is none."""
-        for joint in self.joints:
-            if joint.name == name:
-                return joint
-        names = ", ".join(joint.name for joint in self.joints)
-        raise UnknownName(f"robot '{self.name}' has no joint '{name}'; choose from {names}.")
+        joints = {joint.name: joint for joint in self.joints}
+        if name not in joints:
+            raise UnknownName(f"robot '{self.name}' has no joint '{name}'; choose from {', '.join(joints)}.")
+        return joints[name]
 
 
 def refuse_many(count: int, what: str, most: int = MOST_PARTS) -> None:
-    """Refuse more parts than a robot has, before they cost hours; raises GtauError."""
+    """Refuse more parts than robots have, before hours of work; raises GtauError."""
     if count > most:
         raise GtauError(f"it holds {count} {what}, and at most {most} are read; give the file of the robot alone.")
 
 
 def _problems(robot: Robot) -> Iterator[str]:
-    yield from filter(None, map(name_problem, (*robot.bodies, *(spring.name for spring in robot.springs))))
+    names = Counter((GROUND, *robot.bodies, *(spring.name for spring in robot.springs)))
+    yield from filter(None, map(name_problem, names))
     if not robot.joints:
         yield "it has no joints; list at least one under 'joints'"
-    names = Counter((GROUND, *robot.bodies, *(spring.name for spring in robot.springs)))
     for name, count in names.items():
         if count > 1:
             yield f"the name '{name}' is used twice; give every joint, platform and spring its own"
@@ -363,7 +355,7 @@ def _platform_problems(platform: Platform) -> Iterator[str]:
 def _tie_problems(what: str, tie: Closure | Spring, known: Collection[str]) -> Iterator[str]:
     for end in (tie.a, tie.b):
         if end.body not in known:
-            yield f"{what} is attached to '{end.body}', which is no joint, platform or '{GROUND}'"
+            yield f"{what} is attached to '{end.body}', which is not a joint, a platform or '{GROUND}'"
     if tie.a.body == tie.b.body:
         yield f"{what} ties '{tie.a.body}' to itself; attach its ends to two bodies"
 
@@ -376,34 +368,32 @@ def _coupling_problems(what: str, coupling: Coupling, joints: Collection[str]) -
     if not others or coupling.joint in others or len(set(others)) < len(others):
         yield f"{what} must give '{coupling.joint}' from one or more other joints, each named once"
     for name, ratio in coupling.ratios:
-        if ratio and not 1.0 / RATIO <= abs(ratio) <= RATIO:
+        if not ratio:
+            yield f"{what} of '{coupling.joint}' has a ratio of zero; leave that joint out"
+        elif not 1.0 / RATIO <= abs(ratio) <= RATIO:
             yield (
                 f"{what} gives '{coupling.joint}' from '{name}' by a ratio of {ratio:g}, which no gear has; write one "
                 f"between {1.0 / RATIO:g} and {RATIO:g} in size, rad and m"
             )
-    if not all(ratio for _, ratio in coupling.ratios):
-        yield f"{what} of '{coupling.joint}' has a ratio of zero; leave that joint out"
 
 
-def _palm(carriers: Mapping[str, str], last: str, links: Collection[str], base: Collection[str]) -> str:
-    """Find the link that carries the fingers if ``last`` is one of them; else ``last`` itself.
+def _palm(robot: Robot, links: list[str]) -> str:
+    """Find the link that carries the fingers if the last of the ``links`` with a mass is one of them; else that link.
 
-    Fingers are branches of an arm: another has as many joints, or three others are alike as beside a thumb, and none
-    has more joints than there are before them. So the arms of a torso, and legs, are none.
-
-    ``carriers`` has the carrier of each joint, before its followers; ``links`` have a mass, and joints of a floating
-    ``base`` belong to no arm.
+    Fingers are branches of an arm: another one has as many joints, or three others are alike as beside a thumb, and
+    none has more joints than the arm before them, unlike the arms of a torso, and legs.
     """
     before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
-    for joint, carrier in carriers.items():
-        before[joint] = (*before.get(carrier, ()), joint)
-    for depth, palm in enumerate(before[last][:-1], start=1):
+    for joint in robot.joints:
+        before[joint.name] = (*before.get(joint.antecedent, ()), joint.name)
+    last = before[links[-1]]
+    for depth, palm in enumerate(last[:-1], start=1):
         lengths: dict[str, int] = {}
         for chain in before.values():
             if len(chain) > depth and chain[depth - 1] == palm:
                 lengths[chain[depth]] = max(lengths.get(chain[depth], 0), len(chain) - depth)
         alike = Counter(lengths.values())
-        fingers = alike[lengths[before[last][depth]]] > 1 or max(alike.values()) > 2
-        if palm in links and fingers and max(lengths.values()) <= depth - len(base):
+        fingers = alike[lengths[last[depth]]] > 1 or max(alike.values()) > 2
+        if palm in links and fingers and max(lengths.values()) <= depth - len(robot.base):  # whose joints are no arm's
             return palm
-    return last
+    return links[-1]

@@ -7,9 +7,9 @@ The observer of generalized momentum ``p = M qd`` gives a causal estimate:
 A. De Luca, R. Mattone, "Actuator failure detection and isolation using generalized momenta", ICRA 2003; S. Haddadin,
 A. De Luca, A. Albu-Schaeffer, "Robot collisions: a survey on detection, isolation, and identification", T-RO 2017.
 
-Each step integrates r exactly for a torque that is constant in it, so that any bandwidth and any period are stable.
-Momenta are those half-way between two positions, where their difference over the period is the velocity, and torques
-are those half-way between two of these instants: no term lags another. The exported C takes the same steps.
+Each step integrates r exactly for a constant torque, so that any bandwidth and any period are stable. Momenta are
+evaluated half-way between two positions, where their difference over the period is the velocity, and torques half-way
+between two of these instants: no term lags another. The exported C takes the same steps.
 """
 
 from __future__ import annotations
@@ -65,9 +65,9 @@ class External:
 class TorquesAlongLog:
     """Table with one row per sample, and a summary per joint.
 
-    The table has the columns of :meth:`gtau.Prediction.table`; with ``observed_J``, the causal
-    estimate of the external torques, and the columns of the ``wrench`` at a frame, where these were asked for. All are
-    behind the low-pass of identification; ``errors`` are also those against the raw torque, by frequency.
+    The table has the columns of :meth:`gtau.Prediction.table` and, if requested, the causal estimate of the external
+    torques ``observed_J`` and the columns of the ``wrench`` at a frame. All are behind the low-pass of identification;
+    ``errors`` also compare with the raw torque, by frequency.
     """
 
     table: pl.DataFrame
@@ -108,7 +108,7 @@ def torques_along_log(
 
 
 def predict_under_load(result: Result, run: Run) -> Prediction:
-    """Predict torques where friction that depends on the load feels the external torques too."""
+    """Predict torques, with load-dependent friction under the external torques too."""
     prediction = predict(result, run)
     for _ in range(PASSES * any(name.kind in BY_LOAD for name in result.friction_parameters)):
         behind = prediction.in_band
@@ -123,12 +123,12 @@ def momentum_observer(result: Result, run: Run, bandwidth: float) -> np.ndarray:
     Parameters
     ----------
     result : Result
-        Of the robot.
+        Identified model of the robot.
     run : Run
         Its positions are differentiated over one sample; its commands are taken at their delayed times. A delay below
         zero, of commands that are logged late, delays the estimate by as much.
     bandwidth : float
-        Of the observer, ``K / 2 pi``, Hz.
+        Bandwidth of the observer, ``K / 2 pi``, Hz.
 
     Returns
     -------

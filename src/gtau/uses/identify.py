@@ -46,14 +46,14 @@ def identify_subject(subject: Subject, progress: Progress = silent) -> Result:
 
 
 def with_requirements(result: Result, experiment: Experiment, validation: Validation) -> Result:
-    """Compare a result with what its experiment requires, torque errors also on the runs kept for validation."""
+    """Compare a result with the requirements of its experiment, torque errors also on the validation runs."""
     return result.replaced(requirements=tuple(_requirements(result, experiment, validation)))
 
 
 def _requirements(result: Result, experiment: Experiment, validation: Validation) -> Iterator[Requirement]:
     require, (runs, unread) = experiment.require, validation
     if require.torque_error is not None:
-        yield _of_torques(require.torque_error, result.residuals)
+        yield _torque_requirement(require.torque_error, result.residuals)
         for note in unread:
             yield Requirement("torque_error", require.torque_error, None, run=note.source or "validation")
         for run in runs:
@@ -61,7 +61,7 @@ def _requirements(result: Result, experiment: Experiment, validation: Validation
                 errors = validate(result, run)
             except GtauError:
                 errors = ()
-            yield _of_torques(require.torque_error, errors, run.name)
+            yield _torque_requirement(require.torque_error, errors, run.name)
     if require.gain_interval is not None:
         widths = {joint: gain.half_width for joint, gain in result.drive_gains.items()}
         unknown = [joint for joint, width in widths.items() if width is None]
@@ -69,7 +69,7 @@ def _requirements(result: Result, experiment: Experiment, validation: Validation
         yield Requirement("gain_interval", require.gain_interval, widths[joint], joint)
 
 
-def _of_torques(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
+def _torque_requirement(limit: float, errors: Iterable[TorqueError], run: str = "") -> Requirement:
     worst = max(errors, key=lambda error: error.relative, default=None)
     if worst is None:
         return Requirement("torque_error", limit, None, run=run)

@@ -39,11 +39,11 @@ STEP = np.sqrt(2.0)  # between the cut-offs tried
 # Share by which position noise may raise the error. The error hardly depends on a cut-off below the noise (the
 # Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions may be faster than the logs.
 RAISED = 0.01
-NOISY = 2.0  # times its least: noise then rules the error of a joint, and higher cut-offs are not tried
+NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
 
 
 def suited(result: Result, run: Run) -> Run:
-    """Order the columns of a run as the model's joints; raises GtauError where it is of another kind."""
+    """Order the columns of a run as the model's joints; raises GtauError if it holds another kind of commands."""
     if not isinstance(run, Run):
         raise GtauError(
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
@@ -67,9 +67,9 @@ def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
 
 
 def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Prediction:
-    """Predict torques at every sample of a run, beside the measured ones; see :meth:`gtau.Result.predict`.
+    """Predict torques at every sample of a run, with the measured ones; see :meth:`gtau.Result.predict`.
 
-    ``external`` (N, n) are torques of the environment on the joints: load for their friction, N m or N.
+    ``external`` (N, n) are torques of the environment on the joints, N m or N, which load their friction.
     """
     from gtau.estimation.results.predicted import Prediction
 
@@ -81,7 +81,7 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
     n = len(made)
     keep = np.concatenate([prepared.samples(*span).usable[:, :n] for span in spans(len(prepared))])
     valid = np.concatenate([prepared.valid(*span)[:, :n] for span in spans(len(prepared))])
-    # at rest before and after the motion anything within the band of friction holds the robot
+    # at rest before and after the motion any torque within the band of friction holds the robot
     resting = np.ones((len(valid), 1), dtype=bool)
     resting[moving.start : moving.stop] = False
     keep, valid = (decimator.near(mask & ~resting) for mask in (keep, valid))
@@ -95,8 +95,8 @@ def joint_torques(
 ) -> np.ndarray:
     """Compute torques (3, n, N) of a run's samples: predicted, the part of friction and offsets, and measured.
 
-    A current of ``t - delay`` belongs to the torque of ``t`` (eq. 17): predicted torques are moved to the instants of
-    the currents, so that the measured ones stay raw. A delay that is not identifiable is not applied.
+    The current at ``t - delay`` belongs to the torque at ``t`` (eq. 17): predicted torques are shifted to the times of
+    the currents, and the measured ones stay raw. A delay that is not identifiable is not applied.
     """
     model, standard, time = result.idm, result.base.standard, np.asarray(prepared.time)
     load, friction = np.array(transmitted(np, standard, chi)), friction_along(result, prepared, chi, external)
@@ -111,7 +111,7 @@ def joint_torques(
 
 
 def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None) -> Law:
-    """Make the friction of a run, at its temperatures and with its presliding, for base parameters ``chi`` (n_b,)."""
+    """Make the friction law of a run, with its temperatures and presliding, for base parameters ``chi`` (n_b,)."""
     law, run = result.friction_law, prepared.run
     states = law.followers(prepared.path)
 
@@ -138,9 +138,9 @@ def check_temperature_unit(result: Result, run: Run) -> None:
 def friction_values(
     result: Result, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
 ) -> dict[str, Any]:
-    """Collect the parameters of friction by name, numbers or (N,), for base parameters ``chi`` (n_b,).
+    """Collect the friction parameters by name, numbers or (N,), for base parameters ``chi`` (n_b,).
 
-    At the temperatures that a run has at ``time`` (N,), else at the reference temperatures.
+    They apply at the temperatures of a run at ``time`` (N,), or at the reference temperatures.
     """
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
     terms = {name: estimate.value or 0.0 for name, estimate in result.friction.items() if name.kind not in SHAPES}
@@ -166,8 +166,8 @@ def torques_along(
 ) -> np.ndarray:
     """Compute torques (n, N) along a motion for base parameters ``chi`` (n_b,), all friction included.
 
-    ``terms`` are values of friction other than the identified ones, z (s, N) states of presliding; all joints
-    slide without them.
+    ``terms`` replace identified values of friction; ``z`` (s, N) are states of presliding, without which all joints
+    slide.
     """
     model, base = result.idm, result.base
     load = model.columns(base.standard).torques_along(
@@ -199,10 +199,9 @@ def require_all_parameters(result: Result) -> None:
 
 
 def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> np.ndarray:
-    """Add a ``payload`` to base parameters (n_b,): what it leaves out takes the identified values.
+    """Add a ``payload`` to base parameters (n_b,), with the identified values where it states none.
 
-    Raises GtauError where the model lacks a parameter, or nothing says how heavy the payload is that the ``carrier``
-    has.
+    Raises GtauError if the model lacks a parameter, or the mass of the payload of the ``carrier`` is unknown.
     """
     require_all_parameters(result)
     chi = np.array([result.parameters[name].value or 0.0 for name in result.base.names])
@@ -218,7 +217,7 @@ def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> 
 
 
 def on_tool(result: Result, payload: Mapping[str, float]) -> np.ndarray:
-    """Compute what inertial parameters of a payload, by kind, add to the base parameters, (n_b,)."""
+    """Compute the change (n_b,) of the base parameters by inertial parameters of a payload, by kind."""
     columns = [result.idm.parameter_names.index(Parameter(kind, result.robot.tool)) for kind in payload]
     return np.asarray(result.base.matrix[:, columns] @ list(payload.values()))
 
@@ -226,10 +225,10 @@ def on_tool(result: Result, payload: Mapping[str, float]) -> np.ndarray:
 def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
     """Choose the position filter of each joint for predictions, from ``runs`` that a model was identified from.
 
-    A lower cut-off loses the torque of fast motion, a higher one lets position noise pass, which inertia and friction
-    turn into torque. Of each joint the highest is taken whose error against the raw torque exceeds the least by no more
-    than 1 %. A run with faster motion is filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`. A
-    position filter set by hand is kept.
+    A lower cut-off loses the torque of fast motion; a higher one passes position noise, which inertia and friction turn
+    into torque. Each joint gets the highest cut-off whose error against the raw torque exceeds the least by at most
+    1 %. Runs with faster motion are filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`. A position
+    filter set by hand is kept.
     """
     preparation, blocks = result.preparation, []
     if "position_filter" in preparation.given:

@@ -20,10 +20,10 @@ from gtau.signals.run import Run, read_run
 def read_log(
     model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE, payload: str | None = None
 ) -> Run:
-    """Read a log, or a ``part`` of it, to be used with a model, of which it carries a ``payload``; raises GtauError.
+    """Read a log, or a ``part`` of it, for use with a model; the robot carries the model's ``payload``, if named.
 
-    The ``signals`` and ``units`` of an experiment file name the columns; without it they are ``t``, and for each joint
-    ``q`` and ``v`` with the joint's name (``tau`` where the model was identified from torques), SI units.
+    The ``signals`` and ``units`` of an experiment file name the columns; by default they are ``t``, and ``q`` and ``v``
+    with each joint's name (``tau`` if the model was identified from torques), SI units. Raises GtauError.
     """
     if payload is not None:
         return carrying(model, read_log(model, log, experiment, part), payload)
@@ -54,7 +54,7 @@ def carrying(model: Result, run: Run, payload: str) -> Run:
 
 
 def experiment_of(model: Result, path: str | Path) -> Experiment:
-    """Read an experiment file to be used with a model; raises GtauError where robot or signals are not the model's."""
+    """Read an experiment file for use with a model; raises GtauError if robot or signals differ from the model's."""
     subject = describe(path)
     experiment = subject.experiment
     assert experiment is not None
@@ -77,6 +77,6 @@ def require_same(model: Result, robot: Robot, kind: str, where: str) -> None:
 
 
 def _mechanism(robot: Robot) -> Robot:
-    """Reduce a robot to its mechanism: drop the parts that do not enter its equations of motion."""
+    """Return a robot without the parts that do not enter its equations of motion."""
     joints = tuple(replace(joint, limits=Limits()) for joint in robot.joints)
     return replace(robot, name="", joints=joints, file=RobotFile())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -50,9 +50,9 @@ def weigh(
 ) -> tuple[PayloadEstimate, ...]:
     """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
 
-    Runs with a known payload are left out, since a known mass would fix the scale whatever the gains; they are the
-    reference for the unknown payloads only if no run is without payload. Where they do not separate payload and robot,
-    the parameters of the model do, with their covariance, and gains and friction that may have changed.
+    Runs with a known payload are used only if no run is without payload, since a known mass would fix the scale
+    whatever the gains. If the runs do not separate payload and robot, the parameters of the model do, with their
+    covariance, and with gains and friction that may have changed.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def weigh(
         Identified model: its gains, their uncertainty, and its preparation of the signals.
     source : path, Experiment or Robot
         An experiment file or the experiment read from it; or the robot, together with ``runs``. At least one run
-        carries an unknown payload. One with another load makes the intervals narrower.
+        carries an unknown payload. A run with another load makes the intervals narrower.
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     gains : {"identified", "prior"}
@@ -74,21 +74,21 @@ def weigh(
     Returns
     -------
     tuple of PayloadEstimate
-        One for each run with an unknown payload. The standard deviations include the uncertainty of the gains, as far
-        as it is known (see :func:`gtau.uses.weigh.exact_gains`). A mass whose interval lies below zero has a
-        contradictory verdict, as has one whose log contradicts the model that it is weighed by.
+        One for each run with an unknown payload. The standard deviations include the uncertainty of the gains where it
+        is known (see :func:`gtau.uses.weigh.exact_gains`). The verdict is contradictory if the interval of the mass
+        lies below zero, or if the log contradicts the model.
 
     Raises
     ------
     GtauError
-        Where a file is wrong or of another robot, or the runs cannot separate the payload from the robot.
+        If a file is wrong or describes another robot, or the runs cannot separate the payload from the robot.
     """
     if gains not in ("identified", "prior"):
         raise GtauError(f"gains is '{gains}'; write 'identified' or 'prior'.")
-    of_file = isinstance(source, (str, Path))
+    is_path = isinstance(source, (str, Path))
     subject = read(source, runs, options_of(prior_gains), progress)
-    where = f"{source}: " if of_file else ""
-    require_same(model, subject.robot, subject.runs[0].kind, str(source) if of_file else "this experiment")
+    where = f"{source}: " if is_path else ""
+    require_same(model, subject.robot, subject.runs[0].kind, str(source) if is_path else "this experiment")
     if not any(run.payload is not None and run.payload.mass is None for run in subject.runs):
         raise GtauError(f"{where}no run has an unknown payload; leave out 'mass' of the payload to be weighed.")
     refuse_repeated(subject.runs)
@@ -104,44 +104,19 @@ def weigh(
         )
     if not np.all(moving) and gains == "identified":
         dataset = replace(dataset, reference=reference_of(model))
-    solve = partial(wls, gains=g_tau)
-    system = select_friction(dataset, solve, progress)
-    if _lost(system) and gains == "identified":
-        system = select_friction(replace(dataset, reference=reference_of(model)), solve, progress)
-    if _lost(system):
-        raise GtauError(
-            f"{where}the runs cannot separate the payload from the robot itself; add a run without payload, or "
-            "with one of which all parameters are known."
-        )
+    system = _separating(model, dataset, g_tau, gains == "identified", where, progress)
     by_model = system.dataset.reference is not None
     solver = _with_gains_of_today if by_model else wls
-    solve = partial(solver, gains=g_tau)
-    solution = solve(system.problem)
-    total = solution.jackknife + scale_uncertainty(system, solve)
+    solution = solver(system.problem, g_tau)
+    total = solution.jackknife + scale_uncertainty(system, partial(solver, gains=g_tau))
     if covariance.any():
-        # derivatives (k, n) of the estimates by the gains
-        steps = 1e-4 * g_tau
-        moved = np.stack([solver(_moved(model, system, step), g_tau + step).values for step in np.diag(steps)], axis=1)
-        slopes = (moved - solution.values[:, None]) / steps
+        slopes = _slopes(model, system, solver, solution, g_tau)
         total = total + slopes @ covariance @ slopes.T
     none = np.zeros_like(total)
     freedom = degrees_of_freedom(system.problem, solution, by_model)
     vector = Estimates(system.problem.unknowns, solution.values, total, none, none, freedom)
-    rows, changes = system.problem.known, solution.gains[: len(g_tau)] / g_tau - 1  # rows of the model alone
-    moves = (rows[:, :-1] @ solution.theta - rows[:, -1], changes / GAIN_CHANGE)
-    apart = max(float(np.mean(move**2)) for move in moves) if by_model else 0.0
-    judged = {}
-    if apart > MODEL_APART:
-        against = Finding(
-            "log apart from the model",
-            text="the log contradicts the model, whose parameters it would move by "
-            f"{np.sqrt(apart):.2g} standard deviations (rms)",
-            advice="add a log without payload of the same day; check signs, units and zeros of its columns, and that "
-            "the robot is mounted as before; otherwise identify the robot again, as torque constants fall while motors "
-            "warm up",
-            grade=Grade.CONTRADICTORY,
-        )
-        judged = {run.payload.name: against for run in chosen if run.payload is not None}
+    contradiction = _contradiction(system, solution, g_tau) if by_model else None
+    judged = {} if contradiction is None else {run.payload.name: contradiction for run in chosen if run.payload}
     return tuple(
         replace(payload, weighed=payload.weighed and replace(payload.weighed, by_model=by_model))
         for payload in payload_estimates(system, vector, judged)
@@ -149,8 +124,24 @@ def weigh(
     )
 
 
+def _contradiction(system: System, solution: Solution, gains: np.ndarray) -> Finding | None:
+    """Judge by how much the log moves the parameters and ``gains`` (n,) of the model; None if it fits."""
+    rows, changes = system.problem.known, solution.gains[: len(gains)] / gains - 1  # rows of the model alone
+    moves = (rows[:, :-1] @ solution.theta - rows[:, -1], changes / GAIN_CHANGE)
+    apart = max(float(np.mean(move**2)) for move in moves)
+    if apart <= MODEL_APART:
+        return None
+    return Finding(
+        "log apart from the model",
+        text="the log contradicts the model, whose parameters it would move by "
+        f"{np.sqrt(apart):.2g} standard deviations (rms)",
+        advice="add a log without payload of the same day; check signs, units and zeros of its columns, and that the "
+        "robot is mounted as before; otherwise identify the robot again, as torque constants fall while motors warm up",
+        grade=Grade.CONTRADICTORY,
+    )
+
+
 def _identified_gains(model: Result) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gains (n,) of a model and their covariance (n, n)."""
     rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in model.robot.actuated]
     return model.gains, model.covariance[np.ix_(rows, rows)]
 
@@ -170,16 +161,26 @@ def _reduced(model: Result, runs: Sequence[Run], progress: Progress) -> Dataset:
     return reduce_runs(model.robot, ordered, at_rate_of(ordered, model.preparation), progress=progress, model=model.idm)
 
 
-def _moved(model: Result, system: System, step: np.ndarray) -> Problem:
-    """Return the equations at gains (n,) moved by a ``step``; equations of a reference move too."""
-    moved = None if system.dataset.reference is None else reference_of(model, step)
-    return system.problem if moved is None else system.again(replace(system.dataset, reference=moved)).problem
+def _slopes(
+    model: Result,
+    system: System,
+    solver: Callable[[Problem, np.ndarray], Solution],
+    solution: Solution,
+    gains: np.ndarray,
+) -> np.ndarray:
+    """Compute the derivatives (k, n) of the estimates by the ``gains`` (n,), which move a reference too."""
+    steps, moved, dataset = 1e-4 * gains, [], system.dataset
+    for step in np.diag(steps):
+        known = None if dataset.reference is None else reference_of(model, step)
+        problem = system.problem if known is None else system.again(replace(dataset, reference=known)).problem
+        moved.append(solver(problem, gains + step).values)
+    return np.asarray((np.stack(moved, axis=1) - solution.values[:, None]) / steps)
 
 
 def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
-    """Estimate the gains too, from what the reference model weighs itself, and join them with the model's (n,).
+    """Estimate the gains too, from the weight of the reference model, and combine them with the model's (n,).
 
-    The latter are known to ``GAIN_CHANGE``; the two estimates are joined by their covariances.
+    The model's gains are known to ``GAIN_CHANGE``; both estimates are weighted by their covariances.
     """
     solution = newton(problem, wls(problem, gains).values, problem.weights, True)
     at = np.arange(len(solution.values))[solution.unknowns.gains][: len(gains)]
@@ -196,41 +197,56 @@ def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
     )
 
 
+def _separating(
+    model: Result, dataset: Dataset, gains: np.ndarray, may_refer: bool, where: str, progress: Progress
+) -> System:
+    """Select the friction; refer to the model if the runs do not separate payload and robot; raises GtauError."""
+    solve = partial(wls, gains=gains)
+    system = select_friction(dataset, solve, progress)
+    if _lost(system) and may_refer:
+        system = select_friction(replace(dataset, reference=reference_of(model)), solve, progress)
+    if _lost(system):
+        raise GtauError(
+            f"{where}the runs cannot separate the payload from the robot itself; add a run without payload, or "
+            "with a payload whose parameters are all known."
+        )
+    return system
+
+
 def _lost(system: System) -> bool:
     return any(name in system.unexcited for carried in system.payloads for name in carried.unknown)
 
 
 FRICTION_CHANGE = 0.2
-"""Standard deviation of a model's friction on another day, of itself.
+"""Relative standard deviation of a model's friction on another day.
 
-On a UR10e within 19 days friction of the wrists changed by 1 to 5 %, of the elbow by 33 %. With 0.05 masses from its
-logs, in which friction shows itself, move by less than 0.015 kg: 12 of 12 intervals hold the truth with either.
+On a UR10e within 19 days friction of the wrists changed by 1 to 5 %, of the elbow by 33 %. With 0.05 instead, masses
+from its logs, which show friction well, move by less than 0.015 kg, and 12 of 12 intervals hold the truth either way.
 """
 
 
 GAIN_CHANGE = 0.03
-"""Standard deviation of a gain on another day, of itself, where one load alone is logged.
+"""Relative standard deviation of a gain on another day, where only one load is logged.
 
 Torque constants fall by 0.1 % a kelvin of the magnets, motors warm up by 10 to 40 K. On a UR10e (two pairs, 19 days
-apart) gains differ by up to 5 %. Taken for exact, gains that fell by 3 % moved its masses by 0.26 kg of 2.8 at half
+apart) gains differ by up to 5 %. Taken as exact, gains that fell by 3 % moved its masses by 0.26 kg of 2.8 at half
 intervals of 0.18, and 0.16 kg without payload.
 """
 
 
 MODEL_APART = 5.0
-"""Mean square of the standard deviations by which a log moves the model's parameters, or its gains, from which it
-contradicts them.
+"""Mean square move of the model's parameters or gains, in standard deviations, above which a log contradicts them.
 
-Of parameters, with gains taken for exact: 0.9 to 3.6 where masses are right (11 logs of a UR10e within 33 days), 25
-where one is 0.21 kg off. With gains of today, which take up a fall of 3 %: above it 1 of 18 weighings of that robot,
-currents as logged or 3 % more or less. Of gains: 10 where they fall by 10 % (a five-bar).
+Parameters, gains taken as exact: 0.9 to 3.6 where masses are right (11 logs of a UR10e within 33 days), 25 where one
+is 0.21 kg off. With re-estimated gains, which absorb a fall of 3 %, 1 of 18 weighings of that robot exceeds it, with
+currents as logged or 3 % more or less. Gains: 10 after a fall of 10 % (a five-bar).
 """
 
 
 def reference_of(model: Result, step: np.ndarray | float = 0.0) -> ReferenceModel:
-    """Take the parameters of a model as known, at its gains or a ``step`` (n,) from them, which moves them too.
+    """Take the parameters of a model as known at its gains, or at gains moved by a ``step`` (n,).
 
-    Their covariance is that at given gains. Friction may have changed since.
+    The covariance is conditional on the gains. Friction may have changed since.
     """
     known, at = {**model.parameters, **model.friction}, model.covariance_names.index
     names = tuple(name for name in model.covariance_names if name in known and known[name].value is not None)
@@ -241,20 +257,23 @@ def reference_of(model: Result, step: np.ndarray | float = 0.0) -> ReferenceMode
     between = model.covariance[np.ix_(rows, gains)]
     slopes = between @ np.linalg.pinv(model.covariance[np.ix_(gains, gains)], rcond=1e-9, hermitian=True)
     theta = np.array([known[name].value for name in names])
-    of_friction = np.array([name.kind in (*PLAIN_FRICTION, *TERMS) for name in names])
-    more = (FRICTION_CHANGE * theta * of_friction) ** 2 + (1e-6 * np.abs(theta) + 1e-12) ** 2
+    is_friction = np.array([name.kind in (*PLAIN_FRICTION, *TERMS) for name in names])
+    more = (FRICTION_CHANGE * theta * is_friction) ** 2 + (1e-6 * np.abs(theta) + 1e-12) ** 2
     covariance = model.covariance[np.ix_(rows, rows)] - slopes @ between.T + np.diag(more)
     return ReferenceModel(names, theta + slopes @ np.broadcast_to(step, len(gains)), covariance)
 
 
 WORSE = 3.0
-"""Times, from which a load is sought, for a second: 1.13 to 2.4 on five UR10e logs, 21 with 2.8 kg undeclared."""
+"""Residual ratio above which an undeclared load is searched for (about 1 s).
+
+It is 1.13 to 2.4 on five UR10e logs, 21 with 2.8 kg undeclared.
+"""
 
 
 def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], progress: Progress) -> Finding | None:
-    """Find a body at the tool of a run other than declared, by the parameters of the model; None without one.
+    """Find an undeclared body at the tool of a run, by the parameters of the model; None without one.
 
-    It is sought where the ``errors`` of the run are ``WORSE`` than the errors of the identification (geometric mean).
+    It is searched for if the ``errors`` of the run are ``WORSE`` than in the identification (geometric mean).
     """
     usual = {residual.joint: residual.rms for residual in model.residuals if residual.rms}
     ratios = [error.rms / usual[error.joint] for error in errors if error.joint in usual and error.rms]
@@ -278,7 +297,7 @@ def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], prog
 def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str, ...]:
     """List the joints whose gain is treated as exact, because its standard deviation is unknown.
 
-    Of the model's gains they are those that were given: of logged torques, whose scale was not tested.
+    A model has such gains if it was identified from logged torques whose scale was not tested.
     """
     if gains != "prior":
         return tuple(joint for joint, gain in model.drive_gains.items() if gain.std is None)

@@ -1,9 +1,9 @@
 """Wrench exerted by the environment at a frame, from the external torques of the joints: ``tau_ext = J^T w``.
 
-Weighted by the covariance of the torques (residual of the identification, and what the parameters' and gains' joint
-covariance leaves open at the sample's motion), so that seven motors average and six are exact. What the identification
-left unexplained of its torques, as a share, is left open of the external torques too. Directions that a pose does not
-show are left out near singular ones; components with a part in them are not seen, and have no value.
+The torques are weighted by their covariance: the residual of the identification, plus the joint covariance of
+parameters and gains at the sample's motion. So seven motors average and six are exact. The share of the torques that
+the identification left unexplained is uncertain in the external torques too. Near singular poses, directions that the
+pose does not show are left out; components with a part in them are not seen, and have no value.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from gtau.robots.robot import Placement
 from gtau.signals.run import Run
 from gtau.uses.prediction import prepared_for
 
-# Of the largest singular value of J^T, lengths over the robot's, down to which directions are seen, however precise the
-# torques: on a UR10e 0.06 is the least in a regular pose, 0.01 the wrist 3 degrees from straight. On seven of its logs
-# the widest interval of a moment was 266 N m where precise wrists counted as more, and is 51.
+# Least share of the largest singular value of J^T, lengths over the robot's, at which a direction is seen, however
+# precise the torques: on a UR10e at least 0.06 in a regular pose, and 0.01 with the wrist 3 degrees from straight.
+# On seven of its logs the widest interval of a moment was 266 N m with weights by precision, and is 51.
 CLEAR = 0.005
-ROUNDING = 1e-10  # of a direction that is left out, beside the largest
-SEEN = 0.999  # of a component's square in such directions; others share in it by at most sqrt(SEEN (1 - SEEN)) = 3 %
+ROUNDING = 1e-10  # relative singular value of a direction that is left out
+SEEN = 0.999  # of a component's square in seen directions; others contribute at most sqrt(SEEN (1 - SEEN)) = 3 %
 BEYOND = 4.0  # standard deviations, as in the table of torques
 
 
@@ -41,8 +41,8 @@ class Component:
     """Component of the wrench along a log.
 
     ``seen`` is the share of samples that show it. Over the usable samples among them: ``rms``, ``largest`` (at
-    ``time``, s), ``interval`` (half the 95 % interval, the median) and ``share`` beyond four standard deviations; None
-    where there are no such samples. N m or N.
+    ``time``, s), ``interval`` (median half-width of the 95 % interval) and ``share`` beyond four standard deviations;
+    None without such samples. N m or N.
     """
 
     name: str
@@ -57,10 +57,10 @@ class Component:
 
 @dataclass(frozen=True, eq=False)
 class WrenchAlongLog:
-    """Wrench at a ``frame``, in its axes: moments and forces (N, 6), N m and N, of which NaN are not ``seen`` (N, 6).
+    """Wrench at a ``frame``, in its axes: moments and forces (N, 6), N m and N, NaN where not ``seen`` (N, 6).
 
-    ``interval`` (N, 6) is half the 95 % interval; ``directions`` (N,) how many are observable; ``usable`` (N,)
-    as of all joints.
+    ``interval`` (N, 6) is half the 95 % interval, ``directions`` (N,) the number of observable directions; ``usable``
+    (N,) marks samples that are usable for all joints.
     """
 
     frame: str
@@ -73,7 +73,7 @@ class WrenchAlongLog:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Columns of a table: of each component its value, half its 95 % interval, and whether the pose shows it."""
+        """Columns of a table: value, half 95 % interval and visibility of each component."""
         columns: dict[str, np.ndarray] = {}
         for k, name in enumerate(WRENCH):
             columns |= {
@@ -129,7 +129,7 @@ def wrench_along_log(
     residual = np.array([errors[joint].rms for joint in prediction.joints])
     relative = np.array([errors[joint].relative for joint in prediction.joints]) / 100
     external = prediction.predicted - prediction.measured
-    spread = residual**2 + (relative * external) ** 2  # the load's part: the model errs by its share of the torque
+    spread = residual**2 + (relative * external) ** 2  # the second part: relative error of the model
     length = characteristic_length(result.robot)
     scale = np.repeat([0.0 if force_only else 1.0 / length, 1.0], 3)  # of unknowns: forces, and moments over a length
     at_frame = _to_body(placement) * scale
@@ -154,7 +154,7 @@ def _normal() -> float:
 
 
 def _to_body(placement: Placement) -> np.ndarray:
-    """Compute the moment and force (6, 6) at a body's frame of those at a frame placed on it."""
+    """Compute the matrix (6, 6) from a wrench at a frame placed on a body to the wrench at the body's frame."""
     R, p = placement.rotation, placement.position
     arm = np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
     return np.block([[R, arm @ R], [np.zeros((3, 3)), R]])
@@ -164,7 +164,7 @@ def _along(result: Result, run: Run) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield blocks of ``J^T`` (N, n, 6) at the body's frame, and of the covariance of model and gains (N, n, n)."""
     model, base, joints = result.idm, result.base, result.robot.actuated
     known = {name: k for k, name in enumerate(result.covariance_names)}
-    # with the columns of friction: offsets and gravity, for instance, are known together far better than each
+    # with the columns of friction: offset and gravity, for instance, are known far better together than separately
     chosen = [k for k, name in enumerate(base.names) if name in known]
     at = [known[base.names[k]] for k in chosen] + [known[Parameter("gain", joint)] for joint in joints]
     spread = result.covariance[np.ix_(at, at)]
@@ -201,7 +201,7 @@ def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[n
     along = np.einsum("ikj,ik->ij", U, whitened)
     value = np.einsum("ij,ijw->iw", inverse * along, V_t)
     shares = np.einsum("ij,ijw->iw", shown, directions**2)
-    # if as much acts along directions that are left out
+    # assuming an equal wrench along the directions left out
     unseen = (1.0 - shares) * np.sum(value**2, axis=1, keepdims=True)
     std = np.sqrt(np.einsum("ij,ijw->iw", inverse**2, V_t**2) + np.maximum(unseen, 0.0))
     return value, std, shares, np.sum(shown, axis=1)

@@ -1,8 +1,8 @@
-"""Judge a robot after a log: beyond tolerance, changed, odd by itself, repaired or healthy.
+"""Judge a robot after a log: beyond tolerance, changed, a single outlier, repaired or healthy.
 
-Quantities are the charts of the logs, but friction is one a joint: Coulomb and viscous together, at the mean speed of
-the motion and relative to the model's, as a motion hardly separates the two. Warming changes the friction of all
-joints by one factor; their median is that factor, and what is compared from log to log is what exceeds it.
+The quantities are the charts of the logs, except that each joint has one friction: Coulomb and viscous friction
+together at the mean speed, relative to the model, because a motion hardly separates the two. Warming changes the
+friction of all joints by one factor, their median; the change beyond this factor is compared from log to log.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from gtau.watch.signal_faults import SIGNAL_FAULTS, signal_faults
 from gtau.watch.statistics import RESIDUAL, LogStatistics
 
 WEEK, WEEKLY = 7.0, 7  # days, and logs that count as a week where they have one date
-FEWEST_OF_WEEK = 3  # logs of a week; fewer are filled up with earlier ones
-ODD = 5.0  # standard deviations, and tolerances from the model where there are too few logs to compare with
-COMMON = 2  # joints whose friction has a median; of two, a change of one is seen in both by half. Of a five-bar with
-# 40 % more friction on four days of ten, a year had 38 alarms with 3 joints, and has one
+FEWEST_OF_WEEK = 3  # logs of a week; earlier logs fill up a shorter week
+ODD = 5.0  # standard deviations of an outlier, and tolerances from the model while there are too few logs to compare
+COMMON = 2  # least joints for a median of friction; of two, a change of one is seen in both by half. A five-bar with
+# 40 % more friction on four days of ten had 38 alarms in a year with 3, and has one with 2
 LOUDER = float(np.log(2))  # growth of a residual that counts as odd
-RATED = 50.0  # kg of a payload, where it is not stated; no load is twice as heavy
-SIZES = np.geomspace(0.5, 60.0, 25)  # changes of which the smallest visible is one, in standard deviations
-PERIODS = (7, 30)  # days in which it is visible
-DRAWS, FOUND = 40, 0.9  # of a change of white scatter, and the share of them in which it is found
-MOST = 120  # last logs that the imagined ones follow
+RATED = 50.0  # kg of a payload where none is stated; no load is twice as heavy
+SIZES = np.geomspace(0.5, 60.0, 25)  # candidates for the smallest visible change, in standard deviations
+PERIODS = (7, 30)  # days within which it is visible
+DRAWS, FOUND = 40, 0.9  # simulated histories with white scatter, and the share in which the change must be found
+MOST = 120  # last logs that the simulated logs follow
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """The ``logs`` of a history, and what is judged of them.
+    """The ``logs`` of a history and the quantities to judge.
 
-    ``values`` and ``std`` (N, m) are those of the quantities, NaN where not counted. They have a ``tolerance`` about a
-    ``reference`` (m,) and, where they are relative to an identified gain, its standard deviation ``of_model``.
-    Alarms of ``warmings`` of all joints, by their sizes, have come and gone: only a larger one is news.
+    The quantities have ``values`` and ``std`` (N, m), NaN where not counted, a ``tolerance`` about a ``reference``
+    (m,) and, relative to an identified gain, the standard deviation ``model_std`` of the gain. ``warmings`` are the
+    sizes of earlier changes of all joints that went away: only a larger one raises a new alarm.
     """
 
     settings: WatchSettings
@@ -52,7 +52,7 @@ class View:
     std: np.ndarray
     tolerance: np.ndarray
     reference: np.ndarray
-    of_model: np.ndarray
+    model_std: np.ndarray
     warmings: list[float]
 
     @property
@@ -62,25 +62,24 @@ class View:
 
     @cached_property
     def excess(self) -> np.ndarray:
-        """Values (N, m), friction less the factor common to all joints: no warm day is odd, or a change of a joint."""
-        x, friction = self.values.copy(), self.of_kind("friction")
+        """Values (N, m), friction without the factor common to all joints, so that warm days are no changes."""
+        x, friction = self.values.copy(), self.has_kind("friction")
         rows = np.isfinite(x[:, friction]).sum(axis=1) >= COMMON
         x[np.ix_(rows, friction)] -= median(x[np.ix_(rows, friction)].T)[:, None]
         return x
 
     @cached_property
     def odd(self) -> np.ndarray:
-        """Values (N, m) by which a log is odd by itself: far off both the others and what its tolerance allows.
+        """Mask (N, m) of outliers: values of a single log, far from the other logs and beyond their tolerance.
 
-        The next log confirms it where that is far off on the same side. Where there are too few logs to compare with,
-        they are compared with the model.
+        A value is no outlier if the next log is far off on the same side. Too few logs are compared with the model.
         """
         shown = np.isfinite(self.excess)
         few = shown.sum(axis=0) < FEWEST
         change = self.excess - np.where(few, self.reference, median(self.excess))
         size = np.abs(change)
-        material = np.where(self.of_kind(RESIDUAL), LOUDER, self.tolerance)
-        known = self.of_kind("m", "gain")  # of which the model is right in other motions too
+        material = np.where(self.has_kind(RESIDUAL), LOUDER, self.tolerance)
+        known = self.has_kind("m", "gain")  # the model is right about these in other motions too
         far = np.where(few, known & (size > ODD * material), far_off(self.excess) & (size > material))
         far &= size > ODD * np.nan_to_num(self.std)
         rows, odd = shown.any(axis=1), np.zeros(shown.shape, dtype=bool)
@@ -90,16 +89,16 @@ class View:
 
     @cached_property
     def counted(self) -> np.ndarray:
-        """Values (N, m) without those of odd logs, which count nowhere."""
+        """Values (N, m) without outlying logs."""
         return np.where(self.odd.any(axis=1, keepdims=True), np.nan, self.values)
 
     @cached_property
     def compared(self) -> np.ndarray:
-        """Values (N, m) that are compared from log to log: :attr:`excess` without odd logs."""
+        """Values (N, m) compared from log to log: :attr:`excess` without outlying logs."""
         return np.where(np.isfinite(self.counted), self.excess, np.nan)
 
     def judged(self, kind: str) -> np.ndarray:
-        """Values (N, m) that an alarm of a ``kind`` is about: those of the model's friction hold what is common."""
+        """Values (N, m) that an alarm of a ``kind`` judges; tolerances include the common factor of friction."""
         return self.counted if kind == "tolerance" else self.compared
 
     @cached_property
@@ -117,13 +116,13 @@ class View:
         """Logarithm of the limit of each quantity's e-detector, which grows with their number."""
         return float(np.log(self.settings.limit * max(np.isfinite(self.values).any(axis=0).sum(), 1)))
 
-    def of_kind(self, *kinds: str) -> np.ndarray:
-        """Find the quantities (m,) of these kinds."""
+    def has_kind(self, *kinds: str) -> np.ndarray:
+        """Mask (m,) of the quantities of some kinds."""
         return np.array([quantity.kind in kinds for quantity in self.quantities])
 
 
 def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View:
-    """Take the logs that count after what was done: maintenance, forgotten and repaired logs, new references."""
+    """Select the logs that count, given the events: maintenance, forgotten and repaired logs, new references."""
     logs = history.logs(len(charts), len(model.robot.actuated))
     friction = [chart.group == "friction" for chart in charts]
     parts = [Quantity("friction", charts[k].joint, "1") if friction[k] else charts[k] for k in range(len(charts))]
@@ -141,10 +140,10 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
     accepted = {"m": limits.mass, **limits.model_dump(include={"gain", "friction", "zero", "delay"})}
     tolerance = np.array([accepted.get(quantity.kind, np.inf) for quantity in quantities])
     vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
-    tolerance[vague] = np.inf  # one log does not determine these, and errors of the model exceed them
-    of_gains = {joint: (gain.std or 0.0) / abs(gain.value or 1.0) for joint, gain in model.drive_gains.items()}
-    of_model = np.array([of_gains.get(quantity.joint, 0.0) * (quantity.kind == "gain") for quantity in quantities])
-    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), of_model, [])
+    tolerance[vague] = np.inf  # one log does not determine these; errors of the model are larger
+    gain_stds = {joint: (gain.std or 0.0) / abs(gain.value or 1.0) for joint, gain in model.drive_gains.items()}
+    model_std = np.array([gain_stds.get(quantity.joint, 0.0) * (quantity.kind == "gain") for quantity in quantities])
+    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), model_std, [])
     for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
             values[logs.dates < event.subject] = np.nan
@@ -163,9 +162,9 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
 def judge(
     model: Result, view: View, log: LogStatistics, row: int, previous: Alarm | None
 ) -> tuple[Alarm | None, int | None]:
-    """Judge the robot after the log in a ``row``, given the alarm before it.
+    """Judge the robot after the log in a ``row``, given the previous alarm.
 
-    Return the alarm, None without one, and the row since which the robot is repaired, if it is.
+    Returns the alarm or None, and the row since which the robot is repaired or None.
     """
     if previous is not None and previous.kind == "log":
         previous = None
@@ -186,7 +185,6 @@ def judge(
 
 
 def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
-    """Raise the alarm beyond tolerance, or of a change, that the logs give by themselves."""
     start, changed = 0, np.zeros(0, dtype=int)
     if view.baseline > view.settings.baseline:
         proof = evidence_of(view)
@@ -198,21 +196,21 @@ def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
         x = np.abs(view.counted - view.reference)[:, far]
         last = [*_last(x, ~(x > view.tolerance[far]).any(axis=1)), view.there[-1]]
         alarm = _alarm("tolerance", model, view, log, np.flatnonzero(far), int(last[0]))
-        parts = [part for cause in alarm.explanations for part in cause.parts]  # where none fits, it may be the motion
+        parts = [part for cause in alarm.explanations for part in cause.parts]  # without any, it may be the motion
         if any(_is_beyond(view, part, far) for part in parts) or (not parts and beyond(view, start, 2.0).any()):
             return alarm
     return _alarm("change", model, view, log, changed, start) if len(changed) else None
 
 
 def _is_beyond(view: View, cause: Cause, far: np.ndarray) -> bool:
-    """Return whether a cause is beyond tolerance, and so is its own quantity by ``far`` (m,)."""
+    """Return whether a cause and its quantity, by ``far`` (m,), are both beyond tolerance."""
     if cause.kind in ("rate", *SIGNAL_FAULTS):
-        return True  # it makes the others wrong
+        return True  # it falsifies all quantities
     kind = "friction" if cause.quantity in PLAIN_FRICTION else cause.quantity
     size = np.inf if cause.kind == "units" else abs(cause.size if cause.relative is None else cause.relative)
     if cause.kind == "warming":
         size -= max((abs(before) for before in view.warmings if before * cause.size > 0), default=0.0)
-    concerned = [cause.joint in ("", quantity.joint) for quantity in view.quantities] & view.of_kind(kind)
+    concerned = [cause.joint in ("", quantity.joint) for quantity in view.quantities] & view.has_kind(kind)
     return bool((concerned & far & (size > view.tolerance)).any())
 
 
@@ -220,25 +218,25 @@ def evidence_of(view: View) -> ChangeEvidence:
     """Compute the evidence of a change over the last logs."""
     rows = view.there[-WINDOW:]
     learning = view.settings.baseline if view.baseline <= WINDOW else FEWEST
-    return evidence(view.compared[rows], view.std[rows] ** 2, learning, view.of_kind(RESIDUAL))
+    return evidence(view.compared[rows], view.std[rows] ** 2, learning, view.has_kind(RESIDUAL))
 
 
 def accepted(view: View, alarm: Alarm) -> dict[str, object]:
-    """Take what has changed as the new reference: the first log of an alarm, and the means by quantity since then."""
+    """Return the new reference after a change: the first log of an alarm, and the means by quantity since then."""
     first = view.logs.place(alarm)
     moved, means = evidence_of(view).log_e > 0, mean_of(view.counted[first:])
     changed = [k for k, name in enumerate(view.names) if np.isfinite(means[k]) and (moved[k] or name in alarm.charts)]
     return {"first": int(view.logs.ids[first]), "changed": {view.names[k]: float(means[k]) for k in changed}}
 
 
-def _last(x: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Find the last rows of ``x`` with a value, behind those that are ``other``."""
+def _last(x: np.ndarray, excluded: np.ndarray) -> np.ndarray:
+    """Find the rows of ``x`` with a value after the last ``excluded`` one."""
     rows = np.flatnonzero(np.isfinite(x).any(axis=1))
-    return rows[len(rows) - int(np.argmax([*other[rows][::-1], True])) :]
+    return rows[len(rows) - int(np.argmax([*excluded[rows][::-1], True])) :]
 
 
 def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np.ndarray, start: int) -> Alarm:
-    """Make an alarm of the quantities ``columns`` since the row ``start``, and explain it."""
+    """Make an alarm for the quantities ``columns`` since the row ``start``, with its explanations."""
     logs, rows, x = view.logs, view.there, view.judged(kind)
     before, after = rows[rows < start], rows[rows >= start]
     if kind == "log":
@@ -247,12 +245,12 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
     healthy = view.reference if by_model else mean_of(x[before])
     changed = mean_of(x[after])
     columns = columns[np.isfinite(healthy[columns]) & np.isfinite(changed[columns])]
-    of_charts = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
+    chart_means = np.zeros(logs.charts.shape[1]) if by_model else mean_of(logs.charts[before])
     uneven = np.nanmax(logs.uneven[before], axis=0, initial=1.0)
-    causes = signal_faults(model, log, of_charts, mean_of(logs.speeds[before]), uneven)
-    if not causes and not view.of_kind(RESIDUAL)[columns].all():
+    causes = signal_faults(model, log, chart_means, mean_of(logs.speeds[before]), uneven)
+    if not causes and not view.has_kind(RESIDUAL)[columns].all():
         rated = view.settings.tolerances.rated_payload or RATED
-        causes = causes_of(model, log, logs.charts[before], logs.charts[after], of_charts, 2 * rated)
+        causes = causes_of(model, log, logs.charts[before], logs.charts[after], chart_means, 2 * rated)
     return Alarm(
         kind=kind,  # type: ignore[arg-type]  # pydantic checks it
         explanations=causes or contacts_of(log, uneven),
@@ -265,9 +263,9 @@ def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np
 
 
 def week_of(view: View, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Average the logs of the last week, at least the last few, ``since`` a row; also half the 95 % interval (m,).
+    """Average the logs of the last week, at least the last few, ``since`` a row.
 
-    Both are NaN without enough logs.
+    Returns the means and half the 95 % intervals (m,), NaN without enough logs.
     """
     days = view.logs.days
     seen = np.isfinite(view.counted) & (np.arange(len(days)) >= since)[:, None]
@@ -276,10 +274,10 @@ def week_of(view: View, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
     x, n = np.where(part, view.counted, np.nan), part.sum(axis=0)
     mean, freedom = mean_of(x), np.maximum(n - 1, 1)
     scatter = np.nansum((x - mean) ** 2, axis=0) / freedom
-    friction = view.of_kind("friction")  # whose two parts compensate each other
+    friction = view.has_kind("friction")  # whose two parts compensate each other
     jackknife = np.where(friction, 0.0, mean_of(np.where(part, np.nan_to_num(view.std) ** 2, np.nan)))
-    of_mean = stdtrit(freedom, 0.975) * np.sqrt(np.fmax(scatter, jackknife) / np.maximum(n, 1))
-    half = np.hypot(of_mean, 1.96 * view.of_model)
+    mean_half = stdtrit(freedom, 0.975) * np.sqrt(np.fmax(scatter, jackknife) / np.maximum(n, 1))
+    half = np.hypot(mean_half, 1.96 * view.model_std)
     few = n < FEWEST_OF_WEEK
     return np.where(few, np.nan, mean), np.where(few, np.nan, half)
 
@@ -291,10 +289,10 @@ def beyond(view: View, since: int = 0, times: float = 1.0) -> np.ndarray:
 
 
 def visible_changes(view: View) -> np.ndarray:
-    """Compute the smallest change of each quantity (m, 3) that is found, NaN where none is.
+    """Compute the smallest detectable change of each quantity within a week, within a month, and slowly: (m, 3).
 
-    Sudden ones are found within a week and a month: the last logs are followed by as many as such a period brings, with
-    the same scatter, and judged by the detector and by the tolerance. One that grows slowly is found by its tolerance.
+    The last logs are continued for such a period with the same scatter, and judged by the detector and the tolerance;
+    a slow change is detected by its tolerance. NaN where no change is detected.
     """
     rows = view.there[-MOST:]
     x, std = view.compared[rows], view.std[rows]
@@ -318,9 +316,9 @@ def visible_changes(view: View) -> np.ndarray:
 
 
 def power(view: View) -> np.ndarray:
-    """Compute changes as :func:`visible_changes` does, found in ``FOUND`` of all cases, of days that do not correlate.
+    """Compute :func:`visible_changes` for uncorrelated days, detected in the share ``FOUND`` of all cases.
 
-    Then the detector depends on the ratio of a change to the scatter alone, and is tried once for all quantities.
+    The detector then depends only on the ratio of change to scatter, and is simulated once for all quantities.
     """
     rows, logs_of = view.there, view.settings.logs_per_year / 365
     shown = np.isfinite(view.compared[rows]).any(axis=0)
@@ -333,6 +331,6 @@ def power(view: View) -> np.ndarray:
         x[len(rows) :] += SIZES[:, None]
         proof = evidence(x.reshape(len(x), -1), np.ones((len(x), SIZES.size * DRAWS)), view.settings.baseline)
         share = ((proof.log_e >= view.limit) & proof.confirmed).reshape(len(SIZES), DRAWS).mean(axis=1)
-        found = SIZES[share >= FOUND]
-        smallest[:, p] = np.fmin(smallest[:, p], scale * found.min(initial=np.inf))
+        visible = SIZES[share >= FOUND]
+        smallest[:, p] = np.fmin(smallest[:, p], scale * visible.min(initial=np.inf))
     return np.where(np.isfinite(smallest), smallest, np.nan)

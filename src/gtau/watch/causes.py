@@ -1,13 +1,13 @@
 """Causes of a change: competing hypotheses of gain, load, friction, warming, zero, delay, clock, units, contact.
 
-A single change of one kind moves all charts in a known way (``response``). Each hypothesis is fitted to the difference
-between the logs after the change and those before it, or the model, by generalised least squares, with the covariance
-between healthy logs; causes whose likelihood is close to that of the best one cannot be distinguished, and are listed
-all. Two at once are tried where one does not explain the change. What no robot has is no cause: sizes are within
-bounds, and their intervals do not hold 0.
+A change of one kind moves all charts in a known way (``response``). Each hypothesis is fitted by generalised least
+squares to the difference between the logs after the change and the logs before it, or the model, with the covariance
+between healthy logs. All causes that are nearly as likely as the best one are listed, because they cannot be
+distinguished. Pairs of causes are tried where no single cause explains the change. Implausible sizes are not offered
+as causes, nor changes whose interval includes 0.
 
-With some ten logs and forty charts the empirical covariance has no full rank; it is shrunk towards the standard
-deviations of the logs with the correlations that independent residuals would give (``formula``).
+With some ten logs and forty charts the empirical covariance is singular; it is shrunk towards the standard deviations
+of the logs with the correlations that independent residuals would have (``formula``).
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from gtau.watch.history import Cause
 from gtau.watch.quantities import SHOWN, Quantity, identified
 from gtau.watch.statistics import RESIDUAL, UNEVEN, LogStatistics, unevenness
 
-CLOSE = 9.2  # 2 log(100): of two explanations one is a hundred times as likely
+CLOSE = 9.2  # 2 log(100): the best explanation is a hundred times as likely
 PER_PARAMETER = 2.0  # minimum improvement of the misfit per additional parameter, by Akaike's criterion
 CERTAIN = 3.0  # standard deviations from zero of the parameter stated first: mass, Coulomb friction
 EXPLAINED = 0.5  # minimum explained share of the squared change
-POOR = 3.0  # misfit per chart of one cause, above which two are tried
-SECOND = 0.3  # of its misfit, below which two explain the change
-CORRELATED = 5.7  # logs that count as one: (1 + rho) / (1 - rho) of a correlation of 0.7
+POOR = 3.0  # misfit per chart of a single cause above which pairs are tried
+SECOND = 0.3  # share of this misfit below which a pair explains the change
+CORRELATED = 5.7  # logs that count as one: (1 + rho) / (1 - rho) at a correlation of 0.7
 REACH = 1.0  # m at most from the flange to the centre of mass of a load
 LARGEST = {"zero": (-20.0, 20.0), "delay": (-0.2, 0.2), "rate": (-0.5, 0.5)}  # deg or mm, s, share
-STOPPED = -1.1  # least change of friction, of itself: it cannot fall by more than all, with a margin
+STOPPED = -1.1  # least relative change of friction: it cannot fall below 0, with a margin
 LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
 
@@ -54,7 +54,7 @@ ADVICE = {
     "units": "check units, signs and order of the columns of the log",
 }
 Hypothesis = tuple[str, str, np.ndarray]
-"""A kind of change, its joint, and combinations (p, c) of the quantities; those may be stated that have charts."""
+"""A kind of change, its joint, and combinations (p, c) of the quantities, of which charted ones can be stated."""
 
 
 def causes_of(
@@ -62,8 +62,8 @@ def causes_of(
 ) -> tuple[Cause, ...]:
     """Find the causes that fit a change and cannot be distinguished, the best one first.
 
-    Charts (logs, k) ``after`` it are compared with ``healthy`` (k,), and those ``before`` it scatter. The motion of the
-    newest ``log`` determines the signature of each change; a load is ``heaviest`` kg at most.
+    Charts (logs, k) ``after`` the change are compared with ``healthy`` (k,); charts ``before`` it give the scatter. The
+    motion of the newest ``log`` determines the signature of each change. A load is at most ``heaviest`` kg.
     """
     usable = log.shown & np.isfinite(healthy) & np.isfinite(after).any(axis=0)
     usable &= (np.isfinite(before).sum(axis=0) >= FEWEST) | (len(before) < FEWEST)
@@ -78,7 +78,7 @@ def causes_of(
     response = np.linalg.solve(L, log.response[rows])
 
     def fit(*several: Hypothesis) -> list[tuple[float, Cause]]:
-        """Fit one hypothesis or two at once, with the misfit; none where one is not plausible."""
+        """Fit one or two hypotheses together; return misfit and cause, or nothing if one is implausible."""
         ends = np.cumsum([columns.shape[1] for *_, columns in several])[:-1]
         sizes, halves, misfit = _fit(change, response @ np.hstack([columns for *_, columns in several]), len(complete))
         parts = zip(several, np.split(sizes, ends), np.split(halves, ends), strict=True)
@@ -88,12 +88,12 @@ def causes_of(
         return [(misfit, causes[0].model_copy(update={"and_also": causes[1] if causes[1:] else None}))]
 
     hypotheses = list(_hypotheses(model, log.quantities))
-    fits = [found for hypothesis in hypotheses for found in fit(hypothesis)]
+    fits = [fitted for hypothesis in hypotheses for fitted in fit(hypothesis)]
     squares = float(change @ change)
     single = min((misfit for misfit, _ in fits), default=squares)
     if single > POOR * len(rows):
-        pairs = [found for pair in combinations(hypotheses, 2) for found in fit(*pair)]
-        fits = [found for found in pairs if found[0] < SECOND * single] or fits
+        pairs = [fitted for pair in combinations(hypotheses, 2) for fitted in fit(*pair)]
+        fits = [fitted for fitted in pairs if fitted[0] < SECOND * single] or fits
     fits.sort(key=itemgetter(0))
     best = fits[0][0] if fits else np.inf
     if best - PER_PARAMETER > (1 - EXPLAINED) * squares:
@@ -103,7 +103,7 @@ def causes_of(
 
 
 def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Compute sizes (c,), halves of their intervals, and the misfit of a whitened change ``y``; ``logs`` scatter."""
+    """Fit a whitened change ``y``: sizes (c,), half intervals, and misfit; ``logs`` gave the covariance."""
     norms = np.linalg.norm(S, axis=0)
     norms[norms == 0] = np.inf
     S = S / norms
@@ -115,14 +115,9 @@ def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarra
 
 
 def _stated(
-    model: Result,
-    log: LogStatistics,
-    heaviest: float,
-    hypothesis: Hypothesis,
-    sizes: np.ndarray,
-    halves: np.ndarray,
+    model: Result, log: LogStatistics, heaviest: float, hypothesis: Hypothesis, sizes: np.ndarray, halves: np.ndarray
 ) -> Cause | None:
-    """State the parameter of a hypothesis whose interval does not hold 0: the first, unless only another is certain."""
+    """Make a cause of the first parameter of a hypothesis whose interval excludes 0, if it is certain, or the best."""
     kind, joint, columns = hypothesis
     quantities = [log.quantities[k] for k in np.argmax(np.abs(columns), axis=0)]
     stated = [k for k, quantity in enumerate(quantities) if quantity.charted or kind == "rate"]
@@ -132,7 +127,7 @@ def _stated(
     t = np.abs(sizes) / np.where(halves > 0, halves, np.inf)
     at = certain[0] if t[certain[0]] > CERTAIN / 2 else max(certain, key=lambda k: t[k])
     size, half, quantity = float(sizes[at]), float(halves[at]), quantities[at]
-    if kind == "gain":  # the apparent torque of the current is that of the model over 1 + delta
+    if kind == "gain":  # the current shows the model's torque divided by 1 + delta
         apparent = 1 - size
         if 1 / RESCALED < apparent < RESCALED:
             size, half = size / apparent, half / apparent**2
@@ -148,29 +143,23 @@ def _stated(
         return None
     unit = "1" if kind in ("warming", "units") else quantity.unit
     relative = size / known if known and joint else None
-    if kind == "units":
-        text = f"scale of the current of {joint or 'all drives'} {size:.3g} times"
-    else:
-        title = quantity.title if joint else COMMON.get(kind, quantity.title)
-        shown, factor = SHOWN.get(unit, (unit, 1.0))
-        value, width = to_width(factor * size, factor * half), to_width(factor * half, factor * half)
-        text = f"{title} {'+' * (size > 0)}{value} ± {width} {shown}"
-        text += "" if relative is None else f", {100 * relative:+.0f} % of the model's"
-    return Cause(
-        kind=kind,
-        joint=joint,
-        quantity=quantity.kind,
-        size=size,
-        half=half,
-        unit=unit,
-        relative=relative,
-        text=text,
-        advice=ADVICE[kind],
-    )
+    cause = Cause(kind=kind, joint=joint, quantity=quantity.kind, size=size, half=half, unit=unit, relative=relative,
+                  text="", advice=ADVICE[kind])  # fmt: skip
+    return cause.model_copy(update={"text": _described(cause, quantity.title)})
+
+
+def _described(cause: Cause, title: str) -> str:
+    """Describe a cause, whose quantity has a ``title``, with its size."""
+    if cause.kind == "units":
+        return f"scale of the current of {cause.joint or 'all drives'} {cause.size:.3g} times"
+    shown, factor = SHOWN.get(cause.unit, (cause.unit, 1.0))
+    size, half = factor * cause.size, factor * cause.half
+    title = title if cause.joint else COMMON.get(cause.kind, title)
+    text = f"{title} {'+' * (size > 0)}{to_width(size, half)} ± {to_width(half, half)} {shown}"
+    return text if cause.relative is None else f"{text}, {100 * cause.relative:+.0f} % of the model's"
 
 
 def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hypothesis]:
-    """List the hypotheses on the watched quantities."""
     groups = defaultdict[tuple[str, str], list[int]](list)
     for k, quantity in enumerate(quantities):
         if quantity.kind != "off":
@@ -185,7 +174,7 @@ def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hyp
 
 
 def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
-    """Suspect a contact where the residual of a joint is far more uneven along the log than it ever was."""
+    """Suspect a contact if a joint's residual is far more uneven along the log than in any healthy log."""
     ratio = unevenness(log, uneven)
     j = int(np.argmax(ratio))
     if ratio[j] < UNEVEN:
@@ -197,16 +186,17 @@ def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
-    """Estimate the covariance (k, k) between healthy logs (logs, k), positive definite however few they are.
+    """Estimate the covariance (k, k) between healthy logs (logs, k), positive definite for any number of logs.
 
-    Correlations are shrunk to those of one log (``formula``), below half of whose standard deviations none scatter.
+    Correlations are shrunk to the correlations within one log (``formula``). Half the standard deviation within a log
+    is the least scatter.
     """
     logs, k = values.shape
     deviations = values - (values.mean(axis=0) if logs else 0.0)
     S = deviations.T @ deviations / max(logs - 1, 1)
     sizes = np.sqrt(np.maximum(np.diag(S), np.diag(formula) / 4))
-    of_formula = np.sqrt(np.maximum(np.diag(formula), 1e-300))
-    target = formula / of_formula / of_formula[:, None]
+    formula_std = np.sqrt(np.maximum(np.diag(formula), 1e-300))
+    target = formula / formula_std / formula_std[:, None]
     share = k / (k + max(logs - 1, 0))
     R = share * (0.9 * target + 0.1 * np.eye(k)) + (1 - share) * (S / sizes / sizes[:, None])
     np.fill_diagonal(R, 1.0)

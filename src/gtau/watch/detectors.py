@@ -2,7 +2,7 @@
 
 A chart is a quantity from log to log, ``x = mu + sigma u`` with unknown mu and sigma. Healthy days correlate, nobody
 knows how much: u is a Gaussian autoregression of correlation rho from log to log beside white noise, whose share of the
-variance is c and whose variance in a log is ``w`` relative to that of the median log (the block jackknife's). ``GRID``
+variance is c and whose variance in a log is ``w`` relative to the median log (by the block jackknife). ``GRID``
 lists the pairs (rho, c). From log j on the mean may have moved by ``delta sigma``, ``delta`` being Gaussian of standard
 deviation ``KAPPA``. With the right Haar priors on mu and sigma the density of the logs at a node g of the grid is
 
@@ -16,8 +16,8 @@ its information. By universal inference (Wasserman, Ramdas and Balakrishnan, PNA
 
 has at most the expectation 1 at whichever node the truth is, as the denominator is at least the true density. The sum
 over all j is an e-detector of the kind Shiryaev-Roberts (Shin, Ramdas and Rinaldo, arXiv:2203.03532). Each chart is
-compared with a limit of its own, the number of charts times that of the robot: no filtration is shared, so that no
-adjuster between filtrations is needed, and by the union bound the robot's alarms are no more frequent than stated.
+compared with its own limit, the number of charts times the robot's limit: no filtration is shared, so that no adjuster
+between filtrations is needed, and by the union bound the robot's alarms are no more frequent than stated.
 
 Two guards only delay alarms: the last two logs must both be nearer to the changed mean than to the healthy one
 (``confirmed``), and a log that is far off alone (``isolated``) counts as missing until the next one confirms it.
@@ -39,7 +39,7 @@ RARE = 1e-6  # probability beyond which a log is far off, by Student's t
 
 
 class ChangeEvidence(NamedTuple):
-    """Of each of k charts the logarithm of the e-detector, the likeliest first log of a change, and the first guard."""
+    """For each of k charts: logarithm of the e-detector, likeliest first log of a change, and the first guard."""
 
     log_e: np.ndarray
     start: np.ndarray
@@ -51,9 +51,9 @@ def evidence(
 ) -> ChangeEvidence:
     """Compute the e-detectors of charts; see the head of this module.
 
-    There is at least one log. ``values`` (n, k) are NaN where a log does not show a chart, ``variances`` (n, k) those
-    of the jackknife. No change begins before ``learning`` logs of a chart; of charts that are ``rising`` (k,), such as
-    residuals, only growth counts.
+    There is at least one log. ``values`` (n, k) are NaN where a log does not show a chart; ``variances`` (n, k) come
+    from the jackknife. No change begins before ``learning`` logs of a chart. Only growth counts for ``rising`` (k,)
+    charts, such as residuals.
     """
     x = np.where(isolated(values), np.nan, values)
     shown, mean = np.isfinite(x), mean_of(x)
@@ -78,7 +78,7 @@ def evidence(
 
 
 def isolated(values: np.ndarray) -> np.ndarray:
-    """Find values (n, k) that are far off alone: those of the logs before and after are not, on the same side."""
+    """Find values (n, k) that are far off, while the logs before and after are not far off on the same side."""
     return alone(np.where(far_off(values), np.sign(values - median(values)), 0.0))
 
 
@@ -91,13 +91,13 @@ def far_off(values: np.ndarray) -> np.ndarray:
 
 
 def alone(side: np.ndarray) -> np.ndarray:
-    """Find the logs (n, k) whose ``side`` (-1, 0 or 1) is not 0, nor that of the log before or after."""
+    """Find the logs (n, k) whose ``side`` (-1, 0 or 1) is not 0 and differs from the logs before and after."""
     padded = np.pad(side, ((1, 1), (0, 0)))
     return np.asarray((side != 0) & (side != padded[:-2]) & (side != padded[2:]))
 
 
 def median(values: np.ndarray) -> np.ndarray:
-    """Take the median (k,) of the values (n, k) that are not NaN; NaN where there is none."""
+    """Compute the median (k,) of values (n, k) without NaN; NaN where there is none."""
     if not len(values):
         return np.full(values.shape[1], np.nan)
     ranked = np.sort(values, axis=0)
@@ -145,6 +145,6 @@ def _densities(y: np.ndarray, w: np.ndarray, shown: np.ndarray) -> tuple[np.ndar
 
 
 def mean_of(x: np.ndarray) -> np.ndarray:
-    """Average logs (n, k) without those that are NaN; NaN where there is none."""
+    """Compute the mean (k,) of logs (n, k) without NaN; NaN where there is none."""
     count = np.isfinite(x).sum(axis=0)
     return np.asarray(np.nansum(x, axis=0) / np.where(count > 0, count, np.nan))

@@ -1,8 +1,8 @@
 """Follow a robot in production: a folder of finished logs, or a growing text log, block by block.
 
-Each block is a log of its own, so that its numbers are those of finished logs. Blocks are recognised by their content:
-after an end at any moment, following the same folder or file again goes on behind the last block of the history. A log
-that is rotated, cut or replaced is followed from its beginning.
+Each block is treated as a finished log and recognised by its content: following the same folder or file again
+continues after the last block of the history, wherever it was interrupted. A log that is rotated, cut or replaced is
+followed from its beginning.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DATE = re.compile(r"(?<!\d)(\d{4}|\d{2})[-_](\d{2})[-_](\d{2})(?!\d)|(?<!\d)(20
 
 
 def logs_of(paths: Iterable[Path]) -> list[Path]:
-    """List logs in the order given, those of a folder in the order of their names; raises GtauError."""
+    """List logs in the order given, and the logs of a folder by name; raises GtauError."""
     logs: list[Path] = []
     for path in paths:
         inside = [path] * path.exists()
@@ -71,7 +71,7 @@ def digest_of(path: Path) -> str:
 
 
 def take(watch: Watch, log: Path, read: Read) -> Status | None:
-    """Add a finished log; one that cannot be read is set aside with the reason. None where its samples are known."""
+    """Add a finished log, or set it aside with the reason why it cannot be read; None if its samples are known."""
     try:
         digest = digest_of(log)
         if watch.history.seen(digest):
@@ -86,10 +86,9 @@ def take(watch: Watch, log: Path, read: Read) -> Status | None:
 def follow(
     watch: Watch, source: Path, read: Read, seconds: float, ended: Callable[[], bool] = lambda: False
 ) -> Iterator[Status]:
-    """Add what is new at a source, for as long as it takes; raises GtauError.
+    """Add new logs of a source until ``ended``, which is asked when nothing is new; raises GtauError.
 
-    ``read`` reads a log, blocks of a growing one are ``seconds`` long, and where nothing is new ``ended`` says whether
-    the source has ended.
+    ``read`` reads a log; blocks of a growing log are ``seconds`` long.
     """
     if not source.exists():
         raise GtauError(f"there is nothing to follow at {source}; give a folder or a growing text log.")
@@ -105,7 +104,7 @@ def follow(
 
 
 def _folder(watch: Watch, folder: Path, read: Read) -> Iterator[Status | None]:
-    """Add the logs of a folder once they are finished; yield None after each look at it."""
+    """Add the logs of a folder once they are finished; yield None after each scan."""
     done: dict[Path, tuple[int, float]] = {}
     while True:
         for log in logs_of([folder]) if any(folder.iterdir()) else []:
@@ -119,7 +118,7 @@ def _folder(watch: Watch, folder: Path, read: Read) -> Iterator[Status | None]:
 
 
 def _growing(watch: Watch, log: Path, read: Read, seconds: float) -> Iterator[Status | None]:
-    """Add the blocks of a log, and of what takes its place when it is rotated; yield None where it does not grow."""
+    """Add the blocks of a log and of its successors when it is rotated; yield None while it does not grow."""
     number = 0
     with TemporaryDirectory() as temporary:
         part = Path(temporary) / f"{log.stem}{log.suffix or '.csv'}"
@@ -146,7 +145,7 @@ def _growing(watch: Watch, log: Path, read: Read, seconds: float) -> Iterator[St
 
 
 def _block(watch: Watch, part: Path, read: Read, block: bytes, name: str) -> Status | None:
-    """Add a block; raises GtauError where no block of this length can be used."""
+    """Add a block; raises GtauError if blocks of this length are too short."""
     digest = hashlib.sha256(block).hexdigest()
     if watch.history.seen(digest):
         return None
@@ -159,12 +158,10 @@ def _block(watch: Watch, part: Path, read: Read, block: bytes, name: str) -> Sta
 
 
 def _lines(text: bytes, count: int) -> bytes:
-    """Take the first lines of a text."""
     return text[: len(text) - len(text.split(b"\n", count)[-1])]
 
 
 def _replaced(log: Path, file: BinaryIO) -> bool:
-    """Return whether a log is no longer the file that is read, or has been cut."""
     with suppress(FileNotFoundError):
         state = log.stat()
         return not os.path.samestat(state, os.fstat(file.fileno())) or state.st_size < file.tell()

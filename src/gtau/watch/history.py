@@ -1,8 +1,8 @@
 """The history of a watched robot: an SQLite file in WAL mode, from which everything else is computed.
 
-A log is added in one transaction, forced to the disk before anything is said of it, and recognised by its digests; so
-whatever happens, and however many programs write, each log is in the history once or is still to be read. Logs beyond
-the last ``KEPT`` are condensed to one row a day.
+A log is added in one transaction, flushed to disk before it is reported, and recognised by its digests. So each log is
+added exactly once, after crashes and with several writers too. Logs beyond the last ``KEPT`` are condensed to one row
+a day.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from gtau.watch.detectors import FEWEST
 
 HISTORY = "history.db"
 FALSE_ALARMS = "false_alarms_per_year"
-KEPT, SLACK = 4000, 1000  # logs kept one by one, and by how many more before they are condensed
-DIGITS = 32  # of a digest that are kept
-PATIENCE = 60.0  # s to wait for another program that writes
-APPLICATION = 0x67746175  # "gtau", of SQLite files that are histories
+KEPT, SLACK = 4000, 1000  # logs kept one by one, and the excess at which older ones are condensed
+DIGITS = 32  # stored of a digest
+PATIENCE = 60.0  # s to wait for another writer
+APPLICATION = 0x67746175  # "gtau": application id of the SQLite file
 TABLES = f"""
 PRAGMA application_id = {APPLICATION};
 CREATE TABLE settings (id INTEGER PRIMARY KEY, document TEXT NOT NULL);
@@ -45,9 +45,10 @@ CREATE TABLE events (id INTEGER PRIMARY KEY, date TEXT, kind TEXT, subject TEXT,
 
 
 class WatchSettings(Keys):
-    """Head of a history: its model and charts, and what determines the time between false alarms, and the tolerances.
+    """Settings of a history: its model and charts, the rate of false alarms, and the tolerances.
 
-    ``baseline`` logs set what is normal; the false alarms are those of all ``robots``, with ``logs_per_year`` each.
+    The first ``baseline`` logs define the normal state. The rate of false alarms counts all ``robots`` together, each
+    with ``logs_per_year``.
     """
 
     model: str
@@ -66,10 +67,10 @@ class WatchSettings(Keys):
 
 
 class Cause(Keys):
-    """One cause of an alarm in numbers and words; ``and_also`` is a second one beside it.
+    """A cause of an alarm; ``and_also`` is a second, simultaneous cause.
 
-    The ``size`` of the change of a ``quantity`` has a 95 % interval of ± ``half``, and ``relative`` is its share of the
-    model's value. ``text`` names the cause and ``advice`` says what to do, without full stops.
+    The change ``size`` of a ``quantity`` has the 95 % interval ± ``half``; ``relative`` is its share of the model's
+    value. ``text`` names the cause and ``advice`` the remedy, without full stops.
     """
 
     kind: str
@@ -85,19 +86,18 @@ class Cause(Keys):
 
     @property
     def parts(self) -> tuple[Cause, ...]:
-        """The cause, and the one beside it."""
+        """The cause and its simultaneous one, if any."""
         return (self,) if self.and_also is None else (self, self.and_also)
 
     def __str__(self) -> str:
-        """Name the cause, or two at once."""
         return " and ".join(part.text for part in self.parts)
 
 
 class Alarm(Keys):
-    """An alarm: a ``change``, a quantity beyond ``tolerance``, or a ``log`` that is odd by itself and set aside.
+    """An alarm: a ``change``, a quantity beyond ``tolerance``, or an outlying ``log``, which is set aside.
 
-    It lasts since a log and its date. ``explanations`` cannot be distinguished, the best first; ``charts`` are those
-    that changed, from their ``healthy`` to their ``changed`` means.
+    It lasts since a log and its date. The ``explanations``, best first, cannot be distinguished; ``charts`` changed
+    from their ``healthy`` to their ``changed`` means.
     """
 
     kind: Literal["change", "tolerance", "log"]
@@ -110,9 +110,9 @@ class Alarm(Keys):
 
 
 class Logs(NamedTuple):
-    """The N logs of a history by date: their numbers, as they came, names and dates, and of how many each is the mean.
+    """The N logs of a history by date: their ids in the order of arrival, names, dates, and how many each averages.
 
-    Charts and their ``std`` (N, k), ``uneven`` and ``speeds`` (N, n) are those of :class:`LogStatistics`.
+    ``charts`` and ``std`` (N, k), ``uneven`` and ``speeds`` (N, n) are described in :class:`LogStatistics`.
     """
 
     ids: np.ndarray
@@ -130,12 +130,12 @@ class Logs(NamedTuple):
         return self.dates.astype("U19").astype("datetime64[s]").astype(float) / 86400
 
     def place(self, alarm: Alarm) -> int:
-        """Find the row since which there is an alarm, the first where that is condensed."""
+        """Find the row in which an alarm began, 0 if it has been condensed."""
         return int(np.argmax((self.names == alarm.since) & (self.dates == alarm.date)))
 
 
 class Event(NamedTuple):
-    """Something that was done: its kind, the log or date that it is about, a note, and details as data."""
+    """An event: its kind, the log or date concerned, a note, and details as data."""
 
     id: int
     date: str
@@ -147,7 +147,7 @@ class Event(NamedTuple):
 
 
 class History:
-    """A history in a folder, begun with ``settings`` where there is none; in memory without a folder; GtauError."""
+    """A history in a folder, created with ``settings`` if missing, or in memory without a folder; raises GtauError."""
 
     def __init__(self, folder: Path | None, settings: WatchSettings | None = None):
         self.path = (folder or Path()) / HISTORY
@@ -171,7 +171,6 @@ class History:
             self.settings = read_group(WatchSettings, str(self.path), document)
 
     def _connect(self, uri: str, settings: WatchSettings | None = None) -> None:
-        """Open a database, and begin a history in it if there are settings."""
         self._database = sqlite3.connect(uri, PATIENCE, isolation_level=None, check_same_thread=False, uri=True)
         if settings:
             self._database.executescript(TABLES)
@@ -179,7 +178,6 @@ class History:
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:
-        """Turn errors of SQLite and of the system into one sentence."""
         try:
             yield
         except (sqlite3.Error, OSError) as error:
@@ -191,33 +189,30 @@ class History:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Hold the lock of the history, and write all that is changed meanwhile, or nothing; raises GtauError."""
+        """Hold the lock of the history, and write all changes made meanwhile, or none; raises GtauError."""
         with self._refusals(), self._database:
             self._database.execute("BEGIN IMMEDIATE")
             yield
 
     def _document(self, text: str) -> Any:
-        """Read JSON of the history; raises GtauError."""
         try:
             return json_in(text)
         except ValueError as error:
             raise GtauError(f"{self.path} holds a damaged document ({error}); restore it from a backup.") from None
 
     def _alarm(self, text: str | None) -> Alarm | None:
-        """Read an alarm, None without a text; raises GtauError."""
         return read_group(Alarm, str(self.path), self._document(text)) if text else None
 
     def _one(self, query: str, *values: Any) -> Any:
-        """Read the first value of the first row, None where there is none."""
         return (self._database.execute(query, values).fetchone() or (None,))[0]
 
     def save(self, settings: WatchSettings) -> None:
-        """Write the head."""
+        """Write the settings."""
         self._database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
         self.settings = settings
 
     def logs(self, charts: int, joints: int) -> Logs:
-        """Read the logs, by their numbers of charts and joints."""
+        """Read the logs, given the numbers of charts and joints."""
         rows = self._database.execute("SELECT id, log, date, count, numbers FROM logs ORDER BY date, id").fetchall()
         numbers = np.frombuffer(b"".join(row[-1] for row in rows)).reshape(len(rows), 2 * (charts + joints))
         parts = np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1)
@@ -227,12 +222,12 @@ class History:
 
     @property
     def extent(self) -> tuple[int, str]:
-        """Number of logs, and date of the last, empty without one."""
+        """Number of logs, and date of the last one, or an empty text."""
         return int(self._one("SELECT total(count) FROM logs")), self._one("SELECT max(date) FROM logs") or ""
 
     @property
     def events(self) -> list[Event]:
-        """What was done, the oldest first."""
+        """Events, the oldest first."""
         columns = "SELECT id, date, kind, subject, note, undone, details FROM events ORDER BY id"
         return [Event(*(*event[:6], self._document(event[6]))) for event in self._database.execute(columns)]
 
@@ -251,7 +246,7 @@ class History:
         return self._one("SELECT 1 FROM seen WHERE digest = ?", digest[:DIGITS]) is not None
 
     def remember(self, log: str, digests: Iterable[str]) -> None:
-        """Recognise a log by these digests from now on, and drop the note that it could not be read."""
+        """Store the digests of a log, and drop the note that it could not be read."""
         self._database.executemany("INSERT OR IGNORE INTO seen VALUES (?)", [(digest[:DIGITS],) for digest in digests])
         self._database.execute("DELETE FROM events WHERE kind = 'refused' AND subject = ?", (log,))
 
@@ -261,24 +256,24 @@ class History:
         return int(self._database.execute(row, (log, date, np.concatenate(numbers).tobytes())).lastrowid or 0)
 
     def add_event(self, kind: str, subject: str, date: str = "", note: str = "", details: Any = None) -> None:
-        """Add an event, of this moment without a date."""
+        """Add an event, stamped now if no date is given."""
         values = (date or now(), kind, subject, note, json.dumps(details))
         self._database.execute("INSERT INTO events (date, kind, subject, note, details) VALUES (?, ?, ?, ?, ?)", values)
 
     def undo(self, event: Event) -> None:
-        """Mark an event as undone, and go back to the alarm before it."""
+        """Mark an event as undone, and restore the alarm before it."""
         self._database.execute("UPDATE events SET undone = 1 WHERE id = ?", (event.id,))
         self.alarm = self._alarm(event.details["alarm"])
 
     def condense(self) -> None:
-        """Condense logs beyond the last ``KEPT`` to one row a day, whenever there are more by ``SLACK``."""
+        """Condense logs beyond the last ``KEPT`` to one row a day, once there are ``SLACK`` more."""
         if self._one("SELECT count(*) FROM logs WHERE count = 1") <= KEPT + SLACK:
             return
         columns = "SELECT id, log, substr(date, 1, 10), count, numbers FROM logs ORDER BY id"
         rows = self._database.execute(columns).fetchall()[:-KEPT]
         self._database.execute("DELETE FROM logs WHERE id <= ?", (rows[-1][0],))
-        for day, of_day in groupby(sorted(rows, key=itemgetter(2)), itemgetter(2)):
-            ids, names, _, counts, parts = zip(*of_day, strict=True)
+        for day, day_rows in groupby(sorted(rows, key=itemgetter(2)), itemgetter(2)):
+            ids, names, _, counts, parts = zip(*day_rows, strict=True)
             numbers = np.array([np.frombuffer(part) for part in parts])
             weights = np.isfinite(numbers) * np.array(counts)[:, None]
             total = (weights * np.nan_to_num(numbers)).sum(axis=0)

@@ -1,13 +1,13 @@
 """Torque columns of possible changes since the identification along a log, and their normal equations.
 
-The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is held against one column a
-quantity: the torque that one unit of its change adds. The rows are those of the identification: the same filters,
-decimation and exclusion of reversals, after subtraction of the model's friction law.
+The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is regressed on one column
+per quantity: the torque that one unit of its change adds. Filters, decimation and exclusion of reversals are the same
+as in the identification, after subtraction of the model's friction law.
 
 ======  ===========================================  ==============================
 kind    change                                       column
 ======  ===========================================  ==============================
-load    mass, first moments, inertia on the tool     those of the payload (eq. 18)
+load    mass, first moments, inertia on the tool     columns of a payload (eq. 18)
 gain    drive gain, at fixed inertia                 ``-tau_model``
 zero    encoder zero                                 ``d tau / d q``
 delay   lag of the current behind the position       ``-g v'``
@@ -71,7 +71,7 @@ class TooShort(GtauError):
 
 @dataclass(frozen=True)
 class Quantity:
-    """A watched quantity: its kind (that of a payload's parameter for the load), joint and unit."""
+    """A watched quantity: its kind (for the load, a payload parameter), joint and unit."""
 
     kind: str
     joint: str
@@ -89,7 +89,7 @@ class Quantity:
 
     @property
     def charted(self) -> bool:
-        """Whether it has a chart: inertia of the load and offsets are estimated with others, a rate is a cause only."""
+        """Whether it has a chart, unlike inertia of the load and offsets (nuisances) and the rate (a cause only)."""
         return self.kind != "off" if self.joint else self.kind in ("m", "mx", "my", "mz")
 
     @property
@@ -110,13 +110,13 @@ def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
         return {"gain": "1", "delay": "s"}.get(kind) or unit_of(kind, robot, joint)
 
     (payload,) = payload_columns(model.idm, model.base, [Payload(name="load")])
-    of_load = (Quantity(name.kind, "", unit(name.kind, robot.tool)) for name in payload.unknown)
-    of_joints = (
+    load_quantities = (Quantity(name.kind, "", unit(name.kind, robot.tool)) for name in payload.unknown)
+    joint_quantities = (
         Quantity(kind, joint, unit(kind, joint))
         for kind, joint in product(("gain", "zero", "delay", *PLAIN_FRICTION), robot.motors)
         if kind not in PLAIN_FRICTION or Parameter(kind, joint) in standard
     )
-    return (*of_load, *of_joints, Quantity("rate", "", "1")), payload.columns
+    return (*load_quantities, *joint_quantities, Quantity("rate", "", "1")), payload.columns
 
 
 def identified(model: Result, name: Parameter) -> float:
@@ -130,10 +130,10 @@ def normal_equations(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Reduce a log to the normal equations ``A^T A``, ``A = [columns | y]``, of the watched quantities.
 
-    Return those of each joint in each block that the jackknife leaves out (blocks, n, p + 1, p + 1), whose rows are
-    divided by the model's own residual; the number of rows (blocks, n) behind them; and the mean absolute velocity (n,)
-    of each joint in its rows. Raises GtauError. ``parts`` of the rows (K,) are listed if
-    asked for: their joint, position, direction, and the rows ``[columns | y]`` (K, p + 1) themselves.
+    Returns the normal equations of each joint in each jackknife block (blocks, n, p + 1, p + 1), rows divided by the
+    model's residual; the number of rows (blocks, n); and the mean absolute velocity (n,) of each joint. If given,
+    ``parts`` receives the joint, position, direction and values ``[columns | y]`` (K, p + 1) of the rows (K,). Raises
+    GtauError.
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     if model.robot.floating:
@@ -198,7 +198,7 @@ def _columns(
     A = np.zeros((*tau.shape, len(quantities) + 1))
     A[..., : payload.shape[1]] = W @ payload
     A[..., -1] = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays)) - tau
-    zeros, rate = _of_motion(model, part.motion, load, instants(run, part.time))
+    zeros, rate = _motion_slopes(model, part.motion, load, instants(run, part.time))
     A[..., -2] = rate + W @ [identified(model, name) * (name.kind == "fv") for name in standard]
     for k, quantity in enumerate(quantities[payload.shape[1] : -1], start=payload.shape[1]):
         j = idm.actuated.index(quantity.joint)
@@ -215,19 +215,19 @@ def _columns(
 
 
 def unseen_zeros(model: Result) -> tuple[str, ...]:
-    """List the joints of a tree whose encoder zero no motion shows, such as one of an arm about the vertical."""
+    """List the joints of a tree whose encoder zero no motion shows, such as a vertical first axis."""
     idm, base = model.idm, model.base
     if model.robot.closures:  # whose poses need not close with another zero
         return ()
     load = np.array(transmitted(np, base.standard, loaded_parameters(model, None, "the robot")))
     motion = random_motion(idm, STATES, np.random.default_rng(0))
-    zeros, _ = _of_motion(model, motion, load, instants("random states", np.arange(STATES, dtype=float)))
+    zeros, _ = _motion_slopes(model, motion, load, instants("random states", np.arange(STATES, dtype=float)))
     torques = idm.columns(base.standard).torques_along(idm.layout, motion, load)
     moved = np.abs(zeros).max(axis=(1, 2)) / np.abs(torques).max()
     return tuple(joint for joint, share in zip(idm.actuated, moved, strict=True) if share < UNSEEN)
 
 
-def _of_motion(model: Result, motion: Motion, load: np.ndarray, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
+def _motion_slopes(model: Result, motion: Motion, load: np.ndarray, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate the torques (n, K) by each encoder zero (n, n, K), per degree or millimetre, and by the rate."""
     idm = model.idm
     regressor = idm.columns(model.base.standard)

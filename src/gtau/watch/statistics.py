@@ -1,11 +1,11 @@
 """Statistics of a log: the size of each change, estimated one at a time with friction, and its standard deviation.
 
-Friction of a healthy robot differs from day to day, so friction and offsets of all joints are always free. Beside them
-one change is estimated at a time: a drive gain at fixed inertia, an encoder zero, a delay, or the load. By the theorem
-of Frisch and Waugh each is a fixed linear combination ``x = C A^T y`` of the log's residual; the same combinations of
-the columns, ``C A^T A``, are the signature of each kind of change in all of them, by which explanations are compared.
+Friction of a healthy robot differs from day to day, so friction and offsets of all joints are always free. In addition
+one change at a time is estimated: a drive gain at fixed inertia, an encoder zero, a delay, or the load. By the theorem
+of Frisch and Waugh each estimate is a fixed linear combination ``x = C A^T y`` of the log's residual; the same
+combinations of the columns, ``C A^T A``, give the signature of each kind of change in all estimates.
 
-Standard deviations are those of the block jackknife over blocks of the log, as residuals are autocorrelated.
+Standard deviations come from the block jackknife over blocks of the log, as residuals are autocorrelated.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from gtau.estimation.results.result import Result
 from gtau.signals.run import Run
 from gtau.watch.quantities import Quantity, normal_equations, quantities_of
 
-SPANNED = 1e-6  # of the square of a column: a smaller residual is linear dependence on the others
-SHOWN = 0.03  # of a joint's rms torque, by which a change of one standard deviation may at most move it
+SPANNED = 1e-6  # of the square of a column: below this residual it depends linearly on the others
+SHOWN = 0.03  # of a joint's rms torque: most that a change of one standard deviation may move it
 LARGEST_ZERO = 1.0  # deg or mm: an encoder zero with a larger standard deviation is not observable
 RESIDUAL = "rms"  # kind of the residual's charts
 UNEVEN = 2.0  # times as uneven as any healthy log: intermittent forces, such as contacts
@@ -33,12 +33,12 @@ inverse_of = partial(np.linalg.pinv, rcond=1e-10, hermitian=True)  # directions 
 class LogStatistics:
     """Statistics of one log.
 
-    The k ``charts`` are quantities, then the residual of each joint (logarithm of its rms over that of the model):
-    ``values`` (k,) in their units, NaN where this motion does not show a change, ``covariance`` (k, k) by the
-    jackknife, 0 for these. ``response`` (k, p) is the change of each chart per unit of each of the ``quantities``, all
-    columns; ``formula`` (k, k) the covariance for independent residuals of unit variance, which has the full rank that
-    the jackknife lacks. ``uneven`` (n,) is the largest rms residual of a block over the median one, of each joint:
-    contacts are brief. ``speed`` (n,) is the mean absolute velocity, and the ``run`` is the log itself.
+    The k ``charts`` are quantities, then the residual of each joint (logarithm of its rms over the model's residual).
+    They have ``values`` (k,), NaN where this motion does not show a change, and a ``covariance`` (k, k) from the
+    jackknife, 0 there. ``response`` (k, p) is the change of each chart per unit of each of the ``quantities``, and
+    ``formula`` (k, k) the covariance for independent residuals of unit variance, which is not singular. ``uneven``
+    (n,) is the largest rms residual of a block over the median one of each joint, as contacts are brief. ``speed``
+    (n,) is the mean absolute velocity, and ``run`` the log itself.
     """
 
     name: str
@@ -64,7 +64,7 @@ class LogStatistics:
 
 
 def unevenness(log: LogStatistics, healthy: np.ndarray) -> np.ndarray:
-    """Compute how many times less even the residual of each joint (n,) is along a log than in ``healthy`` ones."""
+    """Compute how many times more uneven each joint's residual (n,) is along a log than in ``healthy`` logs."""
     return np.asarray(log.uneven / np.maximum(healthy, 1.0))
 
 
@@ -76,10 +76,10 @@ def charts_of(model: Result) -> tuple[Quantity, ...]:
 
 
 def statistics_of(model: Result, run: Run) -> LogStatistics:
-    """Compute the statistics of a finished log, whose payload is part of what is expected; raises GtauError."""
+    """Compute the statistics of a finished log, the model loaded with its payload; raises GtauError."""
     G, rows, speed = normal_equations(model, run)
     (quantities, _), charts = quantities_of(model), charts_of(model)
-    total, blocks, friction = G.sum(axis=(0, 1)), np.arange(len(G)), _of(quantities, "friction")
+    total, blocks, friction = G.sum(axis=(0, 1)), np.arange(len(G)), _columns_of(quantities, "friction")
     C, usable = _combinations(total, quantities)
     residual, uneven = residuals_of(G, rows, friction, blocks >= 0)
     k, p, K = len(C), len(quantities), len(charts)
@@ -111,28 +111,27 @@ def statistics_of(model: Result, run: Run) -> LogStatistics:
     )
 
 
-def _of(quantities: Sequence[Quantity], group: str) -> list[int]:
-    """List the columns of a group of quantities."""
+def _columns_of(quantities: Sequence[Quantity], group: str) -> list[int]:
     return [k for k, quantity in enumerate(quantities) if quantity.group == group]
 
 
 def _combinations(G: np.ndarray, quantities: Sequence[Quantity]) -> tuple[np.ndarray, np.ndarray]:
     """Find the combinations C (k, p) with ``x = C A^T y`` of the charted quantities, and whether each is usable."""
-    friction, load = _of(quantities, "friction"), _of(quantities, "load")
+    friction, load = _columns_of(quantities, "friction"), _columns_of(quantities, "load")
     charted = [quantity.charted for quantity in quantities]
     norms = np.sqrt(np.diag(G)[:-1])
     scale = np.where(norms > 0, norms, 1.0)
     N = G[:-1, :-1] / scale / scale[:, None]
-    of_itself = inverse_of(N[np.ix_(friction, friction)])
-    of_friction = of_itself @ N[friction]  # (f, p)
-    rest = N - N[:, friction] @ of_friction
-    inverse = np.diag(1 / np.maximum(np.diag(rest), SPANNED))  # each by itself, but the load together
+    friction_inverse = inverse_of(N[np.ix_(friction, friction)])
+    projection = friction_inverse @ N[friction]  # (f, p)
+    rest = N - N[:, friction] @ projection
+    inverse = np.diag(1 / np.maximum(np.diag(rest), SPANNED))  # one by one, except the load
     inverse[np.ix_(load, load)] = inverse_of(rest[np.ix_(load, load)])
     inverse[friction] = 0.0
     usable = (norms > 0) & (np.diag(rest) > SPANNED) & (np.diag(inverse) < 1 / SPANNED)
-    usable[friction] = (norms[friction] > 0) & (np.diag(of_itself) < 1 / SPANNED)
-    inverse[:, friction] = -inverse @ of_friction.T
-    inverse[np.ix_(friction, friction)] = of_itself
+    usable[friction] = (norms[friction] > 0) & (np.diag(friction_inverse) < 1 / SPANNED)
+    inverse[:, friction] = -inverse @ projection.T
+    inverse[np.ix_(friction, friction)] = friction_inverse
     return (inverse / scale / scale[:, None])[charted], usable[charted]
 
 
@@ -150,19 +149,19 @@ def residuals_of(
         x[free], x[-1] = -inverse_of(N) @ (total[free, -1] / scale) / scale, 1.0
         rms[j] = 0.5 * np.log(max(float(x @ total @ x), 1e-300) / count[used].sum())
         squares = np.einsum("p,spq,q->s", x, G[:, j], x)
-        of_blocks = np.sqrt(np.maximum(squares, 0.0) / np.maximum(count, 1))[count > 0]
-        uneven[j] = of_blocks.max() / max(np.median(of_blocks), 1e-300)
+        block_rms = np.sqrt(np.maximum(squares, 0.0) / np.maximum(count, 1))[count > 0]
+        uneven[j] = block_rms.max() / max(np.median(block_rms), 1e-300)
     return rms, uneven
 
 
 def _limits(G: np.ndarray, quantities: Sequence[Quantity]) -> np.ndarray:
     """Find the largest standard deviation of an observable chart: it moves no joint's torque by more than SHOWN.
 
-    It depends on the motion and the model's residual alone, so that a fault does not hide what the motion shows. The
-    rms torque of a joint is that of the column of its gain.
+    It depends on the motion and the model's residual alone, so that no fault makes a chart unobservable. The column of
+    a joint's gain gives its rms torque.
     """
     squares = np.einsum("sjpp->jp", G)[:, :-1]
-    of_torque = np.diag(squares[:, _of(quantities, "gain")])
-    share = np.sqrt(squares / np.maximum(of_torque, 1e-300)[:, None]).max(axis=0)
+    torque_squares = np.diag(squares[:, _columns_of(quantities, "gain")])
+    share = np.sqrt(squares / np.maximum(torque_squares, 1e-300)[:, None]).max(axis=0)
     largest = [LARGEST_ZERO if quantity.kind == "zero" else np.inf for quantity in quantities]
     return np.minimum(SHOWN / np.maximum(share, 1e-300), largest)[[quantity.charted for quantity in quantities]]

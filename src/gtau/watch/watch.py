@@ -24,10 +24,10 @@ from gtau.watch.statistics import LogStatistics, charts_of, statistics_of
 
 
 class Status(BaseModel):
-    """What is said of a log: estimates and standard deviations of the charts that it shows, and the state after it.
+    """State after a log: estimates and standard deviations of the charts that the log shows, and the alarm.
 
-    Its ``phase`` is ``baseline``, ``watching`` or ``aside``; one that cannot be used, such as that of a robot at rest,
-    is ``skipped`` for a reason. ``copied`` says that it was in the history; then it is the log that was added last.
+    The ``phase`` is ``baseline``, ``watching`` or ``aside``. ``skipped`` is the reason why a log cannot be used, such
+    as a robot at rest. ``copied`` means that the log was in the history; this is the state after the last log.
     """
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -47,7 +47,7 @@ class Status(BaseModel):
         return self.alarm is None
 
 
-DAYS = 30  # healthy, of an imagined history
+DAYS = 30  # of a simulated healthy history
 
 
 class Watch:
@@ -60,12 +60,13 @@ class Watch:
     model : Result
         From :func:`gtau.identify` or :meth:`gtau.Result.load`.
     out : path, optional
-        Folder of the history, continued if it exists; in memory if omitted. GtauError where it is of another model.
+        Folder of the history, continued if it exists; in memory if omitted. A history of another model is refused.
     tolerances : Tolerances, optional
-        Those of an experiment file.
+        Tolerances of an experiment file.
     settings : int or float, optional
         ``baseline`` (number of healthy logs that form it, 10 if omitted), ``false_alarms_per_year`` of the whole fleet
-        (1), ``robots`` in it (1) and ``logs_per_year`` of each (365). They stand in the history: others are refused.
+        (1), ``robots`` in the fleet (1) and ``logs_per_year`` of each robot (365). A history keeps the values that it
+        was begun with.
     """
 
     @takes(model=("the result of gtau.identify or gtau.Result.load", (Result,)))
@@ -103,7 +104,7 @@ class Watch:
         self._read()
 
     def _read(self) -> None:
-        """Take what is in the history, whichever program has added it."""
+        """Read the history, to which other programs may have added."""
         self.events, self.alarm = self.history.events, self.history.alarm
         self.view = view_of(self.model, self.charts, self.history)
 
@@ -119,11 +120,11 @@ class Watch:
 
     @single_threaded_blas()
     def update(self, run: Run, digest: str = "", date: str = "") -> Status:
-        """Add a finished log; one whose samples are in the history is not added again.
+        """Add a finished log unless its samples are in the history; return the state after it.
 
-        The payload of the ``run`` is part of what is expected. A ``digest`` identifies the log beside its samples, and
-        a ``date`` is when it was recorded (ISO 8601), now if omitted. Raises GtauError where the log does not fit the
-        model; the history is then unchanged.
+        The model is loaded with the payload of the ``run``. A ``digest`` identifies the log in addition to its samples;
+        ``date`` is its time of recording (ISO 8601), now if omitted. Raises GtauError if the log does not fit the
+        model, and leaves the history unchanged.
         """
         arrays = (run.time, run.position, run.command)
         samples = hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).hexdigest()
@@ -131,11 +132,11 @@ class Watch:
         return self._add(run.name, log, date or now(), samples, digest or samples)
 
     def update_statistics(self, log: LogStatistics, digest: str, date: str) -> Status:
-        """Add the statistics of a log that has this digest, as :meth:`update` does."""
+        """Add the statistics of a log with this digest, see :meth:`update`."""
         return self._add(log.name, log, date, digest)
 
     def _add(self, name: str, log: LogStatistics | None, date: str, *digests: str) -> Status:
-        """Add a log in one transaction, unless it is in the history: without statistics, or by one of its digests."""
+        """Add a log in one transaction, unless it has no statistics or the history knows one of its digests."""
         history = self.history
         with history.writing():
             known = log is None or any(map(history.seen, digests))
@@ -157,7 +158,7 @@ class Watch:
 
     @property
     def status(self) -> Status:
-        """The log that was added last, and the state after it."""
+        """The state after the log that was added last."""
         logs, at = self.view.logs, int(np.argmax(self.view.logs.ids))
         phase = "baseline" if self.count <= self.settings.baseline else "watching"
         charts = zip(self.settings.charts, logs.charts[at].tolist(), logs.std[at].tolist(), strict=True)
@@ -172,10 +173,10 @@ class Watch:
         )
 
     def imagine(self, run: Run) -> None:
-        """Fill the history with days on which the estimates of a log scatter by their own covariance.
+        """Simulate healthy days, whose estimates scatter by the covariance of a log, to predict visible changes.
 
-        They are those of a robot that equals its model, so that the smallest visible changes are known beforehand. Real
-        days scatter more. Raises GtauError where the log does not fit the model.
+        The simulated robot equals its model; real days scatter more. Raises GtauError if the log does not fit the
+        model.
         """
         log = statistics_of(self.model, run)
         values, vectors = np.linalg.eigh(log.covariance)
@@ -198,7 +199,7 @@ class Watch:
     def reset(self, date: str) -> None:
         """Begin a new baseline with the first log from a date on, as after maintenance; once for each date.
 
-        The date is such as ``2026-03-28``, or with a time, ISO 8601; raises GtauError where it is none.
+        The date is ISO 8601, such as ``2026-03-28``, or with a time; raises GtauError for other texts.
         """
         try:
             date = datetime.fromisoformat(date).isoformat()[: 19 if "T" in date else 10]
@@ -210,7 +211,7 @@ class Watch:
 
     @takes(note=TEXT)
     def acknowledge(self, note: str) -> None:
-        """End an alarm: what has changed is accepted as the new reference; raises GtauError without an alarm."""
+        """End an alarm and accept the change as the new reference; raises GtauError without an alarm."""
         if self.alarm is None or self.alarm.kind == "log":
             advice = "" if self.alarm is None else f"; forget the log '{self.alarm.since}' instead"
             raise GtauError(f"there is no alarm to acknowledge{advice or '; watch further logs first'}.")
@@ -218,7 +219,7 @@ class Watch:
 
     @takes(log=TEXT)
     def forget(self, log: str) -> None:
-        """Leave out a log that was not of this robot or of this state; raises GtauError where there is none."""
+        """Leave out a log of another robot or state; raises GtauError if the history has no such log."""
         names = self.view.logs.names.tolist()
         if log not in names:
             some = ", ".join(names[-3:]) or "none yet"
@@ -227,12 +228,12 @@ class Watch:
 
     @takes(subject=TEXT)
     def undo(self, subject: str) -> None:
-        """Undo what was last done about a log (forgotten, or first of an acknowledged alarm) or a date of maintenance.
+        """Undo the last action on a log (forgotten, or first of an acknowledged alarm) or a maintenance date.
 
-        Raises GtauError where nothing was.
+        Raises GtauError if there is none.
         """
-        of_subject = [event for event in self.events if event.subject == subject and not event.undone]
-        done = [event for event in of_subject if "alarm" in (event.details or {})]  # by the user
+        events = [event for event in self.events if event.subject == subject and not event.undone]
+        done = [event for event in events if "alarm" in (event.details or {})]  # actions of the user
         if not done:
             raise UnknownName(f"nothing was done about '{subject}'; give a log or a date of the report's events.")
         with self.history.writing():
@@ -242,7 +243,6 @@ class Watch:
     def _do(
         self, kind: str, subject: str, alarm: Alarm | None = None, note: str = "", details: Mapping[str, object] = {}
     ) -> None:
-        """Note an event, and the alarm that remains after it."""
         with self.history.writing():
             before = self.alarm and self.alarm.model_dump_json()
             self.history.add_event(kind, subject, note=note, details={**details, "alarm": before})

@@ -1,7 +1,7 @@
 """Robots of the package robot_descriptions.
 
-Importing a module of that package may clone a repository. So they are parsed as data instead: the paths that they join,
-below the folder in which the package keeps its repositories. Nothing is executed, and nothing is fetched.
+Importing a module of that package may clone a repository. So the modules are parsed as data: the paths that they join,
+below the package's folder of repositories. Nothing is executed or fetched.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def _parsed(module: Path) -> ast.Module:
 
 
 def _repositories(module: Path) -> dict[str, str]:
-    """Find the folder of each repository, below the folder of all."""
+    """Find the folder of each repository, relative to the common folder."""
     repositories: dict[str, str] = {}
     for node in ast.walk(_parsed(module)):
         for key, value in zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ():

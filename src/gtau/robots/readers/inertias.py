@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
 TINY = 1e-9  # kg m2: smaller inertias belong to frames that have none
-SLACK = 1e-2  # by which the largest principal moment may exceed the sum of the others: files round to a few digits
-HEAVIEST = 1000.0  # kg, and times the median mass of the file
+SLACK = 1e-2  # excess of the largest principal moment over the sum of the others: files round to a few digits
+HEAVIEST = 1000.0  # largest mass in kg, and over the median mass of the file
 SHOWN = 4  # bodies that a note lists
 
 
@@ -49,7 +49,7 @@ def _urdf_body(name: str, inertial: Element) -> RigidBody:
 
 
 def mjcf_inertias(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[tuple[str, float], ...]:
-    """Sum MuJoCo's inertias of an MJCF file by what carries each body, with armatures of joints as rotor inertias."""
+    """Sum MuJoCo's inertias of an MJCF file by the carriers of the bodies; armatures of joints are rotor inertias."""
     from gtau.robots.readers.mjcf_file import name_in, rotation_in
 
     model = file.model
@@ -87,7 +87,11 @@ def urdf_masses(root: Element, frames: Mapping[str, Attachment]) -> Iterator[str
     for name, mass in masses.items():
         if mass < 0.0 or mass > max(HEAVIEST * typical, HEAVIEST):
             odd.append(f"link '{name}' (line {line_of(links[name])}) weighs {mass:,.0f} kg")
-    yield from _note(odd)
+    if odd:
+        yield (
+            f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
+            "but correct them before you use the file elsewhere"
+        )
     moved: dict[str, list[str]] = {}
     for link, joint in carried.items():
         moved.setdefault(joint, []).append(link)
@@ -112,11 +116,3 @@ def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
     if moments[2] > (1.0 + SLACK) * (moments[0] + moments[1]):
         return [f"{where}, the largest above the sum of the others"]
     return []
-
-
-def _note(odd: list[str]) -> Iterator[str]:
-    if odd:
-        yield (
-            f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
-            "but correct them before you use the file elsewhere"
-        )

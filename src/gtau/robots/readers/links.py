@@ -13,12 +13,12 @@ from gtau.documents.files import read_at_most
 from gtau.errors import GtauError
 from gtau.robots.placement import compose
 from gtau.robots.readers.source import Base
-from gtau.robots.readers.urdf_tree import read_urdf_tree
+from gtau.robots.readers.urdf_tree import origin_of, read_urdf_tree
 from gtau.robots.readers.xml_document import numbers
 from gtau.robots.robot import Placement, Pose
 
 Blob = tuple[np.ndarray, float]
-"""Points (K, 3), m, and the radius about each: their convex hull encloses a shape."""
+"""Points (K, 3), m, and the radius of a ball about each; the convex hull of the balls encloses a shape."""
 LARGEST_MESH = 64 * 2**20  # bytes
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -44,22 +44,14 @@ def urdf_shapes(path: Path) -> tuple[dict[str, list[Blob]], dict[str, list[np.nd
             if blob is None:
                 missing[at.body] = missing.get(at.body, 0) + 1
                 continue
-            placement = compose(at.placement, _origin(collision))
+            placement = compose(at.placement, origin_of(collision.find("origin"), "a collision shape")[0])
             points = blob[0] @ placement.rotation.T + placement.position
             shapes.setdefault(at.body, []).append((np.asarray(points), blob[1]))
     return shapes, ends, missing
 
 
-def _origin(collision: Element) -> Pose:
-    origin = collision.find("origin")
-    if origin is None:
-        return Pose()
-    xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of a collision shape") for key in ("xyz", "rpy"))
-    return Pose((xyz[0], xyz[1], xyz[2]), (rpy[0], rpy[1], rpy[2]))
-
-
 def _blob(shape: Element, path: Path) -> Blob | None:
-    """Turn a box, sphere, cylinder, capsule or mesh into points and a radius; None for a mesh that is not there."""
+    """Turn a box, sphere, cylinder, capsule or mesh into points and a radius; None for a missing mesh."""
 
     def number(key: str, count: int = 1) -> list[float]:
         return numbers(shape.get(key, ""), count, f"{key} of a {shape.tag} in <collision>")
@@ -80,7 +72,7 @@ def _blob(shape: Element, path: Path) -> Blob | None:
 
 
 def _places(name: str, path: Path) -> Iterator[Path]:
-    """List where the file of a mesh may be: below one of the folders that hold the robot's file."""
+    """List possible places of a mesh file: below the folders that contain the robot's file."""
     scheme, _, rest = name.rpartition("://")
     inside = rest.partition("/")[2]
     if scheme == "package":
@@ -90,7 +82,7 @@ def _places(name: str, path: Path) -> Iterator[Path]:
 
 
 def mesh_points(path: Path) -> np.ndarray | None:
-    """Read the corners (K, 3) of a mesh of STL or OBJ; None for any other format, or where it holds no corner."""
+    """Read the corners (K, 3) of an STL or OBJ mesh; None for other formats or an empty mesh."""
     content = read_at_most(LARGEST_MESH, path, f"{path}: the mesh is larger than 64 MiB; give a simpler one.")
     if path.suffix.lower() == ".stl" and len(content) == 84 + RECORD.itemsize * int.from_bytes(
         content[80:84], "little"
@@ -108,16 +100,16 @@ def mesh_points(path: Path) -> np.ndarray | None:
 
 
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's own frame.
+    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's frame.
 
-    Empty for the body's own frame; a link of the URDF ``file``, or the six numbers ``x y z roll pitch yaw`` (m, rad)
-    from the body's frame, or these as a pose.
+    The ``frame`` is empty for the body's frame, a link of the URDF ``file``, the six numbers ``x y z roll pitch yaw``
+    (m, rad) from the body's frame, or a pose.
     """
-    of_body = f"the frame of '{body}'"
+    body_frame = f"the frame of '{body}'"
     if isinstance(frame, Pose):
         return f"a frame on '{body}'", frame
     if not frame:
-        return of_body, Pose()
+        return body_frame, Pose()
     words = frame.replace(",", " ").split()
     try:
         numbers = [float(word) for word in words]
@@ -125,18 +117,16 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
         return frame, _link(body, frame, file)
     if len(numbers) != 6:
         raise GtauError(
-            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {of_body}."
+            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {body_frame}."
         )
     x, y, z, roll, pitch, yaw = numbers
-    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {of_body}", Pose((x, y, z), (roll, pitch, yaw))
+    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {body_frame}", Pose((x, y, z), (roll, pitch, yaw))
 
 
 def links_on(body: str, file: str | Path) -> list[str]:
-    """List the links of the robot's ``file`` that are fixed to a ``body``; none where it is no URDF."""
+    """List the links of the robot's ``file`` that are fixed to a ``body``; none if it is not a URDF."""
     if Path(file).suffix.lower() != ".urdf":
         return []
-    from gtau.robots.readers.urdf_tree import read_urdf_tree
-
     tree = read_urdf_tree(Path(file), {}, Base())
     links = (link.get("name", "") for link in tree.root.findall("link"))
     return [link for link in links if link in tree.frames and tree.frames[link].body == body]
@@ -148,8 +138,6 @@ def _link(body: str, link: str, file: str | Path | None) -> Placement:
             f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
             f"pitch yaw' (m, rad) from the frame of '{body}'."
         )
-    from gtau.robots.readers.urdf_tree import read_urdf_tree
-
     tree = read_urdf_tree(Path(file), {}, Base())
     on_body = [name for name, frame in tree.frames.items() if frame.body == body]
     if link not in tree.frames:

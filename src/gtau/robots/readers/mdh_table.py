@@ -20,9 +20,9 @@ from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Placeme
 class MdhRow:
     """A frame of a table, placed in the frame of its antecedent.
 
-    ``sigma`` is 0 for a revolute joint, 1 for a prismatic one and 2 for a fixed frame; ``mu`` is 1 where a motor acts.
-    ``placement`` has the constant that the joint coordinate is added to in ``theta`` or ``r``; ``short`` is by how
-    much (rad) an angle in it was changed, see :func:`gtau.robots.placement.exact_angle`.
+    ``sigma`` is 0 for a revolute joint, 1 for a prismatic one and 2 for a fixed frame; ``mu`` is 1 for a motor. The
+    joint coordinate is added to ``theta`` or ``r`` of the ``placement``; ``short`` is the largest change (rad) of an
+    angle, see :func:`gtau.robots.placement.exact_angle`.
     """
 
     name: str
@@ -51,7 +51,7 @@ def table_row(name: str, antecedent: str, mu: float, sigma: float, parameters: S
 
 
 def table_joints(rows: Sequence[MdhRow]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """Make the joints of a table, and place its fixed frames in the links that carry them."""
+    """Make the joints of a table, and place its fixed frames in their links."""
     frames = {GROUND: Attachment(GROUND)}
     joints = []
     for row in rows:

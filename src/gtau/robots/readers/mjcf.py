@@ -1,8 +1,8 @@
 """MJCF files, through MuJoCo's own compiler: geometry, limits, loops and which joints are driven.
 
-Masses, shapes and meshes are ignored; mesh files need not exist. Joints with an actuator have
-motors, and in a gripper alone the shafts that pull tendons; joints that no motor moves are held: in scenery, in
-bases that roll, and in grippers that tendons pull.
+Shapes and meshes are ignored; mesh files need not exist. Joints with an actuator have motors; in a lone gripper the
+shafts that pull tendons do. Joints that no motor moves are held: in scenery, rolling bases, and grippers that tendons
+pull.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
     import mujoco
 
 HOME = "home"
-"""Name of the keyframe that gives home; without one, MuJoCo's reference configuration does."""
+"""Name of the keyframe with the home pose; the default is MuJoCo's reference configuration."""
 
 
 def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from an MJCF file.
 
-    Hinges and slides are joints; a ball becomes three revolute ones, about x, y and z, with massless links in between,
-    and a free body that closures hold a platform. Bodies without joints become part of those that carry them. The
-    equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, and so do narrow limits of
-    fixed tendons; a joint with an actuator is actuated, and where there are no actuators, every joint that is not
-    coupled. Joints that a fixed tendon pulls are held. A joint with a stiffness has a spring; so do the bodies of two
-    sites with a tendon straight between them. A ``base`` fixes free bodies that carry joints, as in the file, or, if
-    its ``rpy`` is given, with the axes of the world; ``"floating"`` makes the one there is a floating base.
+    Hinges and slides are joints; a ball becomes three revolute joints, about x, y and z, with massless links in
+    between; a free body held by closures becomes a platform. Bodies without joints become part of their carriers. The
+    equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, as do narrow limits of fixed
+    tendons. Joints with an actuator are actuated, or, without actuators, all joints that are not coupled. Joints that a
+    fixed tendon pulls are held. A joint with a stiffness has a spring, as do the bodies of two sites with a straight
+    tendon between them. A ``base`` fixes free bodies that carry joints, as in the file, or, with ``rpy``, along the
+    axes of the world; ``"floating"`` makes the one free body a floating base.
 
     Joint coordinates are MuJoCo's ``qpos``. Notes list omitted elements and effects of the simulator alone.
     """
@@ -79,7 +79,10 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     kinds = {joint.name: joint.kind for joint in bodies.joints}
     limited = list(limited_tendons(file, kinds, {tie.joint for tie in ties}))
     motors, forces = read_motors(file, kinds), efforts(file.spec)
-    joints = tuple(_with_effort(joint, forces) for joint in (*bodies.joints, *motors.shafts))
+    joints = tuple(
+        replace(joint, limits=replace(joint.limits, effort=forces.get(joint.name)))
+        for joint in (*bodies.joints, *motors.shafts)
+    )
     couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
     rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
@@ -109,10 +112,6 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         ),
     )
     return _without_idle_joints(robot, held, motors.pulled, base)
-
-
-def _with_effort(joint: Joint, largest: Mapping[str, float]) -> Joint:
-    return replace(joint, limits=replace(joint.limits, effort=largest.get(joint.name)))
 
 
 def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alone: bool) -> None:
@@ -149,7 +148,7 @@ def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: Abstra
 
 
 def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
-    """Note effects of the simulator that are not modelled, and likely errors of the file."""
+    """Note simulated effects that are not modelled, and likely errors of the file."""
     model = file.model
     if _weightless(model):
         yield "gravity is switched off in the file, and here; where it acts, write it in a saved robot file"
@@ -167,7 +166,7 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
 
 
 def _is_braked(model: mujoco.MjModel, free: int) -> bool:
-    """Decide whether damping and similar effects act on a free joint, as set by the defaults of its class."""
+    """Return whether damping, friction or armature act on a free joint, for instance by defaults of its class."""
     start = int(model.jnt_dofadr[free])
     effects = [model.dof_damping, model.dof_frictionloss, model.dof_armature]
     return bool(np.any(model.jnt_stiffness[free])) or any(np.any(effect[start : start + 6]) for effect in effects)
@@ -177,8 +176,8 @@ def _is_braked(model: mujoco.MjModel, free: int) -> bool:
 class Motors:
     """Joints and tendons driven by the actuators of a file.
 
-    ``driven`` are the joints with a motor, shafts among them, and ``pulled`` others, pulled by fixed tendons, which are
-    not modelled. ``shafts`` are motors of tendons, as joints on the ground, and ``couplings`` tie joints to them.
+    ``driven`` joints, shafts included, have a motor; ``pulled`` joints are pulled by fixed tendons, which are not
+    modelled. ``shafts`` are motors of tendons, as joints on the ground, and ``couplings`` tie joints to them.
     """
 
     driven: set[str]
@@ -189,10 +188,10 @@ class Motors:
 
 
 def read_motors(file: MjcfFile, kinds: Mapping[str, JointKind]) -> Motors:
-    """Read the actuators; those that pull fixed tendons become motors only where no other drives a joint.
+    """Read the actuators; tendon actuators become motors only if no other actuator drives a joint.
 
     Such a motor is a shaft on the ground whose position is the tendon's length: the force along a tendon acts on a
-    joint by the coefficient of the joint in that length. ``kinds`` of joints are given by their names.
+    joint by the joint's coefficient in this length. ``kinds`` maps joint names to kinds.
     """
     import mujoco
 
@@ -242,13 +241,13 @@ def _hinges_and_slides(model: mujoco.MjModel) -> set[str]:
 
 
 def scenery(robot: Robot) -> set[str]:
-    """List the joints of doors, targets and the like: of trees from the ground in which no motor moves anything."""
+    """List the joints of trees from the ground without any motor, such as doors and targets."""
     moved = _moved(robot)
     return set().union(*(tree for tree in _trees(robot) if tree.isdisjoint(moved)))
 
 
 def moving_base(robot: Robot) -> set[str]:
-    """List unactuated joints that carry all actuated ones of their tree: joints of a base that rolls or slides."""
+    """List unactuated joints that carry all actuated joints of their tree, as in a base that rolls or slides."""
     carriers, moved = _carriers(robot), _moved(robot)
     moved_trees = (tree & moved for tree in _trees(robot) if tree & moved)
     shared = (set.intersection(*(carriers[name] for name in names)) for names in moved_trees)
@@ -256,13 +255,12 @@ def moving_base(robot: Robot) -> set[str]:
 
 
 def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
-    """List the joints that tendons pull, and the joints of their loops, where no motor moves them."""
+    """List the joints that tendons pull, and the joints of their loops, if no motor moves them."""
     pulled_alone = (group for group in _groups(robot) if group & pulled and group.isdisjoint(robot.actuated))
     return set(pulled).union(*pulled_alone) & {joint.name for joint in robot.joints}
 
 
 def _carriers(robot: Robot) -> dict[str, set[str]]:
-    """List the joints, and the ground, that carry each joint."""
     carriers: dict[str, set[str]] = {GROUND: set()}
     for joint in robot.joints:
         carriers[joint.name] = carriers[joint.antecedent] | {joint.antecedent}
@@ -270,7 +268,6 @@ def _carriers(robot: Robot) -> dict[str, set[str]]:
 
 
 def _trees(robot: Robot) -> list[set[str]]:
-    """Group the joints by the trees rooted at the ground."""
     trees: dict[str, set[str]] = {}
     for joint in robot.joints:
         trees[joint.name] = trees.get(joint.antecedent, set())

@@ -35,11 +35,11 @@ if TYPE_CHECKING:
 
 @dataclass
 class Bodies:
-    """Joints, platforms and floating base of a file, filled along the tree.
+    """Joints, platforms and floating base of a file, collected along the tree.
 
-    ``joints`` are in the order of the file, joints of a floating base first; ``platforms`` are free bodies that carry
-    no joints; ``carried`` says which joint or platform carries each body, and where on it the body's frame is;
-    ``floating`` is the body that is a floating base, if any, and ``notes`` name bodies that were fixed.
+    ``joints`` are in the order of the file, joints of a floating base first; ``platforms`` are free bodies without
+    joints; ``carried`` maps each body to the attachment of its frame; ``floating`` is the floating base, if any, and
+    ``notes`` name bodies that were fixed.
     """
 
     joints: list[Joint] = field(default_factory=list)
@@ -50,11 +50,11 @@ class Bodies:
 
 
 def read_bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> Bodies:
-    """Walk the tree of a compiled model, whose joints are at home at ``qpos``."""
+    """Read the tree of a compiled model with its home at ``qpos``."""
     import mujoco
 
     bodies = Bodies()
-    carriers = set[int]()  # of joints, their own not counted
+    carriers = set[int]()  # ancestors of bodies with joints
     for body in map(int, model.jnt_bodyid):
         while body := int(model.body_parentid[body]):
             carriers.add(body)
@@ -76,7 +76,7 @@ def read_bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> Bo
 
 
 def _freed(bodies: Bodies, name: str, pose: Pose, carries: bool, base: BaseChoice) -> Attachment:
-    """Make a free body a platform, a floating base or a part of the ground; return the attachment of its frame."""
+    """Make a free body a platform, floating base or part of the ground; return the attachment of its frame."""
     if not carries:
         bodies.platforms.append(Platform(name, TRANSLATIONS + ROTATIONS, pose))
         return Attachment(name)
@@ -161,7 +161,7 @@ def read_equalities(model: mujoco.MjModel, carried: Mapping[int, Attachment]) ->
 def _ends(
     model: mujoco.MjModel, number: int, ends: tuple[int, int], carried: Mapping[int, Attachment]
 ) -> tuple[Attachment, Attachment]:
-    """Place the two frames that an equality ``connect`` or ``weld`` ties: sites, or points of bodies and the poses."""
+    """Place the two frames that an equality ``connect`` or ``weld`` ties: sites, or points and poses on bodies."""
     import mujoco
 
     data = model.eq_data[number]

@@ -27,9 +27,8 @@ from gtau.robots.placement import (
     short_angles_note,
     smallest_unit,
 )
-from gtau.robots.readers.mjcf_bounds import bounded
 from gtau.robots.readers.mujoco_process import refuse_deadly
-from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of
+from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
 from gtau.robots.robot import Pose
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ if TYPE_CHECKING:
 
 SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", "textures", "materials", "hfields")
 DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", *SHAPES[1:], "numerics", "texts", "tuples")
-"""What does not matter to geometry nor, but for shapes that weigh, to inertias: it need not even compile."""
+"""Elements without effect on geometry and, except for heavy shapes, on inertias: they need not even compile."""
 WATER = 1000.0  # kg/m3: density of shapes in a file that states none
 
 GEOMETRY = ("pos", "quat", "axis", "axisangle", "euler", "xyaxes", "zaxis", "anchor", "relpose", "ref", "springref")
@@ -50,8 +49,21 @@ RANGES = ("range", "ctrlrange", "forcerange", "actuatorfrcrange")
 NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "qpos", "gravity", "polycoef", "coef", "gear", *RANGES)
 
 
+def _with_included(root: Element, path: Path) -> list[Element]:
+    """List the outermost elements of a file and of the files that it includes, which MuJoCo looks for in its folder."""
+    files = {path.resolve(): root}
+    waiting = [root]
+    while waiting:
+        for element in waiting.pop().iter("include"):
+            other = path.parent / element.get("file", "")
+            if other.is_file() and other.resolve() not in files:
+                files[other.resolve()] = read_xml(other)
+                waiting.append(files[other.resolve()])
+    return list(files.values())
+
+
 def _check_numbers(roots: Iterable[Element]) -> None:
-    """Refuse implausible numbers before MuJoCo accepts some of them and warns of others."""
+    """Refuse implausible numbers, some of which MuJoCo accepts with or without a warning."""
     for element in (part for root in roots for part in root.iter() if part.tag != "flag"):  # its gravity is a word
         for key in NUMBERS:
             text = element.get(key, "")
@@ -64,10 +76,10 @@ def _check_numbers(roots: Iterable[Element]) -> None:
 
 @dataclass(frozen=True)
 class MjcfFile:
-    """An MJCF file: as specified, and what of that is compiled: geometry, and inertias where ``has_masses``.
+    """An MJCF file: its specification and the compiled model, with inertias if ``has_masses``.
 
-    ``elements`` are the outermost elements of the file and of those it includes; ``notes`` say what was changed or left
-    out before compilation.
+    ``elements`` are the outermost elements of the file and its includes; ``notes`` list changes and omissions before
+    compilation.
     """
 
     spec: mujoco.MjSpec
@@ -78,7 +90,7 @@ class MjcfFile:
 
 
 def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Replace orientations written short by the exact ones in ``spec``, and note it."""
+    """Replace rounded orientations in ``spec`` by the exact ones, with a note."""
     import mujoco
 
     def exact(element: Any) -> float:
@@ -110,13 +122,13 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
 
 
 def _states_masses(spec: mujoco.MjSpec) -> bool:
-    """Decide whether a file says anything of masses; MuJoCo gives mere shapes the density of water."""
+    """Return whether a file states masses; MuJoCo gives shapes without them the density of water."""
     said = spec.compiler.settotalmass > 0 or any(body.explicitinertial for body in spec.bodies[1:])
     return said or any(geom.mass > 0 or geom.density not in (0.0, WATER) for geom in spec.geoms)
 
 
 def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
-    """Decide whether a shape adds to the inertia of a body that moves."""
+    """Return whether a shape adds to the inertia of a moving body."""
     import mujoco
 
     body, rule = geom.parent, mujoco.mjtInertiaFromGeom
@@ -133,7 +145,7 @@ def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
 
 
 def _reduce(spec: mujoco.MjSpec, sites: Iterable[str], masses: bool) -> list[str]:
-    """Delete what matters neither to geometry nor to ``masses``; keep ``sites``, and note inactive equalities."""
+    """Delete elements without effect on geometry or ``masses``, but keep ``sites``; note inactive equalities."""
     import mujoco
 
     notes = []
@@ -177,13 +189,13 @@ def straight_tendons(spec: mujoco.MjSpec) -> dict[str, tuple[str, str]]:
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``."""
-    elements = bounded(root, path)
-    _check_numbers(elements)
     try:
         import mujoco
     except ImportError:
         raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
     refusals = (ValueError, RuntimeError, mujoco.FatalError)
+    elements = _with_included(root, path)
+    _check_numbers(elements)
     refuse_deadly(path, DELETED)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -210,14 +222,14 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
 
 
 def _compiled(path: Path, sites: Iterable[str], masses: bool) -> tuple[mujoco.MjModel, list[str], bool]:
-    """Read a file anew, as a copy lacks the equalities that are errors, reduce it and compile it; return its notes."""
+    """Read a file again (a copy would lack invalid equalities), reduce and compile it; return model, notes, masses."""
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(path))
     spec.compiler.fusestatic &= spec.compiler.settotalmass > 0  # which leaves out what is fused to the ground
     notes = [*_with_exact_orientations(spec), *_reduce(spec, sites, masses)]
     with catch_warnings():
-        simplefilter("ignore")  # of attributes that are out of fashion
+        simplefilter("ignore")  # deprecated attributes
         return spec.compile(), notes, masses
 
 
@@ -232,7 +244,7 @@ def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
 
 
 def rotation_in(quaternion: np.ndarray) -> Rotation:
-    """Make the rotation of a quaternion (4,), w first; zeros give the identity, as in keyframes of MuJoCo."""
+    """Make the rotation of a quaternion (4,), w first; zeros give the identity, as in MuJoCo's keyframes."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_quat(quaternion, scalar_first=True) if np.any(quaternion) else Rotation.identity()
@@ -262,7 +274,7 @@ SHOWN = 4
 
 
 def angle_notes(roots: list[Element]) -> Iterator[str]:
-    """Note orientations and limits that are multiples of pi/4 in a file that counts in degrees."""
+    """Note orientations and limits that are multiples of pi/4 in a file in degrees."""
     units = [compiler.get("angle") for root in roots for compiler in root.iter("compiler") if compiler.get("angle")]
     if "radian" in units:
         for element, what, angle in _angles(roots, ("body", "frame")):
@@ -285,7 +297,7 @@ def angle_notes(roots: list[Element]) -> Iterator[str]:
 
 
 def _in_radians(angle: float) -> bool:
-    """Decide whether an angle given as degrees is a multiple of pi/4 up to a turn instead."""
+    """Return whether an angle given in degrees is a multiple of pi/4 up to a turn."""
     eighths = round(angle / (pi / 4))
     return 0 < abs(eighths) <= 8 and abs(angle - eighths * pi / 4) < SHORT
 

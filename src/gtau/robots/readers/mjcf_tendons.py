@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     import mujoco
 
 PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
-"""The most that the limits of a tendon may leave a joint that follows others.
+"""Largest play of a joint within the limits of a tendon at which the joint follows others.
 
-ToddlerBot's waist has 0.06 and 0.002 rad; the Shadow hands of Gymnasium, with 0.28 rad at the fingertips, are left out.
-Of slides no file was at hand; MuJoCo's grippers have joint limits of 20 to 50 mm.
+ToddlerBot's waist has 0.06 and 0.002 rad; the Shadow hands of Gymnasium, with 0.28 rad at the fingertips, are excluded.
+No file with slides was at hand; MuJoCo's grippers have joint limits of 20 to 50 mm.
 """
 
 
@@ -39,14 +39,14 @@ def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
 
 
 def actuators(spec: mujoco.MjSpec) -> list[mujoco.MjsActuator]:
-    """List the actuators, without those that are parts of springs."""
+    """List the actuators that are not parts of springs."""
     return [actuator for actuator in spec.actuators if not _is_spring(spec, actuator)]
 
 
 def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
-    """Compute the largest forces, N or N m, of the actuators on each joint, where the file limits them.
+    """Compute the largest forces, N or N m, of the actuators on each joint, if the file limits them.
 
-    They are symmetric: the smaller end of a range counts. A joint's ``actuatorfrcrange`` limits all of its motors.
+    The smaller end of a range counts. A joint's ``actuatorfrcrange`` limits all of its motors together.
     """
     import mujoco
 
@@ -67,10 +67,7 @@ def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
 
 
 def _is_spring(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
-    """Decide whether an actuator pulls a straight tendon by a force that no control changes.
-
-    This force is affine in the length and the speed of the tendon.
-    """
+    """Return whether an actuator pulls a straight tendon by an uncontrolled force, affine in length and speed."""
     import mujoco
 
     affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
@@ -79,7 +76,7 @@ def _is_spring(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
 
 
 def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[list[Spring], list[str]]:
-    """Read the springs straight between sites of different bodies, and note tendons that are springs otherwise."""
+    """Read the straight springs between sites of different bodies, and note tendons that are other springs."""
     model, springs, notes = file.model, list[Spring](), list[str]()
     straight, forces = straight_tendons(file.spec), dict[str, np.ndarray]()
     for actuator in file.spec.actuators:
@@ -116,10 +113,7 @@ def attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attach
 
 
 def tied_tendons(file: MjcfFile) -> list[Coupling]:
-    """Couple the joints of fixed tendons whose lengths an active equality ties, or of one that it keeps constant.
-
-    The length of one tendon is a polynomial in the length of the other, both from their zeros.
-    """
+    """Couple the joints of two fixed tendons that an active equality ties, or of one whose length it keeps constant."""
     import mujoco
 
     tendons, couplings = fixed_tendons(file.spec), []
@@ -152,9 +146,9 @@ def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
 
 
 def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[str]) -> Iterator[tuple[Coupling, str]]:
-    """Couple joints without a motor that a fixed tendon lets move only a little against its others, as gears do.
+    """Couple motorless joints that a fixed tendon lets move only slightly against its other joints; with notes.
 
-    ``kinds`` of joints are by name; those ``tied`` otherwise are not coupled again. Each coupling has its note.
+    ``kinds`` maps joint names to kinds; joints that are already ``tied`` are not coupled again.
     """
     tendons = fixed_tendons(file.spec)
     targets = {actuator.target for actuator in actuators(file.spec)}

@@ -48,14 +48,14 @@ for line in sys.stdin:
 NO_MEMORY = ("MemoryError", "allocate memory", "unknown exception")  # the last is what its C++ makes of it
 
 _lock = threading.Lock()
-_readers: dict[int, subprocess.Popen[str]] = {}  # by the process that began it, which may have been forked
+_readers: dict[int, subprocess.Popen[str]] = {}  # by the process that started it, which may have been forked
 
 
 def refuse_deadly(path: Path, without: tuple[str, ...] = (), patience: float = PATIENCE) -> None:
-    """Refuse a file at which MuJoCo dies, or that takes it too long or too much memory; raises GtauError.
+    """Refuse a file on which MuJoCo crashes, or needs too much time or memory; raises GtauError.
 
-    What it says of others is left to the caller, who reads them again. ``without`` are the kinds of elements without
-    which it is tried again.
+    Other refusals by MuJoCo are left to the caller, who reads the file again. A file that does not compile is tried
+    again ``without`` some kinds of elements.
     """
     with _lock:
         reader = _reader(without)
@@ -88,7 +88,7 @@ def refuse_deadly(path: Path, without: tuple[str, ...] = (), patience: float = P
 
 
 def _reader(without: tuple[str, ...]) -> subprocess.Popen[str]:
-    """Return the process that reads files for this one; begin it where it is missing, or has died."""
+    """Return the process that reads files for this one; start it if it is missing or has died."""
     reader = _readers.get(os.getpid())
     if reader is None or reader.poll() is not None:
         options = json.dumps([sys.path, int(PATIENCE), MEMORY, without])

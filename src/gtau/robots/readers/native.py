@@ -250,7 +250,7 @@ def _robot(document: Document) -> Robot:
 
 
 def _with_exact_angles(robot: Robot) -> Robot:
-    """Take the angles of placements that are written short as exact, with a note."""
+    """Replace rounded angles of placements by the exact ones, with a note."""
     changes: dict[str, float] = {}
 
     def exact(name: str, placement: Placement) -> Placement:

@@ -1,4 +1,4 @@
-"""A `Robot` as the text of a robot file, from which :mod:`gtau.robots.readers.native` makes an equal one."""
+"""Write a `Robot` as a robot file, from which :mod:`gtau.robots.readers.native` reads an equal one."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Attachment, Coupling,
 
 
 def native_text(robot: Robot) -> str:
-    """Write a robot as the text of a robot file (YAML) from which `read_native` makes an equal one.
+    """Write a robot as the text of a robot file (YAML), from which `read_native` reads an equal one.
 
-    A joint with an MDH placement and an axis other than z cannot be expressed, and is refused.
+    A joint with an MDH placement and an axis other than z is refused.
     """
     passive, moving = bool(robot.closures or robot.couplings), robot.joints[len(robot.base) :]
     homes = {place.name: {"dof": list(place.dof), "home": _pose_data(place.home)} for place in robot.platforms}

@@ -27,12 +27,12 @@ ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
 
 
 def catalog_names() -> tuple[str, ...]:
-    """List the robots that come with the package, and robots of other distributions' catalogs."""
+    """List the robots of the package and of other distributions' catalogs."""
     return (*sorted(file.stem for file in CATALOG.glob("*.yaml")), *_added_robots())
 
 
 def _added_robots() -> dict[str, Path]:
-    """Find the robot files of other distributions by name: those in the folders of the packages that they register."""
+    """Find the robot files of other distributions by name, in the folders of the packages that they register."""
     packages = [added(GROUP, name, ModuleType) for name in registered(GROUP)]
     folders = [Path(folder) for package in packages for folder in package.__path__]
     return {file.stem: file for folder in folders for file in sorted(folder.glob("*.yaml"))}
@@ -41,18 +41,16 @@ def _added_robots() -> dict[str, Path]:
 def read_robot(source: str | Path | RobotSource) -> Robot:
     """Read a robot as its file describes it, its home not closed yet (see :func:`gtau.load_robot`).
 
-    ``source`` is a name of the catalog, one of the package robot_descriptions where that is installed and has the file
-    on disk (``panda_description``), or the path of a file, recognised by its ending: a robot file (``.yaml``,
-    ``.yml``), a URDF (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the
-    folder of both where they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO
-    (``.par``), or a table of MDH parameters (``.csv``). A ``RobotSource`` also says how its base stands and which
-    joints move.
+    ``source`` is a name in the catalog, a name in the package robot_descriptions if the file is on disk
+    (``panda_description``), or the path of a file, recognised by its ending: a robot file (``.yaml``, ``.yml``), a URDF
+    (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the folder of both if
+    they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO (``.par``), or a table of MDH
+    parameters (``.csv``). A ``RobotSource`` also states the pose of the base and which joints move.
     """
     if not isinstance(source, RobotSource):
         source = RobotSource(file=str(source))
     robot = _read(source.file, source.base)
     try:
-        # six joints without a motor carry at least one with a motor
         six = drawn_base(robot) if len(robot.joints) > 6 and not robot.floating else ()
         if source.base == FLOATING:
             robot = _floating(robot, six)
@@ -72,7 +70,7 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
 
 
 def _floating(robot: Robot, six: Sequence[str]) -> Robot:
-    """Let the base float, by the six joints that represent it in the file if there are any."""
+    """Let the base float, in place of the ``six`` joints that represent it in the file, if any."""
     if six:
         note = f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
         return float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]).noted(note)
@@ -81,7 +79,7 @@ def _floating(robot: Robot, six: Sequence[str]) -> Robot:
 
 
 def _fixed(robot: Robot, six: Sequence[str], base: Base) -> Robot:
-    """Fix the base that six joints represent, if any, and turn it in a world in which its gravity points down."""
+    """Fix the base that ``six`` joints represent, if any, and turn it in a world whose gravity points down."""
     if six:
         robot = hold_joints(robot, dict.fromkeys(six, 0.0), "with the base")
     if base.rpy is None:
@@ -91,7 +89,6 @@ def _fixed(robot: Robot, six: Sequence[str], base: Base) -> Robot:
 
 
 def _limited(robot: Robot, given: Mapping[str, GivenLimits]) -> Robot:
-    """Replace limits of joints by those given."""
     joints = {joint.name: joint for joint in robot.joints}
     for name, limits in given.items():
         joint = robot.joint(name)

@@ -40,7 +40,7 @@ Angle = Annotated[FiniteFloat, BeforeValidator(angle)]
 
 
 class Base(Keys):
-    """A fixed base: ``rpy`` turns it in a world whose z axis points up, else its pose is taken from the file."""
+    """A fixed base, at its pose in the file or turned by ``rpy`` in a world whose z axis points up."""
 
     rpy: tuple[Angle, Angle, Angle] | None = None
 
@@ -49,7 +49,7 @@ BaseChoice = Base | Literal["floating"] | None
 
 
 class GivenLimits(Keys):
-    """Limits of a joint that replace limits of the robot's file, SI units."""
+    """Limits of a joint, in SI units, which replace limits of the robot's file."""
 
     position: tuple[Angle, Angle] | None = None
     velocity: Positive | None = None
@@ -80,9 +80,9 @@ def gravity_of(value: Any) -> Any:
 class RobotSource(BaseModel):
     """A robot's file or catalog name, with the selected joints and the pose of its base.
 
-    ``base`` fixes a floating base, says how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
-    joints that move; the others are held, at the positions in ``held`` or at home. ``limits`` replace limits of
-    the file, by joint, and ``gravity`` its own, m/s2: zero where a driver compensates gravity in what it logs.
+    ``base`` fixes a floating base, states how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
+    moving joints; the others are held, at the positions in ``held`` or at home. ``limits``, by joint, and ``gravity``,
+    m/s2, replace values of the file; gravity is zero if the driver removes it from the logged torques.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -96,4 +96,4 @@ class RobotSource(BaseModel):
 
 
 AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("group")], Discriminator(text_or_group)]
-"""What a key 'robot' holds: a file or catalog name, or the group of a ``RobotSource``."""
+"""Value of the key 'robot': a file or catalog name, or the group of a ``RobotSource``."""

@@ -24,23 +24,18 @@ COORDINATES = r"(?:th|theta|t|q|r)_?{}"
 def read_par(path: str | Path) -> Robot:
     """Read a robot from a parameter file of OpenSYMORO.
 
-    Joints are named by their numbers. A loop is cut at a joint beyond the number of links: its frame stays, as a
-    massless link, and is welded to the fixed frame that the file gives on the other side. Lengths and angles must be
-    numbers; symbols (``D3``) may get values on lines of their own, ``D3 = 0.45``. Joints with ``mu = 1`` are actuated,
-    all of an open chain where no ``mu`` is 1. Gravity that is not given as numbers is 9.80665 m/s2 along -z. Notes say
-    so.
+    Joints are named by their numbers. A loop is cut at a joint beyond the number of links: its frame becomes a massless
+    link, welded to the fixed frame on the other side. Symbols in lengths and angles need values on separate lines,
+    ``D3 = 0.45``. Joints with ``mu = 1`` are actuated, or all joints of an open chain without such a ``mu``. Gravity
+    that is not given as numbers is 9.80665 m/s2 along -z. Notes mention both defaults.
     """
     path = Path(path)
     try:
-        return _robot(_text(path), path)
+        larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
+        content = read_at_most(MAX_BYTES, path, larger)
+        return _robot(content.decode("latin-1"), path)  # old programs wrote accents; the entries read are ASCII
     except GtauError as error:
         raise type(error)(f"{path}: {error}") from None
-
-
-def _text(path: Path) -> str:
-    larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
-    content = read_at_most(MAX_BYTES, path, larger)
-    return content.decode("latin-1")  # older programs wrote accents in it; the entries read are ASCII
 
 
 def _robot(text: str, path: Path) -> Robot:
@@ -62,7 +57,7 @@ def _robot(text: str, path: Path) -> Robot:
         for k, texts in enumerate(zip(*lists.values(), strict=True), start=1)
     ]
     tree, frames = table_joints(rows)
-    # a joint that cuts a loop has friction, but its link is part of the link on the other side
+    # a joint that cuts a loop has friction, but its link belongs to the other side
     tree = tuple(replace(joint, parameters="drive") if int(joint.name) > links else joint for joint in tree)
     cuts = range(links + 1, joints + 1)
     closures = tuple(Closure("weld", Attachment(str(cut)), frames[str(cut + joints - links)]) for cut in cuts)
@@ -86,7 +81,7 @@ def _without_comments(text: str) -> str:
 
 
 def _entries(text: str) -> dict[str, str]:
-    """Read values by lower-case key, since versions of the program differ in case; lists are without their braces."""
+    """Read values by lower-case key, since versions of the program differ in case; lists lose their braces."""
     entries: dict[str, str] = {}
     for key, braces, plain in re.findall(
         r"^[ \t]*(\w+)[ \t]*=[ \t]*(?:\{([^{}]*)\}|([^{}\n]*))", text, flags=re.MULTILINE
@@ -107,7 +102,6 @@ def _integer(entries: Mapping[str, str], key: str) -> int:
 
 
 def _constants(entries: Mapping[str, str]) -> dict[str, float]:
-    """Read values of symbols defined on separate lines."""
     others = entries.keys() - {*LISTS, "nl", "nj", "nf", "type", "is_mobile", "is_floating"}
     return {key: evaluate(entries[key]) for key in others if re.fullmatch(r"[-+.\deE]+", entries[key])}
 
@@ -130,7 +124,7 @@ def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:
 
 
 def _check_symbols(lists: Mapping[str, Sequence[str]], constants: Mapping[str, float]) -> None:
-    """Refuse symbols without values, all of them at once and as the file spells them."""
+    """Refuse symbols without values, all at once and spelt as in the file."""
     missing: dict[str, tuple[str, str]] = {}
     for key, texts in lists.items():
         for k, text in enumerate(texts, start=1):

@@ -1,9 +1,9 @@
 """URDF files: geometry and limits of serial arms and trees, and of loops described beside them.
 
-Masses and inertias in the file are kept beside the robot, for comparison with the identified ones. Loops are in the
-side YAML of the Gepetto models of parallel robots: ``closed_loop`` names pairs of frames that a loop ties, ``type``
-says how (``3d`` or ``6d``, the default), ``name_mot`` names the motors, and ``joint_name`` with ``joint_type`` names
-joints that a URDF cannot describe.
+Masses and inertias in the file are kept for comparison with the identified ones. Loops are described in a YAML file, as
+in the Gepetto models of parallel robots: ``closed_loop`` lists pairs of frames that a loop ties, ``type`` their kind
+(``3d`` or ``6d``, the default), ``name_mot`` the motors, and ``joint_name`` with ``joint_type`` joints that a URDF
+cannot describe.
 """
 
 from __future__ import annotations
@@ -29,12 +29,11 @@ from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Robot, RobotFi
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from a URDF file.
 
-    Links on fixed joints become part of the link that carries them. Joints are listed depth first in the order of the
-    file; each keeps its name, and its link has the same name. A joint that mimics another is passive and coupled to it.
-    Gravity is along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths below 1e-10 m, are
-    taken as exact, and angles written short (1.5708) as the multiples they stand for, with a note. A velocity or effort
-    limit of 0 counts as not known. With a ``base`` a floating joint is fixed, its child then being the ground, which
-    may float.
+    Links on fixed joints become part of their carriers. Joints are listed depth first in the order of the file; each
+    keeps its name, and its link has the same name. A joint that mimics another is passive and coupled to it. Gravity is
+    along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths below 1e-10 m, are exact;
+    rounded angles (1.5708) are replaced by exact ones, with a note. A velocity or effort limit of 0 means unknown. With
+    a ``base`` a floating joint is fixed, and its child becomes the ground, which may float.
     """
     path = Path(path)
     tree = read_urdf_tree(path, {}, base)
@@ -56,9 +55,9 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
 def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
     """Remove the motors of six joints that carry all others and represent a floating base.
 
-    A URDF does not define which joints have motors. These six have none if all joints beyond them have what they lack:
-    a transmission (or ros2_control interface), which decides alone, an effort, or the masses of links in between.
-    ``robot`` has a motor at every joint that mimics no other.
+    A URDF does not define which joints have motors; ``robot`` has one at every joint that mimics no other. The six have
+    none if all other joints have a transmission (or ros2_control interface), an effort limit, or links with mass, and
+    the six do not. Transmissions take precedence.
     """
     if len(robot.joints) <= 6:
         return robot
@@ -105,8 +104,7 @@ class _Loops(BaseModel):
 def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
     """Read a robot from a URDF file and the YAML file beside it; only the joints in ``name_mot`` are actuated.
 
-    The tree comes from :func:`gtau.robots.readers.urdf.read_urdf`. One of two coaxial pins at a loop is locked, with a
-    note.
+    The tree is read as in :func:`read_urdf`. One of two coaxial pins at a loop is locked, with a note.
     """
     document = read_yaml(loops)
     entry = validate(_Loops, document)

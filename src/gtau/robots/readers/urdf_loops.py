@@ -22,12 +22,12 @@ from gtau.robots.readers.xml_document import attribute, line_of, numbers
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose
 
 POINTS = {"spherical": 1, "ball": 1, "revolute": 2, "continuous": 2}
-"""Points of its axis that a joint keeps together: two make a hinge."""
+"""Number of points of its axis that a joint ties: two make a hinge."""
 APART = 0.1  # m, between two points of an axis
 SIDES = ("predecessor", "successor", "link1", "link2")
 UNREAD = re.compile(r"constraint|coupling|\w+_constraint|linear_bushing\w*|joint")
 """Elements, without their prefix, that tie links and are not read."""
-CLOSING = "closing_"  # links that onshape-to-robot writes where a loop is cut, two each
+CLOSING = "closing_"  # links that onshape-to-robot writes in pairs where a loop is cut
 BY_HAND = (
     "is not read; write the frames that it ties under 'closed_loop', and the motors under 'name_mot', in a YAML file "
     "of the same name beside this one, or describe the robot in a robot file"
@@ -35,10 +35,10 @@ BY_HAND = (
 
 
 def written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:
-    """Read the loops that the elements of a file close, with notes; refuse by name those that are not read."""
+    """Read the loop closures of a file, with notes; refuse other closing elements by name."""
     closures, notes, known = list[Closure](), list[str](), {WORLD, *tree.frames}
     for element in tree.root:
-        # without a namespace; the colon of a prefix that is declared nowhere
+        # without a namespace, and with the colon of an undeclared prefix
         written = str(element.tag).rpartition("}")[2].replace(".", ":")
         what = f"line {line_of(element)}: <{written}> '{element.get('name', '')}'".removesuffix(" ''")
         match written.rpartition(":")[2]:
@@ -49,11 +49,11 @@ def written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:
             case "gazebo":
                 for joint in element.findall("joint"):
                     if not {(joint.findtext(side) or "").strip() for side in ("parent", "child")} <= known:
-                        continue  # of a link that Gazebo adds
+                        continue  # it joins a link that Gazebo adds
                     what = f"line {line_of(joint)}: <joint> '{joint.get('name', '')}' of <gazebo>"
                     parent, child = sides = _sides_in_gazebo(tree, joint, what)
                     if parent.body == child.body:
-                        continue  # a base that is bolted down
+                        continue  # it bolts the base down
                     closures += _joined(joint, sides, what)
                     x, y, z = parent.placement.position
                     notes.append(
@@ -71,7 +71,7 @@ def written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:
 
 
 def _joined(element: Element, sides: Sequence[Attachment], what: str) -> list[Closure]:
-    """Close a loop by what a joint between two frames keeps together."""
+    """Make the closures of a joint between two frames."""
     kind = element.get("type", "ball")
     if len(sides) != 2 or kind not in (*POINTS, "fixed"):
         raise GtauError(f"{what}, of type '{kind}' and between {len(sides)} links, {BY_HAND}.")
@@ -104,7 +104,7 @@ def _side_of_ball(tree: UrdfTree, element: Element, side: str, what: str) -> Att
 
 
 def _sides_in_gazebo(tree: UrdfTree, joint: Element, what: str) -> list[Attachment]:
-    """Place the two frames of a joint, whose pose is in its child, where Gazebo does: all other joints at zero."""
+    """Place the two frames of a joint, whose pose is in its child, as Gazebo does with all other joints at zero."""
     if joint.find("pose[@relative_to]") is not None or joint.find("axis/xyz[@expressed_in]") is not None:
         raise GtauError(f"{what}, placed in another frame than its child's, {BY_HAND}.")
     x, y, z, roll, pitch, yaw = numbers(joint.findtext("pose") or "0 0 0 0 0 0", 6, f"pose of {what}")
@@ -114,15 +114,15 @@ def _sides_in_gazebo(tree: UrdfTree, joint: Element, what: str) -> list[Attachme
         for tag, placement in (("child", pose), ("parent", Pose()))
     )
     drawn: dict[str, Placement] = {GROUND: Pose()}
-    for other in tree.joints:
-        drawn[other.name] = compose(drawn[other.antecedent], other.placement)
+    for moving in tree.joints:
+        drawn[moving.name] = compose(drawn[moving.antecedent], moving.placement)
     there, R = compose(drawn[child.body], child.placement), drawn[parent.body].rotation.T
     from_parent = pose_of(R @ there.rotation, R @ (there.position - drawn[parent.body].position))
     return [replace(parent, placement=from_parent), child]
 
 
 def joints_of_loops(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[tuple[Joint, ...], Sequence[str]]:
-    """Decide which joints of loops have motors: those with a transmission, else the first of each branch; note it."""
+    """Decide which joints of loops have motors, with a note: those with a transmission, or the first of each branch."""
     carriers: dict[str, set[str]] = {GROUND: set()}
     for joint in tree.joints:
         carriers[joint.name] = carriers[joint.antecedent] | {joint.name}

@@ -49,7 +49,7 @@ from gtau.robots.robot import (
 )
 
 LOOSE = ("floating", "planar")
-WORLD = "world"  # a link that Drake needs no declaration of
+WORLD = "world"  # a link that files for Drake need not declare
 TURNS = {"SPHERICAL": "xyz", "CARDAN": "xy", "UJOINT_XY": "xy", "UJOINT_YZ": "yz", "UJOINT_ZX": "zx"}
 """Axes, in turn, of joints that a URDF cannot describe."""
 KINDS: dict[str, JointKind | None] = {
@@ -62,8 +62,6 @@ KINDS: dict[str, JointKind | None] = {
 
 @dataclass(frozen=True)
 class _Edge:
-    """A URDF joint as written in the file."""
-
     name: str
     kind: JointKind | None  # None where nothing moves
     parent: str
@@ -77,8 +75,8 @@ class _Edge:
 class UrdfTree:
     """Tree described by a URDF file.
 
-    ``frames`` says where the frame of every joint (after its motion) and of every link is fixed; as in Pinocchio, a
-    joint's frame and the frame of the link it moves are the same. ``root`` is the file's outermost element.
+    ``frames`` maps every joint (after its motion) and link to the attachment of its frame; as in Pinocchio, a joint and
+    the link that it moves share a frame. ``root`` is the file's outermost element.
     """
 
     name: str
@@ -90,10 +88,10 @@ class UrdfTree:
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
-    """Read the tree of a URDF file, with the joints named in ``types`` read as FIXED or as one of ``TURNS`` instead.
+    """Read the tree of a URDF file, with the joints in ``types`` read as FIXED or as one of ``TURNS``.
 
-    A spherical joint becomes three revolute ones, about x, y and z, a universal joint two; the links in between are
-    massless, and the last one has the joint's name.
+    A spherical joint becomes three revolute ones, about x, y and z, a universal joint two, with massless links in
+    between; the last one has the joint's name.
     """
     try:
         root = _parse(path)
@@ -176,7 +174,7 @@ def _edge(element: Element, base: BaseChoice) -> _Edge:
 
 
 def _check_floating(ordered: list[_Edge]) -> None:
-    """Refuse a floating joint anywhere but between the root link and the rest of the tree."""
+    """Refuse a floating joint that does not connect the root link to the whole tree."""
     root = ordered[0].parent if ordered else ""
     for edge in ordered:
         if edge.element.get("type") in LOOSE and (edge.parent != root or sum(e.parent == root for e in ordered) > 1):
@@ -228,7 +226,7 @@ def _repeated(names: list[str]) -> str | None:
 
 
 def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
-    """Place each moving joint in the frame of the previous moving one, and locate the frames."""
+    """Place each moving joint in the frame of the previous moving one, and attach all frames."""
     joints: list[Joint] = []
     frames: dict[str, Attachment] = {}
     for edge in ordered:
@@ -260,7 +258,7 @@ def _mimic(edge: _Edge) -> Coupling | None:
 
 
 def _mimics_of_gazebo(root: Element, free: Collection[str]) -> tuple[Coupling, ...]:
-    """Read the couplings of ``free`` joints that plugins of Gazebo make: ``mimicJoint`` follows ``joint``."""
+    """Read couplings of ``free`` joints from Gazebo plugins: ``mimicJoint`` follows ``joint``."""
     couplings = {}
     for plugin in root.iterfind("gazebo/plugin"):
         follower = (plugin.findtext("mimicJoint") or "").strip()
@@ -276,7 +274,6 @@ def _mimics_of_gazebo(root: Element, free: Collection[str]) -> tuple[Coupling, .
 
 
 def _check_circles(couplings: Sequence[Coupling]) -> None:
-    """Refuse circular mimic joints."""
     master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
     for first in master:
         circle = [first]
@@ -290,7 +287,7 @@ def _check_circles(couplings: Sequence[Coupling]) -> None:
 
 
 def _transmission_notes(root: Element, motors: Iterable[str]) -> Iterator[str]:
-    """Note gear ratios, which are not geometry but predict the gains, and drives that are not read."""
+    """Note gear ratios, which predict the gains but are not geometry, and transmissions that are not read."""
     ratios, shared = [], []
     for transmission in root.iter("transmission"):
         joints = [joint.get("name", "") for joint in transmission.findall("joint")]
@@ -321,7 +318,7 @@ def _transmission_notes(root: Element, motors: Iterable[str]) -> Iterator[str]:
 
 
 def origin_of(origin: Element | None, what: str) -> tuple[Placement, float]:
-    """Read the placement of something, and the largest change (rad) of an angle in it that was written short."""
+    """Read a placement, and the largest change (rad) of a rounded angle in it."""
     if origin is None:
         return Pose(), 0.0
     xyz, rpy = (numbers(origin.get(key, "0 0 0"), 3, f"{key} of {what}") for key in ("xyz", "rpy"))
@@ -335,10 +332,10 @@ def origin_of(origin: Element | None, what: str) -> tuple[Placement, float]:
 
 
 def axis_of(element: Element, what: str) -> tuple[float, float, float]:
-    """Read the direction of a joint's axis, which Gazebo writes as text."""
+    """Read the direction of a joint's axis, an attribute, or a text in Gazebo."""
     axis = element.find("axis")
     if axis is None:
-        return (1.0, 0.0, 0.0)  # as the URDF specification says
+        return (1.0, 0.0, 0.0)  # default of the URDF specification
     text = axis.findtext("xyz") or axis.get("xyz") or "1 0 0"
     vector = np.array(numbers(text, 3, f"axis of {what}"))
     length = float(np.linalg.norm(vector))
@@ -372,7 +369,6 @@ def _limit(edge: _Edge, limit: Element, key: str) -> float:
 
 
 def _range(edge: _Edge) -> tuple[float, float] | None:
-    """Read the position limits of a joint; None where it has none."""
     limit = edge.element.find("limit")
     if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
         return None
@@ -381,7 +377,6 @@ def _range(edge: _Edge) -> tuple[float, float] | None:
 
 
 def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
-    """Note position limits with an empty range, which are ignored."""
     ranges = [(edge.name, *(_range(edge) or (0.0, 1.0))) for edge in ordered if edge.kind is not None]
     dropped = [f"'{name}' ({low:g} to {high:g})" for name, low, high in ranges if low >= high]
     if dropped:

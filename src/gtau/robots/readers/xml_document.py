@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 MAX_BYTES = 1 << 24
 MAX_DEPTH = 200
 PREFIX = re.compile(rb"(</?|\s)(?!xmlns:)([A-Za-z_][\w.-]*):(?=[\w.-]+(?:[\s/>]|\s*=\s*[\"']))")
-"""The prefix of an element or attribute. Simulators' have some that are declared nowhere; no reader looks at these."""
+"""Prefix of an element or attribute. Files for simulators use undeclared prefixes, which no reader needs."""
 
 
 def read_xml(path: Path) -> Element:
@@ -43,8 +43,6 @@ def read_xml(path: Path) -> Element:
 
 
 class _Element(Element):
-    """An XML element with its line number."""
-
     line = 0
 
 
@@ -76,9 +74,9 @@ LARGEST = 1e9  # SI units: no length, angle or mass of a robot comes near; files
 
 
 def decimals(text: str, endless: bool = False) -> list[float] | None:
-    """Read the numbers of an attribute, in plain decimals that a robot can have; None where one is something else.
+    """Read the numbers of an attribute; None unless all are plain decimals within the physical range of a robot.
 
-    With ``endless`` they are limits, which may be infinite or beyond the physical range of a robot.
+    With ``endless`` they are limits, which may be infinite or beyond this range.
     """
     values = []
     for word in text.split():
@@ -104,7 +102,7 @@ def all_numbers(elements: Iterable[Element], keys: Sequence[str]) -> list[float]
 
 
 def position_limits(low: float, high: float) -> tuple[float, float] | None:
-    """Return position limits, rad or m; None where their range is empty, or one of them is not a limit."""
+    """Return position limits, rad or m; None if their range is empty or one of them means no limit."""
     return (low, high) if low < high and max(abs(low), abs(high)) <= LARGEST else None
 
 
