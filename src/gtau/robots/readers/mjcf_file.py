@@ -27,8 +27,9 @@ from gtau.robots.placement import (
     short_angles_note,
     smallest_unit,
 )
+from gtau.robots.readers.mjcf_bounds import bounded
 from gtau.robots.readers.mujoco_process import refuse_deadly
-from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
+from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of
 from gtau.robots.robot import Pose
 
 if TYPE_CHECKING:
@@ -47,19 +48,6 @@ FORCES = ("stiffness", "damping", "frictionloss", "armature", "springlength", "b
 MASSES = ("mass", "diaginertia", "fullinertia")
 RANGES = ("range", "ctrlrange", "forcerange", "actuatorfrcrange")
 NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "qpos", "gravity", "polycoef", "coef", "gear", *RANGES)
-
-
-def _with_included(root: Element, path: Path) -> list[Element]:
-    """List the outermost elements of a file and of the files that it includes, which MuJoCo looks for in its folder."""
-    files = {path.resolve(): root}
-    waiting = [root]
-    while waiting:
-        for element in waiting.pop().iter("include"):
-            other = path.parent / element.get("file", "")
-            if other.is_file() and other.resolve() not in files:
-                files[other.resolve()] = read_xml(other)
-                waiting.append(files[other.resolve()])
-    return list(files.values())
 
 
 def _check_numbers(roots: Iterable[Element]) -> None:
@@ -189,13 +177,13 @@ def straight_tendons(spec: mujoco.MjSpec) -> dict[str, tuple[str, str]]:
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``."""
+    elements = bounded(root, path)
+    _check_numbers(elements)
     try:
         import mujoco
     except ImportError:
         raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
     refusals = (ValueError, RuntimeError, mujoco.FatalError)
-    elements = _with_included(root, path)
-    _check_numbers(elements)
     refuse_deadly(path, DELETED)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
