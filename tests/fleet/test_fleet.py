@@ -104,7 +104,7 @@ def test_a_robot_that_fails_does_not_stop_the_others(cells: Path, tmp_path: Path
     page = plain(fleet_page(fleet_table(reports)))
     assert re.search(r"identified +2\nrefused +1\n", page)
     assert f"bad: {bad}, line 5, runs.1.log: there is no file" in " ".join(page.split())
-    assert "too few robots to find outliers" in " ".join(page.split())
+    assert "too few to detect outliers" in " ".join(page.split())
 
 
 @pytest.mark.parametrize(
