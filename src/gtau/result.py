@@ -10,10 +10,10 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.estimation.experiment_runs import ACCURACY, options_of
-from gtau.estimation.results import result as results
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.model_file import load, save
 from gtau.estimation.results.predicted import Prediction
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.estimation.results.table import estimates_frame
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from gtau.report.plots import Plots
 
 
-class Result(results.Result):
+class Result(IdentifiedModel):
     """Drive gains, parameters and payloads of a robot, identified from its logs.
 
     Attributes
@@ -47,7 +47,7 @@ class Result(results.Result):
     """
 
     @classmethod
-    def of(cls, model: results.Result) -> Result:
+    def of(cls, model: IdentifiedModel) -> Result:
         """Give an identified model the methods of this class."""
         return cls(model.equations, model.estimates, model.fit, model.evidence)
 
@@ -190,7 +190,7 @@ def identify(
         Also find standard parameters that rigid bodies can have (see
         :mod:`gtau.estimation.estimators.physical_consistency`).
     priors : mapping, optional
-        Priors on standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like those of
+        Priors on standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like in
         the experiment file (``{"value": 1.2, "std": 0.4}``); the experiment file's if left out.
     accuracy : float
         Half the relative width of the 95 % interval up to which a gain is good, 0.03 for 3 %.

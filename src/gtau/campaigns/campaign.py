@@ -54,7 +54,7 @@ from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import save
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design import Design, excite, never
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.progress import Progress, silent
@@ -276,7 +276,7 @@ def _decided(
 
 def _confirmation(
     folder: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress
-) -> tuple[Result | Decision | None, Mapping[str, Any] | None]:
+) -> tuple[IdentifiedModel | Decision | None, Mapping[str, Any] | None]:
     """Identify a confirming round by itself, and return it with the decision or gains of the rounds before it."""
     last = used[-1]
     if last.motion["purpose"] != CONFIRM or len(used) == 1:  # earlier rounds may be set aside
@@ -290,7 +290,7 @@ def _confirmation(
 
 
 def _best_candidate(
-    designed: Design, decision: Decision, result: Result, seed: int, progress: Progress
+    designed: Design, decision: Decision, result: IdentifiedModel, seed: int, progress: Progress
 ) -> tuple[Design, Decision]:
     """Simulate candidates for the next motion; return the best one, and the decision with what they would reach."""
     offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]

@@ -17,7 +17,7 @@ from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design import Design, check, redesign
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.excitation.evaluation import Point, along
@@ -66,7 +66,7 @@ def candidates(design: Design) -> Iterator[Candidate]:
     yield from _within(f"with a payload of {HEAVIER * max(masses):g} kg", design, heavier, x, at_hand=False)
 
 
-def beside_the_axis(design: Design, result: Result) -> Iterator[Candidate]:
+def beside_the_axis(design: Design, result: IdentifiedModel) -> Iterator[Candidate]:
     """Mount the payload beside the axis of the last joint if it is near and the gain there is the widest."""
     robot, wide = result.robot, widths(result)
     worst, last = max(wide, key=lambda joint: wide[joint]), robot.tool
@@ -102,7 +102,7 @@ def _within(
         yield Candidate(label, replace(design, task=task, x=x, constraint_usages=usages), at_hand)
 
 
-def widths(result: Result) -> dict[str, float]:
+def widths(result: IdentifiedModel) -> dict[str, float]:
     """Half-widths of the 95 % intervals of all gains, per cent; infinite if not identifiable."""
     return {
         joint: np.inf if gain.half_width is None or gain.value is None else gain.half_width
@@ -110,7 +110,7 @@ def widths(result: Result) -> dict[str, float]:
     }
 
 
-def expected_width(candidate: Candidate | None, result: Result, seed: int) -> float:
+def expected_width(candidate: Candidate | None, result: IdentifiedModel, seed: int) -> float:
     """Predict the widest half-interval of a gain, per cent, once the candidate is played as well; infinite if it fails.
 
     All candidates have the same noise.
@@ -132,7 +132,7 @@ def expected_width(candidate: Candidate | None, result: Result, seed: int) -> fl
     )
 
 
-def _simulated(candidate: Candidate, result: Result, seed: int) -> Iterator[Run]:
+def _simulated(candidate: Candidate, result: IdentifiedModel, seed: int) -> Iterator[Run]:
     """Simulate logs of a candidate with the identified model, friction included, and white noise."""
     design = candidate.design
     ((time, joints),) = sampled_motions(design.task, design.x)
@@ -153,7 +153,7 @@ def _simulated(candidate: Candidate, result: Result, seed: int) -> Iterator[Run]
         yield Run(f"candidate{k + 1}", result.robot.actuated, time, q, current, payload=payload)
 
 
-def _carried(payload: Payload | None, result: Result) -> Payload | None:
+def _carried(payload: Payload | None, result: IdentifiedModel) -> Payload | None:
     """Give a payload its identified centre, scaled to its mass."""
     if payload is None or payload.mass is None:
         return payload
@@ -176,7 +176,7 @@ def best(
     return chosen, listed
 
 
-def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
+def next_task(file: DesignFile, result: IdentifiedModel, model: Path) -> DesignProblem:
     """Make the task of the next motion with the result as prior, or with the file's prior if a gain is not trusted."""
     try:
         task, _ = make_task(file.model_copy(update={"prior": DesignPrior(model=model)}))
@@ -185,7 +185,7 @@ def next_task(file: DesignFile, result: Result, model: Path) -> DesignProblem:
     return replace(task, prior=replace(task.prior, covariance=_shared(result)))
 
 
-def _shared(result: Result) -> tuple[tuple[Parameter, ...], np.ndarray]:
+def _shared(result: IdentifiedModel) -> tuple[tuple[Parameter, ...], np.ndarray]:
     """Compute the covariance of the parameters shared with later rounds, with only the random part of the gains."""
     bodies = result.robot.bodies  # the mount of a payload may change between rounds, and friction drifts
     kept = [

@@ -23,7 +23,7 @@ from gtau.estimation.effects.known.friction_drift import EFFECT as FRICTION_DRIF
 from gtau.estimation.effects.known.gain_drift import EFFECT as GAIN_DRIFT
 from gtau.estimation.experiment_runs import options_of
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Grade
 from gtau.findings.words import to_width
@@ -88,7 +88,7 @@ def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> P
     return path
 
 
-def identified(path: Path, accuracy: float, progress: Progress) -> Result | Decision:
+def identified(path: Path, accuracy: float, progress: Progress) -> IdentifiedModel | Decision:
     """Identify the rounds of an experiment file; if the result is not believable, say why and what to do."""
     try:
         result = identify(path, options=options_of(accuracy=accuracy / 100), progress=progress)
@@ -105,7 +105,7 @@ def identified(path: Path, accuracy: float, progress: Progress) -> Result | Deci
     return Decision(BLOCKED, say, listed(result), notes=(worst.advice,) if worst.advice else ())
 
 
-def listed(result: Result) -> dict[str, dict[str, Any]]:
+def listed(result: IdentifiedModel) -> dict[str, dict[str, Any]]:
     """List gains with the half-widths of their 95 % intervals and the standard deviations of both parts, per cent."""
     return {
         joint: {
@@ -122,10 +122,10 @@ def listed(result: Result) -> dict[str, dict[str, Any]]:
 
 
 def decide(
-    result: Result,
+    result: IdentifiedModel,
     accuracy: float,
     rounds: Sequence[Round],
-    alone: Result | Decision | None,
+    alone: IdentifiedModel | Decision | None,
     before: Mapping[str, Any] | None = None,
 ) -> Decision:
     """Decide after the last of the ``rounds``, from the result of all rounds.
@@ -161,7 +161,7 @@ def decide(
     return Decision(MODEL, say, gains, notes=why, suspect="" if suspect is None else suspect.subject)
 
 
-def slower(result: Result, rounds: Sequence[Round]) -> tuple[str, ...]:
+def slower(result: IdentifiedModel, rounds: Sequence[Round]) -> tuple[str, ...]:
     """Note the rounds that a controller played slower; their logs are used as they are."""
     runs, notes = iter(result.data), []
     for round_ in rounds:
@@ -201,7 +201,7 @@ def _widest(round_: Round) -> float | None:
     return max(halves) if halves and None not in halves else None
 
 
-def _cause(result: Result, joint: str) -> tuple[str, ...]:
+def _cause(result: IdentifiedModel, joint: str) -> tuple[str, ...]:
     """Say what may be wrong with the model for the worst gain, and what to do."""
     if (suspect := _suspect(result)) is None:
         verdict = result.drive_gains[joint].verdict
@@ -210,7 +210,7 @@ def _cause(result: Result, joint: str) -> tuple[str, ...]:
     return f"the data speak for {suspect.subject} ({share})", suspect.cause.advice
 
 
-def _suspect(result: Result) -> EstimatedEffect | None:
+def _suspect(result: IdentifiedModel) -> EstimatedEffect | None:
     """Find the effect with the largest share that no warm-up reduces; None if the data show none."""
     shown = [effect for effect in result.effects if effect.likelihood > CONTRADICTED and effect.share >= SHOWN]
     return max(
@@ -218,7 +218,7 @@ def _suspect(result: Result) -> EstimatedEffect | None:
     )
 
 
-def warming(result: Result, last: Round) -> str:
+def warming(result: IdentifiedModel, last: Round) -> str:
     """Say why the next round begins with a warm-up run; empty if it does not."""
     drifts = (effect for effect in result.effects if effect.effect in DRIFTS and effect.likelihood > CONTRADICTED)
     drift = max(drifts, key=lambda effect: effect.share, default=None)
@@ -228,7 +228,7 @@ def warming(result: Result, last: Round) -> str:
     return "the next round begins with a warm-up run, as this one did" if warmed else ""
 
 
-def _apart(alone: Result, before: Mapping[str, Any] | None) -> str:
+def _apart(alone: IdentifiedModel, before: Mapping[str, Any] | None) -> str:
     """Say which gain of the confirming round differs from the earlier rounds; empty if none does."""
     if before is None:
         return ""
@@ -244,7 +244,7 @@ def _apart(alone: Result, before: Mapping[str, Any] | None) -> str:
 
 
 def refuse_to_go_on(
-    result: Result, decision: Decision, candidates: Sequence[Mapping[str, Any]], usual: float
+    result: IdentifiedModel, decision: Decision, candidates: Sequence[Mapping[str, Any]], usual: float
 ) -> Decision:
     """End the campaign if no motion at hand narrows the widest interval by a tenth, and say what else would.
 

@@ -27,7 +27,7 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.estimation.results.result import Result
+    from gtau.estimation.results.result import IdentifiedModel
 
 Results = Annotated[
     Path, option("DIR", "Folder for report.html, model.json, summary.txt, singularities and torque scale.")
@@ -132,7 +132,7 @@ def identify(
         raise typer.Exit(3)  # so that scripts do not continue with this model
 
 
-def _write(result: Result, out: Path) -> list[Path]:
+def _write(result: IdentifiedModel, out: Path) -> list[Path]:
     from gtau.estimation.results.estimate import write_distances
     from gtau.estimation.results.model_file import save
     from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales

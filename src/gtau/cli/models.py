@@ -34,7 +34,7 @@ from gtau.findings import Grade
 
 if TYPE_CHECKING:
     from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
-    from gtau.estimation.results.result import Result
+    from gtau.estimation.results.result import IdentifiedModel
     from gtau.export.exported import Exported
     from gtau.findings import Finding
     from gtau.robots.robot import Placement
@@ -167,7 +167,7 @@ def payload(
 
 
 def _drafted(
-    result: Result, sources: list[Path], robot: str | None, payloads: list[str] | None, folder: Path
+    result: IdentifiedModel, sources: list[Path], robot: str | None, payloads: list[str] | None, folder: Path
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Return an experiment file, drafted from logs if need be, by default with the model's robot and commands."""
     from gtau.robots.readers.native_text import native_text
@@ -188,7 +188,7 @@ def _bodies(
     return [], [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
 
 
-def _refuse_controller(to: str, frame: str, result: Result, file: str) -> None:
+def _refuse_controller(to: str, frame: str, result: IdentifiedModel, file: str) -> None:
     """Refuse an unknown controller, or one without a named frame, before the work."""
     from gtau.export.exported import refuse_unknown
     from gtau.export.payload import WRITERS, refuse_unnamed
@@ -324,7 +324,7 @@ def use(
     answer(json_, lambda: document, lambda: external_page(torques), [] if out is None else [out])
 
 
-def _frame(result: Result, frame: str, experiment: Path | None) -> tuple[str, Placement]:
+def _frame(result: IdentifiedModel, frame: str, experiment: Path | None) -> tuple[str, Placement]:
     from gtau.robots.readers.links import frame_on
     from gtau.signals.reading.experiment import read_experiment
 

@@ -22,7 +22,7 @@ from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_validation
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_file import save
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
@@ -100,7 +100,7 @@ def make_experiment(out: Path, duration: float, progress: Progress) -> None:
         write_atomically(out / file.name, file.read_bytes())
 
 
-def _document(result: Result, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
+def _document(result: IdentifiedModel, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
     gains = [
         {
             "joint": joint,

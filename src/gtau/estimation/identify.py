@@ -29,7 +29,7 @@ from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
 from gtau.estimation.results.friction_curves import friction_step
-from gtau.estimation.results.result import NO_BODIES, Result
+from gtau.estimation.results.result import NO_BODIES, IdentifiedModel
 from gtau.estimation.results.torque_scale import SCALE_UNTESTED
 from gtau.findings import Finding, Grade
 from gtau.findings.words import listed
@@ -41,7 +41,7 @@ PAPER_RATIO = 10.0  # the paper's r_sigma for the essential parameters
 NO_GAIN = {Grade.CONTRADICTORY, Grade.NOT_IDENTIFIABLE}
 
 
-def identify_subject(subject: Subject, progress: Progress = silent) -> Result:
+def identify_subject(subject: Subject, progress: Progress = silent) -> IdentifiedModel:
     """Identify a robot from its runs; raises GtauError if the data cannot be used, or lack an input of the method."""
     estimator, experiment = require_inputs(subject), subject.experiment
     dataset = reduced(subject, estimator, progress)
@@ -54,7 +54,9 @@ def identify_subject(subject: Subject, progress: Progress = silent) -> Result:
     return result.replaced(geometry=geometry, notes=notes)
 
 
-def _identified(subject: Subject, estimator: Estimator, dataset: Dataset, system: System, progress: Progress) -> Result:
+def _identified(
+    subject: Subject, estimator: Estimator, dataset: Dataset, system: System, progress: Progress
+) -> IdentifiedModel:
     """Make the planned attempts in turn, until one finds the gains or none is left."""
     *attempts, last = plan(subject, estimator, dataset, system)
     untested: tuple[Finding, ...] = ()
@@ -77,7 +79,9 @@ def _identified(subject: Subject, estimator: Estimator, dataset: Dataset, system
     return result.replaced(notes=(*untested, *result.notes))
 
 
-def _attempted(attempt: Attempt, subject: Subject, dataset: Dataset, system: System, progress: Progress) -> Result:
+def _attempted(
+    attempt: Attempt, subject: Subject, dataset: Dataset, system: System, progress: Progress
+) -> IdentifiedModel:
     """Estimate, and refuse a payload that the currents never felt where no gain can be believed."""
     try:
         result = estimate(dataset, attempt.estimator, attempt.gains, subject.options, progress)
@@ -106,7 +110,7 @@ def _untested_scale(why: str, advice: str = "add runs with a heavier payload of 
 
 def estimate(
     dataset: Dataset, estimator: Estimator, gains: np.ndarray | None, options: Options, progress: Progress = silent
-) -> Result:
+) -> IdentifiedModel:
     """Estimate parameters, drive gains and their uncertainties from reduced runs, with verdicts.
 
     As in the paper friction is viscous and Coulomb friction, the same in all runs, without delays, covariances are by
@@ -164,7 +168,7 @@ def estimate(
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
     sensors = sensor_estimates(plain, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
     described = model_estimates(fit, estimates, predicting, verdicts, payloads, essential)
-    return Result(
+    return IdentifiedModel(
         dataset.equations,
         replace(described, consistency=bodies, sensors=sensors),
         fit_record(fit, estimator.name, errors, figures),
@@ -172,7 +176,7 @@ def estimate(
     )
 
 
-def _data_sheet_notes(drives: Mapping[str, Drive], result: Result) -> tuple[Finding, ...]:
+def _data_sheet_notes(drives: Mapping[str, Drive], result: IdentifiedModel) -> tuple[Finding, ...]:
     gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
     estimates = gains | dict(result.parameters)
     values = {str(name): (estimate.value, estimate.std) for name, estimate in estimates.items()}

@@ -14,7 +14,7 @@ from gtau.documents.files import beside
 from gtau.documents.validation import Keys, Positive
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import load
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Grade
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -116,7 +116,7 @@ class PriorModel:
         return np.asarray((load.mass or 1.0) * self.centers.get(load.name, np.full(3, ARM)))
 
 
-def identified_gains(result: Result, file: Path) -> tuple[KnownGain, ...]:
+def identified_gains(result: IdentifiedModel, file: Path) -> tuple[KnownGain, ...]:
     """Take the gains of an earlier result with their intervals and verdicts; refuse a gain that cannot be a prior."""
     gains = []
     for joint in result.robot.actuated:
@@ -139,7 +139,7 @@ def _no_prior(joint: str, file: Path, why: str) -> GtauError:
     )
 
 
-def identified_centers(result: Result) -> dict[str, np.ndarray]:
+def identified_centers(result: IdentifiedModel) -> dict[str, np.ndarray]:
     """Take the centres of payloads from an earlier result, m by name."""
     estimates = {load.name: result.payload(load.name) for load in result.payloads}
     return {

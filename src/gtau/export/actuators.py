@@ -27,7 +27,7 @@ import numpy as np
 from gtau.documents.files import identifier
 from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export import urdf
 from gtau.export.consistent import ConsistentModel, consistent_model, serial_equivalent, what_is_lost
 from gtau.export.exported import Export, Exported, digits, written, xml_text
@@ -149,7 +149,7 @@ def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]
     return None, base.names[rows[0]] if len(rows) else ""
 
 
-def export_mujoco(result: Result, out: Path) -> Exported:
+def export_mujoco(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME_actuators.xml``, and ``NAME.xml``, the bodies that include it; raises GtauError."""
     model, name = consistent_model(result, "mujoco-actuators"), identifier(result.robot.name)
     motors = actuators(model)
@@ -163,7 +163,7 @@ def export_mujoco(result: Result, out: Path) -> Exported:
     return Exported(written(out, files), tuple(notes), figures)
 
 
-def export_mjlab(result: Result, out: Path) -> Exported:
+def export_mjlab(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME_mjlab.yaml`` and the bodies, ``NAME_body.xml``, into ``out``; raises GtauError."""
     model, name = consistent_model(result, "mjlab"), identifier(result.robot.name)
     motors, body = actuators(model), f"{name}_body.xml"
@@ -175,7 +175,7 @@ def export_mjlab(result: Result, out: Path) -> Exported:
     return Exported(files, (*notes, *_notes(motors, "mjlab")), figures)
 
 
-def export_isaaclab(result: Result, out: Path) -> Exported:
+def export_isaaclab(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME_isaaclab.yaml``, and the bodies as in the export to URDF, into ``out``; raises GtauError."""
     model, name = consistent_model(result, "isaaclab"), identifier(result.robot.name)
     bodies, motors = urdf.export(result, out), actuators(model)

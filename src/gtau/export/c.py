@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import fields_of, filled, in_c
 from gtau.uses.identified import Functions, Identified, identified, notes_on
@@ -29,7 +29,7 @@ HELPER = re.compile(r"^casadi_real casadi_\w+\([^)]*\) *\{.*?\}$", re.MULTILINE 
 BODY = re.compile(r"^static int casadi_f\d+\([^)]*\) *\{\n(.*?)^ *return 0;\n\}", re.MULTILINE | re.DOTALL)
 
 
-def export(result: Result, out: Path) -> Exported:
+def export(result: IdentifiedModel, out: Path) -> Exported:
     """Write C sources, header, controller, observer, example and CMake file of the identified model into ``out``."""
     model = identified(result)
     return Exported(written(out, c_files(model)), notes=notes_on(model))

@@ -16,7 +16,7 @@ from xml.etree.ElementTree import Comment
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.singularities import random_motion
 from gtau.robots.parameter import KINDS, Parameter, torque_unit
 from gtau.robots.robot import PLAIN_FRICTION, Robot
@@ -35,7 +35,7 @@ class ConsistentModel:
     ``straight`` names the joint.
     """
 
-    result: Result
+    result: IdentifiedModel
     values: Mapping[str, float]
     gains: Mapping[str, float]
     straight: tuple[str, ...]
@@ -50,7 +50,7 @@ class ConsistentModel:
         return [joint.name for joint in self.result.robot.joints if self.of("f3", joint.name)]
 
 
-def consistent_model(result: Result, target: str) -> ConsistentModel:
+def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
     """Return the consistent parameters of a result; raises GtauError where it has none, naming the ``target``."""
     consistency = result.consistency
     if consistency is None:

@@ -17,7 +17,7 @@ from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.documents.validation import PATH, TEXT, WHOLE, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import load
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.extensions import find, homes, names
 from gtau.robots.floating import refuse_floating
 
@@ -47,8 +47,8 @@ class Export:
     base may float, because it holds parameters only.
     """
 
-    write: Callable[[Result, Path], Exported]
-    into: Callable[[Result, Path, Path], Exported] | None = None
+    write: Callable[[IdentifiedModel, Path], Exported]
+    into: Callable[[IdentifiedModel, Path, Path], Exported] | None = None
     simulates: bool = False
     floating: bool = False
 
@@ -82,7 +82,7 @@ def written(out: Path, texts: Mapping[str, str | bytes] | Mapping[Path, bytes]) 
 
 
 @takes(
-    model=("a result or the path of its file", (Result, str, Path)),
+    model=("a result or the path of its file", (IdentifiedModel, str, Path)),
     kind=TEXT,
     out=PATH,
     into=PATH,
@@ -91,7 +91,7 @@ def written(out: Path, texts: Mapping[str, str | bytes] | Mapping[Path, bytes]) 
     seed=WHOLE,
 )
 def export_model(
-    model: Result | str | Path,
+    model: IdentifiedModel | str | Path,
     kind: str,
     out: str | Path,
     into: str | Path | None = None,
@@ -103,7 +103,7 @@ def export_model(
 
     Parameters
     ----------
-    model : Result or path
+    model : IdentifiedModel or path
         A result, or its ``model.json``.
     kind : str
         One of the kinds that ``gtau export --help`` lists, ``c`` for instance.
@@ -131,7 +131,7 @@ def export_model(
     refuse_unknown(kind, names(*HOME))
     refuse_as_folder(out)
     export: Export = find(*HOME, kind, Export)
-    result = model if isinstance(model, Result) else load(model)
+    result = model if isinstance(model, IdentifiedModel) else load(model)
     if not export.floating:
         refuse_floating(result.robot, f"export to '{kind}' is")
     if into is not None and export.into is None:
@@ -143,7 +143,7 @@ def export_model(
     if into is not None and (Path(out) / Path(into).name).resolve() == Path(into).resolve():
         raise GtauError(f"{into} would be overwritten; choose another folder for --out.")
 
-    def write(model: Result, folder: Path) -> Exported:
+    def write(model: IdentifiedModel, folder: Path) -> Exported:
         if into is None or export.into is None:
             return export.write(model, folder)
         return export.into(model, Path(into), folder)

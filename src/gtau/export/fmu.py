@@ -15,7 +15,7 @@ from typing import Any
 
 from gtau.documents.files import suffixes
 from gtau.errors import missing_extra
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import CLOSING, fields_of, filled
 from gtau.uses.identified import identified, notes_on
@@ -24,7 +24,7 @@ IMPORTED = ("casadi", "numpy", "pythonfmu3")
 NEEDS = "the simulator's Python needs the packages casadi and numpy ('pythonfmu3 deploy' installs them)"
 
 
-def export(result: Result, out: Path) -> Exported:
+def export(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME.fmu`` into ``out``; raises GtauError if PythonFMU3 is not installed."""
     try:
         from pythonfmu3.builder import FmuBuilder

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import fields_of, filled
 from gtau.uses.identified import OUTPUTS, Identified, identified, notes_on
@@ -15,7 +15,7 @@ from gtau.uses.identified import OUTPUTS, Identified, identified, notes_on
 ARGUMENTS = {"gravity": "c, p", "inertia": "c, p"}  # of the others: c, qd, qdd, p
 
 
-def export(result: Result, out: Path) -> Exported:
+def export(result: IdentifiedModel, out: Path) -> Exported:
     """Write a function file for each function, and ``NAME_parameters.m``, into ``out``."""
     model = identified(result)
     return Exported(written(out, matlab_files(model)), notes=notes_on(model))

@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.documents.files import identifier
 from gtau.errors import GtauError, missing_extra
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.consistent import ConsistentModel, consistent_model, differences, friction_comments, term_notes
 from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import Parameter
@@ -31,7 +31,7 @@ JOINT = ("range", "armature", "damping", "frictionloss", "stiffness", "springref
 THICKNESS = 0.012  # m: of the links as drawn
 
 
-def export(result: Result, out: Path) -> Exported:
+def export(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME.xml`` into ``out``; raises GtauError without consistent parameters or MuJoCo."""
     text, said, figures = model_text(imported(), consistent_model(result, "MJCF"))
     return Exported(written(out, {f"{identifier(result.robot.name)}.xml": text}), tuple(said), figures)

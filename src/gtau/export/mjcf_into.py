@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export import mjcf
 from gtau.export.consistent import ConsistentModel, consistent_model, differences
 from gtau.export.exported import Export, Exported, digits
@@ -28,7 +28,7 @@ from gtau.simulation.mujoco_plant import spring_attributes
 NO_BODY = RigidBody(0.0, np.zeros(3), np.zeros((3, 3)))
 
 
-def export(result: Result, source: Path, out: Path) -> Exported:
+def export(result: IdentifiedModel, source: Path, out: Path) -> Exported:
     """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
 
     Raises GtauError without consistent parameters, or if the file describes another robot or includes or repeats

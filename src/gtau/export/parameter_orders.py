@@ -16,7 +16,7 @@ import polars as pl
 
 from gtau.documents.files import identifier, in_csv
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.consistent import consistent_model
 from gtau.export.exported import Export, Exported, written
 from gtau.robots.parameter import Parameter, rigid_body
@@ -66,7 +66,7 @@ ORDERS = {
 }
 
 
-def export(result: Result, out: Path) -> Exported:
+def export(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME_PROGRAM.csv`` for each program: a row per body, a column per parameter, SI units; GtauError."""
     model, robot = consistent_model(result, "parameter orders"), result.robot
     texts = {}

@@ -17,7 +17,7 @@ from scipy.special import chdtri, gammaln, ndtri, stdtr
 from gtau.errors import GtauError
 from gtau.estimation.estimators.standard_parameters import BASIS, SLENDER, natural_size, pseudo_inertia
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.parameter import DISSIPATING, Parameter
 from gtau.robots.robot import INERTIAL
@@ -174,7 +174,9 @@ class Target:
         return drawn
 
 
-def target_of(result: Result, estimates: Mapping[Parameter, Estimate]) -> tuple[Target, np.ndarray, np.ndarray]:
+def target_of(
+    result: IdentifiedModel, estimates: Mapping[Parameter, Estimate]
+) -> tuple[Target, np.ndarray, np.ndarray]:
     """Build the density of what was identified with ``consistent=True``.
 
     Returns it for the standard parameters and the changes of the other ``estimates``, those to draw by their names in

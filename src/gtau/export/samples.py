@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.consistent import consistent_model
 from gtau.export.rigid_draws import target_of
 from gtau.robots.parameter import DISSIPATING, SHAPES, Parameter
@@ -35,7 +35,7 @@ class Draws:
     deviations; ``shifts`` the distance of the mean of the draws from each estimate, in its standard deviations.
     """
 
-    result: Result
+    result: IdentifiedModel
     standard: np.ndarray
     base: np.ndarray
     gains: np.ndarray
@@ -92,11 +92,11 @@ class Draws:
         )
         return file.getvalue()
 
-    def results(self) -> Iterator[Result]:
+    def results(self) -> Iterator[IdentifiedModel]:
         """Convert each draw to a result, the input of every export."""
         return map(self._result, range(len(self)))
 
-    def _result(self, k: int) -> Result:
+    def _result(self, k: int) -> IdentifiedModel:
         result, joints = self.result, self.result.idm.actuated
         assert result.consistency is not None
         gains, delays = (dict(zip(joints, drawn[k].tolist(), strict=True)) for drawn in (self.gains, self.delays))
@@ -117,7 +117,7 @@ def _with(estimates: Mapping[Any, Estimate], values: Mapping[Any, float]) -> dic
     return {name: replace(estimate, value=values.get(name, estimate.value)) for name, estimate in estimates.items()}
 
 
-def draw(result: Result, count: int, seed: int = 0) -> Draws:
+def draw(result: IdentifiedModel, count: int, seed: int = 0) -> Draws:
     """Draw ``count`` models from the distribution identified with ``consistent=True``; a ``seed`` gives the same draws.
 
     Raises GtauError where the result has no physically consistent parameters, or no standard deviations.
@@ -159,7 +159,7 @@ def draw(result: Result, count: int, seed: int = 0) -> Draws:
     return Draws(result, x, base_values, gains, delays, friction, target.outside(deviations), shifts, seed)
 
 
-def _estimates(result: Result) -> dict[Parameter, Estimate]:
+def _estimates(result: IdentifiedModel) -> dict[Parameter, Estimate]:
     """Collect the estimates that are drawn, by their names in the covariance; base parameters come first."""
     deviations = dict(zip(result.covariance_names, np.diag(result.covariance), strict=True))
     more = {Parameter("gain", joint): estimate for joint, estimate in result.drive_gains.items()}

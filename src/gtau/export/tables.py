@@ -15,7 +15,7 @@ from unicodedata import normalize
 from gtau.documents.files import identifier, in_csv
 from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.estimation.results.table import estimates_frame, estimates_table
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import wrapped
@@ -50,12 +50,12 @@ LATEX_HEAD = r"""% Tables of '{robot}', written by 'gtau export'; \input this fi
 """
 
 
-def export_csv(result: Result, out: Path) -> Exported:
+def export_csv(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME.csv`` into ``out``: one row per estimate, with value, std, 95 % interval and unit."""
     return Exported(written(out, {f"{identifier(result.robot.name)}.csv": in_csv(estimates_frame(result))}))
 
 
-def export_yaml(result: Result, out: Path) -> Exported:
+def export_yaml(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME.yaml`` into ``out``."""
     groups: dict[str, dict[str, object]] = {}
     for group, estimate in estimates_table(result):
@@ -78,7 +78,7 @@ def _entry(estimate: Estimate) -> dict[str, object]:
     return entry
 
 
-def export_latex(result: Result, out: Path) -> Exported:
+def export_latex(result: IdentifiedModel, out: Path) -> Exported:
     r"""Write ``NAME.tex`` into ``out``: tables for ``\input``, which need amsmath, booktabs and longtable."""
     robot, notes = result.robot, []
     parts = [LATEX_HEAD.format(robot=" ".join(robot.name.split()))]
@@ -173,7 +173,7 @@ def _geometry(robot: Robot) -> str:
     return _table("cccccccccc", MDH_HEAD, lines, caption)
 
 
-def _parameters(result: Result, label: Mapping[str, str]) -> str:
+def _parameters(result: IdentifiedModel, label: Mapping[str, str]) -> str:
     """Tabulate drive gains and essential parameters with relative standard deviations, as in the paper's Table 3."""
     gains = ((in_latex_index(label[joint]), estimate) for joint, estimate in result.drive_gains.items())
     lines = [_line(rf"g_{{\tau\,{index}}}", estimate) for index, estimate in gains]
@@ -194,7 +194,7 @@ def _line(name: str, estimate: Estimate) -> tuple[str, ...]:
     return f"${name}$", _number(estimate.value), _number(estimate.std, 2), relative, unit
 
 
-def _regroupings(result: Result, label: Mapping[str, str]) -> str:
+def _regroupings(result: IdentifiedModel, label: Mapping[str, str]) -> str:
     """Tabulate the sum that each regrouped base parameter stands for; LaTeX breaks the line before a sign."""
     sums = {name: terms for name, terms in regrouped(result.base, result.idm.parameter_names).items() if len(terms) > 1}
     if not sums:

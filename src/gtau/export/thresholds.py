@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.exported import Export, Exported, written
 from gtau.robots.parameter import position_unit, torque_unit
 from gtau.signals.preparation.filters import position_filter
@@ -33,7 +33,7 @@ Residual = tuple[np.ndarray, np.ndarray, float]
 
 
 def export_thresholds(
-    result: Result, runs: Sequence[Run], out: Path, hours: float = 8.0, observer: float | None = None
+    result: IdentifiedModel, runs: Sequence[Run], out: Path, hours: float = 8.0, observer: float | None = None
 ) -> Exported:
     """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``.
 
@@ -75,7 +75,7 @@ def export_thresholds(
     return Exported(written(out, {"thresholds.json": json.dumps(document, indent=1) + "\n"}), (note,))
 
 
-def residual_of(result: Result, run: Run, speed: np.ndarray, observer: float | None) -> Residual:
+def residual_of(result: IdentifiedModel, run: Run, speed: np.ndarray, observer: float | None) -> Residual:
     """Compute the residual of a run, whose ``speed`` (N, n) is in shares of the largest."""
     prediction = predict_under_load(result, run).in_band
     external, at = prediction.predicted - prediction.measured, np.searchsorted(run.time, prediction.time)
@@ -134,7 +134,7 @@ def raised(residuals: Sequence[Residual], seconds: float) -> tuple[float, int]:
     return factor, alarms(1.0)
 
 
-def _refuse(result: Result, out: Path) -> Exported:
+def _refuse(result: IdentifiedModel, out: Path) -> Exported:
     raise GtauError("thresholds come from logs without contact; give validation runs by --experiment EXPERIMENT.yaml.")
 
 

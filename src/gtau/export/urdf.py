@@ -12,7 +12,7 @@ import yaml
 
 from gtau.documents.files import identifier
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.consistent import (
     ConsistentModel,
     consistent_model,
@@ -44,7 +44,7 @@ ROOT = "base"
 UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
 
 
-def export(result: Result, out: Path) -> Exported:
+def export(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME.urdf``, ``NAME.yaml`` where the robot has loops, and ``NAME_drives.yaml`` into ``out``.
 
     A platform is the end of a chain with one passive joint per degree of freedom and massless links in between. Raises
@@ -58,7 +58,7 @@ def export(result: Result, out: Path) -> Exported:
     return _exported(model, written(out, texts))
 
 
-def export_into(result: Result, source: Path, out: Path) -> Exported:
+def export_into(result: IdentifiedModel, source: Path, out: Path) -> Exported:
     """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives.
 
     Raises GtauError without consistent parameters, or if the file describes another robot.

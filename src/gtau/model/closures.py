@@ -3,7 +3,7 @@
 A closure ties two frames; its residual is the offset of their origins (and, for a weld, the misalignment of
 their axes) in base axes. A coupling ties joint coordinates by a linear equation. Differentiated once both
 give ``G yd = 0``, in which the columns of the passive coordinates are J_k and J_tk of the paper and
-those of the actuated ones B_p; differentiated twice, ``G ydd + gamma = 0``.
+the columns of the actuated ones are B_p; differentiated twice, ``G ydd + gamma = 0``.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def _largest(values: ca.SX) -> ca.SX:
 
 
 def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
-    """Normalise the quaternions of a configuration ``c``: those of a guess have other lengths."""
+    """Normalise the quaternions of a configuration ``c``, as a guess has other lengths."""
     parts = [c[: len(layout.robot.joints)]]
     for slots in layout.platforms:
         parts.append(c[slots.position])

@@ -185,7 +185,7 @@ class InverseDynamics:
         return q if self.loops is None else follow(self.loops, q, labels, start)
 
     def near(self, c: np.ndarray, q: np.ndarray, labels: Labels) -> np.ndarray:
-        """Compute the configurations (n_c, N) at positions ``q`` (n, N) close to those of ``c``, sample by sample."""
+        """Compute the configurations (n_c, N) at positions ``q`` (n, N) that are close to ``c``, sample by sample."""
         return q if self.loops is None else displaced(self.loops, c, q, labels)
 
     def rates(self, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:

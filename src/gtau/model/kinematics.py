@@ -187,7 +187,7 @@ class Varied(Pose):
 
 
 def placements(robot: Robot) -> list[Placement]:
-    """List the placements of joints, of the ends of closures, and of those of springs."""
+    """List the placements of joints, and of the ends of closures and springs."""
     return [*(joint.placement for joint in robot.joints), *(end.placement for end in robot.ends)]
 
 

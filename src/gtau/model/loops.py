@@ -164,7 +164,7 @@ def follow(
         raise _unreachable(loops, q[:, 0], labels(0))
     reached = np.ones(starts.size, dtype=bool)
     half = 1 << (starts.size - 1).bit_length()
-    while half := half // 2:  # the head in the middle of the way, those of its halves, and so on
+    while half := half // 2:  # the head in the middle of the way, the heads of its halves, and so on
         heads = np.arange(half, starts.size, 2 * half)
         c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
     begun = np.flatnonzero(reached)

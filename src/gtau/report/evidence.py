@@ -10,7 +10,7 @@ import numpy as np
 from gtau.errors import GtauError, quoted
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
 from gtau.progress import Progress, silent
 from gtau.signals.preparation.prepared_run import Preparation
@@ -68,7 +68,7 @@ class RunEvidence:
 
 
 def gather(
-    result: Result, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
+    result: IdentifiedModel, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
 ) -> tuple[RunEvidence, ...]:
     """Predict the runs of an identification and of its validation.
 
@@ -87,7 +87,7 @@ def gather(
 
 
 def predicted(
-    result: Result, run: Run, used: bool = False, longest: int | None = LONGEST, progress: Progress = silent
+    result: IdentifiedModel, run: Run, used: bool = False, longest: int | None = LONGEST, progress: Progress = silent
 ) -> RunEvidence:
     """Predict a run, or its beginning, and look for an undeclared load; raises GtauError if the run does not fit."""
     cut = longest is not None and len(run.time) > longest
@@ -106,7 +106,7 @@ def _beginning(run: Run, count: int) -> Run:
     return replace(run, time=time, position=position, command=command, valid=valid)
 
 
-def _unknown_payload(result: Result, run: Run) -> Iterator[Finding]:
+def _unknown_payload(result: IdentifiedModel, run: Run) -> Iterator[Finding]:
     """Note a payload that the model does not know and of which the run gives only the mass."""
     payload = run.payload
     if payload is None or payload.mass is None or payload.parameters or result.payload(payload.name):
@@ -126,7 +126,7 @@ def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, s
     return f"{bandwidth:.{digits}g} Hz", low_pass, f"{decimator.factor} ({decimator.kind})"
 
 
-def settings_of(result: Result) -> dict[str, str]:
+def settings_of(result: IdentifiedModel) -> dict[str, str]:
     """List the settings of an identification by name."""
     bandwidth, low_pass, decimation = preparation_words(result.preparation, 4)
     return {

@@ -10,7 +10,7 @@ from gtau.estimation.experiment_runs import ACCURACY
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Grade
 from gtau.findings.words import percent_text, to_width
 from gtau.model.base_parameters import whole_mass
@@ -23,7 +23,7 @@ LARGEST = 1000.0  # per cent; larger standard deviations are shown as "> 1000"
 
 
 def gains_section(
-    result: Result, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
+    result: IdentifiedModel, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
 ) -> Section:
     """Show drive gains with 95 % intervals, prior gains, reasons of verdicts, and the sources of the scale."""
     from_torques, prior = result.kind == "torque", prior or {}
@@ -41,7 +41,7 @@ def gains_section(
     )
 
 
-def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
+def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
     """Tabulate drive gains: verdict, value, interval and its two parts, delay, and prior gain."""
     gains = result.drive_gains
     accuracy = 100 * result.statistics.get("accuracy", ACCURACY)
@@ -72,11 +72,11 @@ def gains_table(result: Result, prior: Mapping[str, float]) -> Table:
     return table_of(gains, *columns)
 
 
-def _estimated(result: Result) -> bool:
+def _estimated(result: IdentifiedModel) -> bool:
     return any(gain.std is not None for gain in result.drive_gains.values())
 
 
-def reasons_table(result: Result, beside_actions: bool = False) -> Table | None:
+def reasons_table(result: IdentifiedModel, beside_actions: bool = False) -> Table | None:
     """Tabulate why gains are not good, with the remedies unless shown beside; None if all are good."""
     columns: list[ColumnOf] = [
         (Column("joint"), lambda reason: ", ".join(map(joint_label, reason.joints))),
@@ -122,7 +122,7 @@ def _delay(delay: Estimate | None) -> tuple[float, float] | None:
     return 1e3 * delay.value, 1e3 * (delay.half_interval() or 0.0)
 
 
-def whole_mass_text(result: Result) -> Text | None:
+def whole_mass_text(result: IdentifiedModel) -> Text | None:
     """Give the mass of a floating robot, which users can check on a scale."""
     if not result.robot.floating:
         return None
@@ -137,7 +137,7 @@ def whole_mass_text(result: Result) -> Text | None:
 # Sources of the scale
 
 
-def _scale_text(result: Result, short: bool) -> Text | None:
+def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
     """Name the sources of the scale, joint by joint if they differ; None if the gains were given."""
     if short:
         sources = all_sources(result)
@@ -162,7 +162,7 @@ def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
     return ", ".join(f"{names.get(source, source)} ({100 * share:.0f} %)" for source, share in listed)
 
 
-def all_sources(result: Result) -> str:
+def all_sources(result: IdentifiedModel) -> str:
     """List the sources of the scale of all gains, largest first, with the sensors of a kind merged."""
     totals: Counter[str] = Counter()
     for shares in result.scale.values():
@@ -195,7 +195,7 @@ def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads
     return section(title, *parts, id="payloads") if parts else None
 
 
-def unknown_payloads(result: Result) -> list[PayloadEstimate]:
+def unknown_payloads(result: IdentifiedModel) -> list[PayloadEstimate]:
     """List the payloads with identified parameters."""
     return [payload for payload in result.payloads if set(payload.parameters) - payload.known]
 

@@ -14,7 +14,7 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Grade
 from gtau.findings.words import percent_text, percents
 from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
@@ -42,7 +42,7 @@ MOVED = 0.5  # standard deviations; smaller moves are not listed
 LISTED = 12
 
 
-def summary_page(result: Result) -> Page:
+def summary_page(result: IdentifiedModel) -> Page:
     """Show verdict, drive gains, payloads, fit and the most important findings on one screen."""
     notes = [note for note in findings(result) if note.kind != DRAFT]
     guessed = [note for note in result.notes if note.kind == DRAFT]
@@ -66,7 +66,7 @@ def summary_page(result: Result) -> Page:
     )
 
 
-def full_page(result: Result) -> Page:
+def full_page(result: IdentifiedModel) -> Page:
     """Show all results of an identification, without charts."""
     ratio = result.statistics.get("singular_ratio")
     words = f"ratio of the two smallest singular values of W_tot ({PAPER}, eq. 33): {ratio or 0.0:.2f}"
@@ -89,7 +89,7 @@ def full_page(result: Result) -> Page:
     )
 
 
-def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float]) -> Page:
+def report_page(result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Mapping[str, float]) -> Page:
     """Show all results of an identification with predictions of its runs and of the validation runs.
 
     Verdict, gains, findings and torques come first; the details are folded.
@@ -120,7 +120,7 @@ def report_page(result: Result, runs: Sequence[RunEvidence], prior: Mapping[str,
     )
 
 
-def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section:
+def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section:
     """Show the verdict, what to do about it, and the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
@@ -134,7 +134,7 @@ def verdict_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section
     return section("Verdict", Text(words, said, style), _tiles(result, runs), id="verdict")  # type: ignore[arg-type]
 
 
-def actions(result: Result) -> list[str]:
+def actions(result: IdentifiedModel) -> list[str]:
     """List remedies for gains that are not good, the worst first."""
     accuracy = 100 * result.statistics.get("accuracy", 0.0)
 
@@ -146,7 +146,7 @@ def actions(result: Result) -> list[str]:
     return [f"{', '.join(map(named, r.joints))}, {r.outcome.value}: {r.advice}" for r in listed]
 
 
-def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
+def next_steps(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> list[str]:
     """List the next steps after a believable result."""
     if not result.believable:
         return []
@@ -162,7 +162,7 @@ def next_steps(result: Result, runs: Sequence[RunEvidence] = ()) -> list[str]:
     return [first, "Then export the model (gtau export), or watch the robot with it (gtau watch)"]
 
 
-def _tiles(result: Result, runs: Sequence[RunEvidence]) -> Facts:
+def _tiles(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Facts:
     """List the key figures."""
     widths = {joint: gain.half_width for joint, gain in result.drive_gains.items() if gain.half_width}
     widest = max(widths, key=lambda joint: widths[joint], default="")
@@ -188,7 +188,7 @@ def _largest(errors: Sequence[TorqueError], in_band: bool = False) -> str | None
     return f"{percents([size])} ({worst})" if worst else None
 
 
-def counts(result: Result) -> str:
+def counts(result: IdentifiedModel) -> str:
     """Count the verdicts on the drive gains in one sentence."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
     (first, count), *others = outcomes.most_common()
@@ -199,7 +199,7 @@ def counts(result: Result) -> str:
     return f"{count} of {total} {what} {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
 
 
-def _settings(result: Result) -> Facts:
+def _settings(result: IdentifiedModel) -> Facts:
     bandwidth, cutoff, decimation = preparation_words(result.preparation)
     given = f"; by hand: {', '.join(result.preparation.given)}" if result.preparation.given else ""
     return Facts(
@@ -212,7 +212,7 @@ def _settings(result: Result) -> Facts:
     )
 
 
-def _fit_words(result: Result) -> list[Text]:
+def _fit_words(result: IdentifiedModel) -> list[Text]:
     worst = worst_joint(result.residuals)
     if worst is None:
         return []
@@ -227,7 +227,7 @@ def _fit_words(result: Result) -> list[Text]:
     return list(map(Text, said))
 
 
-def _sensors_section(result: Result) -> Section | None:
+def _sensors_section(result: IdentifiedModel) -> Section | None:
     """Show the fit of torque sensors, and their scale according to all other data."""
     if not result.sensors:
         return None
@@ -248,7 +248,7 @@ def _sensors_section(result: Result) -> Section | None:
     )
 
 
-def requirements_section(result: Result) -> Section | None:
+def requirements_section(result: IdentifiedModel) -> Section | None:
     """Tabulate each requirement with its value and outcome; None without requirements."""
     if not result.requirements:
         return None

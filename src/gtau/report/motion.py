@@ -10,7 +10,7 @@ import numpy as np
 from gtau.estimation.diagnostics.geometry import GeometryTest, percent
 from gtau.estimation.results.conclusions import NEAR_SINGULAR
 from gtau.estimation.results.estimate import NearestPose
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table_of
@@ -38,7 +38,7 @@ ESTIMATED = {
 }
 
 
-def motion_section(result: Result, runs: Sequence[RunEvidence]) -> Section:
+def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
     """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
     used = any(run.used for run in runs)
     drawn = [run.run for run in runs if run.used == used][:PATHS]
@@ -119,7 +119,7 @@ def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
     return Chart(tuple(panels), columns=3)
 
 
-def body_path(result: Result, run: Run) -> np.ndarray:
+def body_path(result: IdentifiedModel, run: Run) -> np.ndarray:
     """Compute positions (P, 3), m, of the body that carries the payload along a run."""
     import casadi as ca
 

@@ -11,7 +11,7 @@ from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.check import check_page
 from gtau.report.comparison import comparison_page
 from gtau.report.evidence import gather, settings_of
@@ -32,12 +32,12 @@ def html(shown: object) -> str:
     return frame(view(shown))
 
 
-def text(result: Result, verbose: bool) -> str:
+def text(result: IdentifiedModel, verbose: bool) -> str:
     """Write a result as text, in full or on one screen."""
     return plain(full_page(result) if verbose else summary_page(result))
 
 
-def write(result: Result, path: Path) -> None:
+def write(result: IdentifiedModel, path: Path) -> None:
     """Write the report of a result and its runs to an HTML file."""
     report = report_page(result, gather(result, result.data), {})
     write_atomically(path, rendered(stamped(report, settings_of(result))))
@@ -50,7 +50,7 @@ def view(shown: object) -> Page:
 
 
 @view.register
-def _(shown: Result) -> Page:
+def _(shown: IdentifiedModel) -> Page:
     return page(
         "", verdict_section(shown), gains_section(shown, charts=False), payloads_section(unknown_payloads(shown))
     )

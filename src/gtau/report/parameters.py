@@ -10,7 +10,7 @@ import numpy as np
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.regression.friction_terms import SLOPES
 from gtau.estimation.results.estimate import Estimate, FrictionCurve
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.estimation.results.table import estimates_table
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
@@ -35,7 +35,7 @@ FRICTION = (
 CURVES = "Measured torque less the predicted inertia and gravity torques, and the predicted friction."
 
 
-def parameters_section(result: Result) -> Section:
+def parameters_section(result: IdentifiedModel) -> Section:
     """Show base, friction and sensor parameters in one table that sorts and searches."""
     listed = [(row.group, row.estimate) for row in estimates_table(result) if row.group.startswith(GROUPS)]
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
@@ -64,7 +64,7 @@ def _role(estimate: Estimate, group: str) -> str:
     return "essential" if estimate.essential else "not essential"
 
 
-def reference_text(result: Result) -> Text | None:
+def reference_text(result: IdentifiedModel) -> Text | None:
     """Name the reference temperatures of friction; None if friction does not depend on temperature."""
     temperatures = result.temperatures
     if temperatures is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
@@ -80,7 +80,7 @@ def reference_text(result: Result) -> Text | None:
 # Friction
 
 
-def friction_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Section | None:
+def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section | None:
     """Show the friction of each joint, with curves if ``runs`` are given; None if only the plain law was fitted."""
     if not result.curves:
         return None
@@ -89,7 +89,7 @@ def friction_section(result: Result, runs: Sequence[RunEvidence] = ()) -> Sectio
     return section("Friction on all samples", Text(FRICTION), curves_table(result), *drawn, id="friction")
 
 
-def curves_table(result: Result) -> Table:
+def curves_table(result: IdentifiedModel) -> Table:
     """Tabulate the friction of each joint in SI units, with half-widths of 95 % intervals."""
     friction = {**result.friction, **result.friction_parameters}
 
@@ -112,7 +112,7 @@ def curves_table(result: Result) -> Table:
     )
 
 
-def _curves(result: Result, runs: Sequence[RunEvidence]) -> list[Panel]:
+def _curves(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]:
     """Draw measured and predicted friction torque over the speed of each joint."""
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     for evidence in runs:

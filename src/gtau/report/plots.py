@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_chart
@@ -35,7 +35,7 @@ class Plots:
     file has no runs: pass one from :func:`gtau.read_run`.
     """
 
-    result: Result
+    result: IdentifiedModel
 
     def __repr__(self) -> str:
         names = [name for name in dir(self) if not name.startswith("_") and name != "result"]

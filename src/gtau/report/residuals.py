@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Section, Text, joint_label, section
@@ -20,7 +20,7 @@ Residuals = Sequence[tuple[np.ndarray, np.ndarray]]
 """Times (K,) in s on a uniform grid and residuals (K,) of each run, NaN where masked."""
 
 
-def residuals_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
+def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
     """Show the residuals of each joint over all runs used."""
     used = [run for run in runs if run.used and run.prediction is not None]
     if not used:

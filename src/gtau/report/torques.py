@@ -11,7 +11,7 @@ import numpy as np
 
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
@@ -149,7 +149,7 @@ def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
     return shares
 
 
-def torques_section(result: Result, runs: Sequence[RunEvidence]) -> Section | None:
+def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
     """Show measured and predicted torques of every joint along every run, with the torque errors."""
     if not runs:
         return None

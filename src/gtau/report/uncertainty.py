@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series, intervals
 from gtau.report.page import Column, Kind, Section, Text, joint_label, section, table, table_of
 
@@ -20,7 +20,7 @@ SHOWN = 60  # most estimates whose names fit beside a matrix
 DRAWN, VISIBLE = 12, 0.02  # most effects in the chart, and the smallest move of a gain, per cent
 
 
-def correlation_of(result: Result) -> tuple[tuple[str, ...], np.ndarray]:
+def correlation_of(result: IdentifiedModel) -> tuple[tuple[str, ...], np.ndarray]:
     """Compute names and correlation matrix (m, m) of all estimates with a variance."""
     covariance = result.covariance
     std = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
@@ -36,7 +36,7 @@ def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
     return Chart((Panel(axis, axis, matrix=matrix, height=5.2),), "Correlations")
 
 
-def correlation_section(result: Result) -> Section | None:
+def correlation_section(result: IdentifiedModel) -> Section | None:
     """Show the correlation matrix of the estimates and the strongest pairs."""
     names, matrix = correlation_of(result)
     if len(names) < 2:
@@ -83,7 +83,7 @@ def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
     return Chart((intervals(labels, moves, halves, "moves a gain by, %", zero=True),), "Effects")
 
 
-def effects_section(result: Result) -> Section | None:
+def effects_section(result: IdentifiedModel) -> Section | None:
     """Show the effects beside the model with their sizes and the moves of the gains."""
     if not result.effects:
         return None
@@ -115,7 +115,7 @@ def _moved(joint: str, effect: EstimatedEffect) -> float | None:
     return effect.moves.get(joint)
 
 
-def _drift_text(texts: Iterable[str], result: Result) -> Text | None:
+def _drift_text(texts: Iterable[str], result: IdentifiedModel) -> Text | None:
     """Explain names such as ``fv_left@2``, if there are any."""
     drift = next(filter(None, (re.search(r"(\w+)@(\d+)", text) for text in texts)), None)
     if drift is None:

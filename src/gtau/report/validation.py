@@ -10,7 +10,7 @@ from gtau.documents.files import write_table
 from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.model_document import torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade
 from gtau.findings.words import percents, to_width
 from gtau.report.check import unique_names
@@ -38,7 +38,7 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
     }
 
 
-def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
+def validation_page(result: IdentifiedModel, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` hold assumptions of all predictions."""
     noted = [(run.run.name, note, note.decisive) for run in runs for note in run.notes]
     said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
@@ -54,7 +54,7 @@ def validation_page(result: Result, runs: Sequence[RunEvidence], notes: Sequence
 
 
 def validation_report(
-    result: Result, runs: Sequence[RunEvidence], prior: Mapping[str, float], notes: Sequence[Finding] = ()
+    result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Mapping[str, float], notes: Sequence[Finding] = ()
 ) -> Page:
     """Show verdict, torques, gains, motion and logs."""
     short = validation_page(result, runs, notes)
@@ -69,7 +69,7 @@ def validation_report(
     )
 
 
-def headline(result: Result, runs: Sequence[RunEvidence]) -> str:
+def headline(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> str:
     """Summarise the torque errors over all runs in one sentence."""
     errors = [error for run in runs for error in run.errors]
     if not errors:
@@ -101,7 +101,7 @@ def write_torques(runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
 
 
 def weighing_page(
-    result: Result,
+    result: IdentifiedModel,
     payloads: Sequence[PayloadEstimate],
     gains: str,
     exact: Sequence[str] = (),

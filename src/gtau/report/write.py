@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from gtau.documents.files import write_atomically
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
 from gtau.report.identification import report_page
@@ -42,7 +42,7 @@ def write_report(
 
 
 def write_identification(
-    result: Result,
+    result: IdentifiedModel,
     validation: Sequence[Run],
     path: Path,
     experiment: Experiment,

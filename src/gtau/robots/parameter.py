@@ -68,7 +68,7 @@ def payload_label(robot: Robot, run: int) -> str:
 
 
 @dataclass(frozen=True)
-class Kind:
+class ParameterKind:
     """What a kind of parameter is.
 
     Attributes
@@ -110,32 +110,34 @@ class Kind:
 
 
 _INERTIA, _TORQUE, _VISCOUS = ("kg m2", "kg m2"), ("N m", "N"), ("N m s/rad", "N s/m")
-KINDS: Mapping[str, Kind] = {
+KINDS: Mapping[str, ParameterKind] = {
     kind.symbol: kind
     for kind in (
-        *(Kind(symbol, "moment of inertia", _INERTIA, nonnegative=True) for symbol in ("xx", "yy", "zz")),
-        *(Kind(symbol, "product of inertia", _INERTIA) for symbol in ("xy", "xz", "yz")),
-        *(Kind(symbol, "first moment", ("kg m", "kg m")) for symbol in ("mx", "my", "mz")),
-        Kind("m", "mass", ("kg", "kg"), nonnegative=True),
-        Kind("ia", "rotor inertia", ("kg m2", "kg"), nonnegative=True),
-        Kind(STIFFNESS, "stiffness", ("N m/rad", "N/m")),
-        Kind(PRELOAD, "preload", _TORQUE, latex="f_0"),
-        Kind(DAMPING, "damping", _VISCOUS, nonnegative=True),
-        Kind("width", "before sliding", ("rad", "m"), heading="presliding", friction="shape"),
-        Kind("vs", "speed of the bend", ("rad/s", "m/s"), heading="v_s", friction="shape"),
-        Kind("fv", "viscous", _VISCOUS, nonnegative=True, friction="plain", drifts=True),
-        Kind("fs", "Coulomb", _TORQUE, nonnegative=True, friction="plain", dry=True, drifts=True),
-        Kind("fb", "beyond sliding, at rest", _TORQUE, friction="curve", dry=True),
-        Kind("f3", "cubic in speed", ("N m s3/rad3", "N s3/m3"), latex="f_3", friction="term"),
-        Kind("fl", "proportional to the load", ("1", "1"), r"f_{\ell}", "", True, "term", dry=True, by_load=True),
-        Kind("off", "offset", _TORQUE, friction="plain"),
-        Kind("fvt", "by temperature", _VISCOUS, friction="term", slope_of="fv"),
-        Kind("fst", "by temperature", _TORQUE, friction="term", dry=True, slope_of="fs"),
+        *(ParameterKind(symbol, "moment of inertia", _INERTIA, nonnegative=True) for symbol in ("xx", "yy", "zz")),
+        *(ParameterKind(symbol, "product of inertia", _INERTIA) for symbol in ("xy", "xz", "yz")),
+        *(ParameterKind(symbol, "first moment", ("kg m", "kg m")) for symbol in ("mx", "my", "mz")),
+        ParameterKind("m", "mass", ("kg", "kg"), nonnegative=True),
+        ParameterKind("ia", "rotor inertia", ("kg m2", "kg"), nonnegative=True),
+        ParameterKind(STIFFNESS, "stiffness", ("N m/rad", "N/m")),
+        ParameterKind(PRELOAD, "preload", _TORQUE, latex="f_0"),
+        ParameterKind(DAMPING, "damping", _VISCOUS, nonnegative=True),
+        ParameterKind("width", "before sliding", ("rad", "m"), heading="presliding", friction="shape"),
+        ParameterKind("vs", "speed of the bend", ("rad/s", "m/s"), heading="v_s", friction="shape"),
+        ParameterKind("fv", "viscous", _VISCOUS, nonnegative=True, friction="plain", drifts=True),
+        ParameterKind("fs", "Coulomb", _TORQUE, nonnegative=True, friction="plain", dry=True, drifts=True),
+        ParameterKind("fb", "beyond sliding, at rest", _TORQUE, friction="curve", dry=True),
+        ParameterKind("f3", "cubic in speed", ("N m s3/rad3", "N s3/m3"), latex="f_3", friction="term"),
+        ParameterKind(
+            "fl", "proportional to the load", ("1", "1"), r"f_{\ell}", "", True, "term", dry=True, by_load=True
+        ),
+        ParameterKind("off", "offset", _TORQUE, friction="plain"),
+        ParameterKind("fvt", "by temperature", _VISCOUS, friction="term", slope_of="fv"),
+        ParameterKind("fst", "by temperature", _TORQUE, friction="term", dry=True, slope_of="fs"),
     )
 }
 
 
-def kinds_where(holds: Callable[[Kind], object]) -> tuple[str, ...]:
+def kinds_where(holds: Callable[[ParameterKind], object]) -> tuple[str, ...]:
     """List the symbols of the kinds for which ``holds`` is true, in the order of the table."""
     return tuple(kind.symbol for kind in KINDS.values() if holds(kind))
 

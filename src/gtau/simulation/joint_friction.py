@@ -17,7 +17,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import JOINT_TERMS, FrictionLaw
 from gtau.estimation.regression.friction_terms import FORMULAS
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import BY_LOAD, Parameter, parameter_of
 from gtau.robots.robot import PLAIN_FRICTION
@@ -168,7 +168,9 @@ def plain_friction(
     return JointFriction(FrictionLaw(model, {}), values, smoothing)
 
 
-def identified_friction(result: Result, smoothing: Mapping[str, float]) -> tuple[dict[str, float], JointFriction]:
+def identified_friction(
+    result: IdentifiedModel, smoothing: Mapping[str, float]
+) -> tuple[dict[str, float], JointFriction]:
     """Return standard parameters equivalent to an identified model, and its friction."""
     chi = loaded_parameters(result, None, "the robot")
     values = friction_values(result, chi)

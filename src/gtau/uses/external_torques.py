@@ -26,7 +26,7 @@ from gtau.documents.validation import NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.predicted import Prediction, torque_errors
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.floating import refuse_floating
 from gtau.robots.parameter import BY_LOAD, torque_unit
 from gtau.robots.robot import Placement
@@ -77,7 +77,7 @@ class TorquesAlongLog:
 
 
 def torques_along_log(
-    result: Result,
+    result: IdentifiedModel,
     run: Run,
     frame: tuple[str, Placement] | None = None,
     force_only: bool = False,
@@ -107,7 +107,7 @@ def torques_along_log(
     return TorquesAlongLog(table, tuple(joints), torque_errors(raw, result.robot, result.preparation.bandwidth), wrench)
 
 
-def predict_under_load(result: Result, run: Run) -> Prediction:
+def predict_under_load(result: IdentifiedModel, run: Run) -> Prediction:
     """Predict torques, with load-dependent friction under the external torques too."""
     prediction = predict(result, run)
     for _ in range(PASSES * any(name.kind in BY_LOAD for name in result.friction_parameters)):
@@ -116,13 +116,13 @@ def predict_under_load(result: Result, run: Run) -> Prediction:
     return prediction
 
 
-@takes(result=("a result", (Result,)), run=("a run (gtau.read_run)", (Run,)), bandwidth=NUMBER)
-def momentum_observer(result: Result, run: Run, bandwidth: float) -> np.ndarray:
+@takes(result=("a result", (IdentifiedModel,)), run=("a run (gtau.read_run)", (Run,)), bandwidth=NUMBER)
+def momentum_observer(result: IdentifiedModel, run: Run, bandwidth: float) -> np.ndarray:
     """Estimate external torques along a run causally, as the exported C observer does.
 
     Parameters
     ----------
-    result : Result
+    result : IdentifiedModel
         Identified model of the robot.
     run : Run
         Its positions are differentiated over one sample; its commands are taken at their delayed times. A delay below
@@ -159,7 +159,7 @@ def momentum_observer(result: Result, run: Run, bandwidth: float) -> np.ndarray:
 
 
 def observed(
-    result: Result, values: np.ndarray, time: np.ndarray, q: np.ndarray, torque: np.ndarray, bandwidth: float
+    result: IdentifiedModel, values: np.ndarray, time: np.ndarray, q: np.ndarray, torque: np.ndarray, bandwidth: float
 ) -> np.ndarray:
     """Observe external torques (N, n) for parameters ``values`` (n_p,), positions and motors' torques (N, n)."""
     made = functions(identified(result)).outputs

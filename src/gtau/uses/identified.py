@@ -21,7 +21,7 @@ from gtau.documents.files import identifier
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.friction_terms import SLOPES
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.model import dynamics
 from gtau.model.closures import closed_motion, newton_step
 from gtau.model.kinematics import configuration_rates
@@ -53,7 +53,7 @@ class Identified:
     where the logs hold torques; ``units`` of the actuated joints ``N m`` or ``N``.
     """
 
-    result: Result
+    result: IdentifiedModel
     name: str
     parameters: tuple[Estimate, ...]
     payloads: Mapping[str, np.ndarray]
@@ -82,7 +82,7 @@ class Identified:
         return tuple(parameter_of(parameter.name) for parameter in self.parameters[self.result.base.count :])
 
 
-def identified(result: Result) -> Identified:
+def identified(result: IdentifiedModel) -> Identified:
     """Collect the data of a result for exports of torques; raises GtauError where it lacks a base parameter."""
     require_all_parameters(result)
     robot = result.robot
@@ -102,7 +102,7 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndar
     return torques_along(model.result, motion, values[: base.count], terms, z)
 
 
-def _payloads(result: Result, values: np.ndarray) -> dict[str, np.ndarray]:
+def _payloads(result: IdentifiedModel, values: np.ndarray) -> dict[str, np.ndarray]:
     names = dict.fromkeys(payload.name for payload in result.payloads)
     weighed = {name: parameters for name in names if "m" in (parameters := result.payload(name))}
     loaded = {name: values.copy() for name in weighed}

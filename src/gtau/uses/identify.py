@@ -9,7 +9,7 @@ from gtau.errors import GtauError
 from gtau.estimation import identify as estimation
 from gtau.estimation.experiment_runs import Options, Subject, read, read_validation
 from gtau.estimation.results.estimate import Requirement, TorqueError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
@@ -27,7 +27,7 @@ def identify(
     runs: Sequence[Run] | None = None,
     options: Options | None = None,
     progress: Progress = silent,
-) -> Result:
+) -> IdentifiedModel:
     """Identify a robot from an experiment file or from runs; see :func:`gtau.identify`. Raises GtauError."""
     subject = read(source, runs, options or Options(), progress)
     result = identify_subject(subject, progress)
@@ -38,19 +38,19 @@ def identify(
     return with_requirements(result, subject.experiment, validation)
 
 
-def identify_subject(subject: Subject, progress: Progress = silent) -> Result:
+def identify_subject(subject: Subject, progress: Progress = silent) -> IdentifiedModel:
     """Identify a robot from the runs of a subject, without the requirements of its experiment; raises GtauError."""
     with single_threaded_blas():
         result = estimation.identify_subject(subject, progress)
         return with_prediction_cutoffs(result, result.data)
 
 
-def with_requirements(result: Result, experiment: Experiment, validation: Validation) -> Result:
+def with_requirements(result: IdentifiedModel, experiment: Experiment, validation: Validation) -> IdentifiedModel:
     """Compare a result with the requirements of its experiment, torque errors also on the validation runs."""
     return result.replaced(requirements=tuple(_requirements(result, experiment, validation)))
 
 
-def _requirements(result: Result, experiment: Experiment, validation: Validation) -> Iterator[Requirement]:
+def _requirements(result: IdentifiedModel, experiment: Experiment, validation: Validation) -> Iterator[Requirement]:
     require, (runs, unread) = experiment.require, validation
     if require.torque_error is not None:
         yield _torque_requirement(require.torque_error, result.residuals)

@@ -19,7 +19,7 @@ from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.rows import Law, instants, stream_torques
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Grade
 from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
@@ -42,7 +42,7 @@ RAISED = 0.01
 NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
 
 
-def suited(result: Result, run: Run) -> Run:
+def suited(result: IdentifiedModel, run: Run) -> Run:
     """Order the columns of a run as the model's joints; raises GtauError if it holds another kind of commands."""
     if not isinstance(run, Run):
         raise GtauError(
@@ -58,7 +58,7 @@ def suited(result: Result, run: Run) -> Run:
     return run
 
 
-def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
+def prepared_for(result: IdentifiedModel, run: Run) -> tuple[PreparedRun, range]:
     """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
     run = suited(result, run)
     check_wrenches(result.robot, run)
@@ -66,7 +66,7 @@ def prepared_for(result: Result, run: Run) -> tuple[PreparedRun, range]:
     return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 
-def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Prediction:
+def predict(result: IdentifiedModel, run: Run, external: np.ndarray | None = None) -> Prediction:
     """Predict torques at every sample of a run, with the measured ones; see :meth:`gtau.Result.predict`.
 
     ``external`` (N, n) are torques of the environment on the joints, N m or N, which load their friction.
@@ -91,7 +91,7 @@ def predict(result: Result, run: Run, external: np.ndarray | None = None) -> Pre
 
 
 def joint_torques(
-    result: Result, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None
+    result: IdentifiedModel, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None
 ) -> np.ndarray:
     """Compute torques (3, n, N) of a run's samples: predicted, the part of friction and offsets, and measured.
 
@@ -110,7 +110,9 @@ def joint_torques(
     return torques
 
 
-def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None) -> Law:
+def friction_along(
+    result: IdentifiedModel, prepared: PreparedRun, chi: np.ndarray, external: np.ndarray | None = None
+) -> Law:
     """Make the friction law of a run, with its temperatures and presliding, for base parameters ``chi`` (n_b,)."""
     law, run = result.friction_law, prepared.run
     states = law.followers(prepared.path)
@@ -123,7 +125,7 @@ def friction_along(result: Result, prepared: PreparedRun, chi: np.ndarray, exter
     return friction
 
 
-def check_temperature_unit(result: Result, run: Run) -> None:
+def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
     """Check that the temperatures of a run are in the model's unit; raises GtauError."""
     temperature = run.side.get("temperature")
     if result.temperatures is None or temperature is None:
@@ -136,7 +138,7 @@ def check_temperature_unit(result: Result, run: Run) -> None:
 
 
 def friction_values(
-    result: Result, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
+    result: IdentifiedModel, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
 ) -> dict[str, Any]:
     """Collect the friction parameters by name, numbers or (N,), for base parameters ``chi`` (n_b,).
 
@@ -158,7 +160,7 @@ def friction_values(
 
 
 def torques_along(
-    result: Result,
+    result: IdentifiedModel,
     motion: Motion,
     chi: np.ndarray,
     terms: Mapping[Parameter, float] | None = None,
@@ -177,7 +179,9 @@ def torques_along(
 
 
 @one_or_many
-def torques(result: Result, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None) -> np.ndarray:
+def torques(
+    result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payload: Payload | None
+) -> np.ndarray:
     """Compute torques (N, n), or (n,), of the identified model at any states; see :meth:`gtau.Result.torques`."""
     model = result.idm
     chi = loaded_parameters(result, payload, "the robot")
@@ -185,20 +189,20 @@ def torques(result: Result, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray, payl
     return torques_along(result, model.motion(q, qd, qdd), chi).T
 
 
-def validate(result: Result, run: Run) -> tuple[TorqueError, ...]:
+def validate(result: IdentifiedModel, run: Run) -> tuple[TorqueError, ...]:
     """Compute torque errors of each joint on a run; see :meth:`gtau.Result.validate`."""
     from gtau.estimation.results.predicted import torque_errors
 
     return torque_errors(predict(result, run), result.robot, result.preparation.bandwidth)
 
 
-def require_all_parameters(result: Result) -> None:
+def require_all_parameters(result: IdentifiedModel) -> None:
     """Refuse a model that lacks a base parameter; raises GtauError."""
     if missing := [name for name in result.base.names if name not in result.parameters]:
         raise GtauError(f"the model lacks the base parameter '{missing[0]}'; identify it again.")
 
 
-def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> np.ndarray:
+def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier: str) -> np.ndarray:
     """Add a ``payload`` to base parameters (n_b,), with the identified values where it states none.
 
     Raises GtauError if the model lacks a parameter, or the mass of the payload of the ``carrier`` is unknown.
@@ -216,13 +220,13 @@ def loaded_parameters(result: Result, payload: Payload | None, carrier: str) -> 
     return chi + on_tool(result, {**identified, **known_values(payload)})
 
 
-def on_tool(result: Result, payload: Mapping[str, float]) -> np.ndarray:
+def on_tool(result: IdentifiedModel, payload: Mapping[str, float]) -> np.ndarray:
     """Compute the change (n_b,) of the base parameters by inertial parameters of a payload, by kind."""
     columns = [result.idm.parameter_names.index(Parameter(kind, result.robot.tool)) for kind in payload]
     return np.asarray(result.base.matrix[:, columns] @ list(payload.values()))
 
 
-def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
+def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> IdentifiedModel:
     """Choose the position filter of each joint for predictions, from ``runs`` that a model was identified from.
 
     A lower cut-off loses the torque of fast motion; a higher one passes position noise, which inertia and friction turn
@@ -258,7 +262,7 @@ def with_prediction_cutoffs(result: Result, runs: Sequence[Run]) -> Result:
     return result.replaced(preparation=preparation)
 
 
-def _squares(result: Result, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:
+def _squares(result: IdentifiedModel, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:
     """Sum squares (n,) of the errors against the raw torques, with positions behind a ``cutoff`` (Hz)."""
     idm, wide = result.idm, replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
     if idm in prepared.paths:  # along positions behind the previous cut-off

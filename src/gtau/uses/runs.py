@@ -9,7 +9,7 @@ from typing import Any
 
 from gtau.errors import GtauError, NoFile
 from gtau.estimation.experiment_runs import describe
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.robot import Limits, Robot, RobotFile
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.samples import WHOLE, Part
@@ -18,7 +18,11 @@ from gtau.signals.run import Run, read_run
 
 
 def read_log(
-    model: Result, log: str | Path, experiment: str | Path | None = None, part: Part = WHOLE, payload: str | None = None
+    model: IdentifiedModel,
+    log: str | Path,
+    experiment: str | Path | None = None,
+    part: Part = WHOLE,
+    payload: str | None = None,
 ) -> Run:
     """Read a log, or a ``part`` of it, for use with a model; the robot carries the model's ``payload``, if named.
 
@@ -45,7 +49,7 @@ def read_log(
         raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
 
 
-def carrying(model: Result, run: Run, payload: str) -> Run:
+def carrying(model: IdentifiedModel, run: Run, payload: str) -> Run:
     """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
     known = [name for name in dict.fromkeys(payload.name for payload in model.payloads) if "m" in model.payload(name)]
     if payload not in known:
@@ -53,7 +57,7 @@ def carrying(model: Result, run: Run, payload: str) -> Run:
     return replace(run, payload=Payload(name=payload))
 
 
-def experiment_of(model: Result, path: str | Path) -> Experiment:
+def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:
     """Read an experiment file for use with a model; raises GtauError if robot or signals differ from the model's."""
     subject = describe(path)
     experiment = subject.experiment
@@ -62,7 +66,7 @@ def experiment_of(model: Result, path: str | Path) -> Experiment:
     return experiment
 
 
-def require_same(model: Result, robot: Robot, kind: str, where: str) -> None:
+def require_same(model: IdentifiedModel, robot: Robot, kind: str, where: str) -> None:
     """Check that an identified model has the same robot and kind of logs; raises GtauError."""
     if _mechanism(robot) != _mechanism(model.robot):
         raise GtauError(

@@ -27,7 +27,7 @@ from gtau.estimation.regression.reference import ReferenceModel
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.progress import Progress, silent
@@ -38,10 +38,10 @@ from gtau.signals.run import Run
 from gtau.uses.runs import require_same
 
 
-@takes(model=("the result of gtau.identify or gtau.Result.load", (Result,)), gains=TEXT, progress=FUNCTION)
+@takes(model=("the result of gtau.identify or gtau.Result.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)
 @single_threaded_blas()
 def weigh(
-    model: Result,
+    model: IdentifiedModel,
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
     gains: str = "identified",
@@ -56,7 +56,7 @@ def weigh(
 
     Parameters
     ----------
-    model : Result
+    model : IdentifiedModel
         Identified model: its gains, their uncertainty, and its preparation of the signals.
     source : path, Experiment or Robot
         An experiment file or the experiment read from it; or the robot, together with ``runs``. At least one run
@@ -141,12 +141,12 @@ def _contradiction(system: System, solution: Solution, gains: np.ndarray) -> Fin
     )
 
 
-def _identified_gains(model: Result) -> tuple[np.ndarray, np.ndarray]:
+def _identified_gains(model: IdentifiedModel) -> tuple[np.ndarray, np.ndarray]:
     rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in model.robot.actuated]
     return model.gains, model.covariance[np.ix_(rows, rows)]
 
 
-def _prior_gains(model: Result, subject: Subject, where: str) -> tuple[np.ndarray, np.ndarray]:
+def _prior_gains(model: IdentifiedModel, subject: Subject, where: str) -> tuple[np.ndarray, np.ndarray]:
     """Return prior gains (n,) and their covariance (n, n), zero where none is stated; raises GtauError without any."""
     if model.kind == "current" and not subject.options.gains:
         raise GtauError(f"{where}there are no 'prior_gains'; add them, or weigh with the identified gains.")
@@ -156,13 +156,13 @@ def _prior_gains(model: Result, subject: Subject, where: str) -> tuple[np.ndarra
     return gains, np.diag([(std or 0.0) ** 2 for std in stds])
 
 
-def _reduced(model: Result, runs: Sequence[Run], progress: Progress) -> Dataset:
+def _reduced(model: IdentifiedModel, runs: Sequence[Run], progress: Progress) -> Dataset:
     ordered = tuple(run.ordered(run.joints, link_side=False) for run in runs)  # the model's gains say as much
     return reduce_runs(model.robot, ordered, at_rate_of(ordered, model.preparation), progress=progress, model=model.idm)
 
 
 def _slopes(
-    model: Result,
+    model: IdentifiedModel,
     system: System,
     solver: Callable[[Problem, np.ndarray], Solution],
     solution: Solution,
@@ -198,7 +198,7 @@ def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
 
 
 def _separating(
-    model: Result, dataset: Dataset, gains: np.ndarray, may_refer: bool, where: str, progress: Progress
+    model: IdentifiedModel, dataset: Dataset, gains: np.ndarray, may_refer: bool, where: str, progress: Progress
 ) -> System:
     """Select the friction; refer to the model if the runs do not separate payload and robot; raises GtauError."""
     solve = partial(wls, gains=gains)
@@ -243,7 +243,7 @@ currents as logged or 3 % more or less. Gains: 10 after a fall of 10 % (a five-b
 """
 
 
-def reference_of(model: Result, step: np.ndarray | float = 0.0) -> ReferenceModel:
+def reference_of(model: IdentifiedModel, step: np.ndarray | float = 0.0) -> ReferenceModel:
     """Take the parameters of a model as known at its gains, or at gains moved by a ``step`` (n,).
 
     The covariance is conditional on the gains. Friction may have changed since.
@@ -270,7 +270,9 @@ It is 1.13 to 2.4 on five UR10e logs, 21 with 2.8 kg undeclared.
 """
 
 
-def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], progress: Progress) -> Finding | None:
+def undeclared_load(
+    model: IdentifiedModel, run: Run, errors: Sequence[TorqueError], progress: Progress
+) -> Finding | None:
     """Find an undeclared body at the tool of a run, by the parameters of the model; None without one.
 
     It is searched for if the ``errors`` of the run are ``WORSE`` than in the identification (geometric mean).
@@ -294,7 +296,7 @@ def undeclared_load(model: Result, run: Run, errors: Sequence[TorqueError], prog
     )
 
 
-def exact_gains(model: Result, experiment: Experiment, gains: str) -> tuple[str, ...]:
+def exact_gains(model: IdentifiedModel, experiment: Experiment, gains: str) -> tuple[str, ...]:
     """List the joints whose gain is treated as exact, because its standard deviation is unknown.
 
     A model has such gains if it was identified from logged torques whose scale was not tested.

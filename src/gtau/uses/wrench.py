@@ -16,7 +16,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.regression.rows import stream_motions
 from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
 from gtau.robots.floating import refuse_floating
@@ -109,7 +109,7 @@ class WrenchAlongLog:
 
 
 def wrench_along_log(
-    result: Result, run: Run, prediction: Prediction, frame: tuple[str, Placement], force_only: bool = False
+    result: IdentifiedModel, run: Run, prediction: Prediction, frame: tuple[str, Placement], force_only: bool = False
 ) -> WrenchAlongLog:
     """Compute the wrench at a frame of the body that carries the payload, at every sample of a run.
 
@@ -160,7 +160,7 @@ def _to_body(placement: Placement) -> np.ndarray:
     return np.block([[R, arm @ R], [np.zeros((3, 3)), R]])
 
 
-def _along(result: Result, run: Run) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _along(result: IdentifiedModel, run: Run) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield blocks of ``J^T`` (N, n, 6) at the body's frame, and of the covariance of model and gains (N, n, n)."""
     model, base, joints = result.idm, result.base, result.robot.actuated
     known = {name: k for k, name in enumerate(result.covariance_names)}

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.special import stdtrit
 
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.watch.causes import causes_of, contacts_of
 from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, alone, evidence, far_off, mean_of, median
@@ -121,7 +121,7 @@ class View:
         return np.array([quantity.kind in kinds for quantity in self.quantities])
 
 
-def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View:
+def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History) -> View:
     """Select the logs that count, given the events: maintenance, forgotten and repaired logs, new references."""
     logs = history.logs(len(charts), len(model.robot.actuated))
     friction = [chart.group == "friction" for chart in charts]
@@ -160,7 +160,7 @@ def view_of(model: Result, charts: Sequence[Quantity], history: History) -> View
 
 
 def judge(
-    model: Result, view: View, log: LogStatistics, row: int, previous: Alarm | None
+    model: IdentifiedModel, view: View, log: LogStatistics, row: int, previous: Alarm | None
 ) -> tuple[Alarm | None, int | None]:
     """Judge the robot after the log in a ``row``, given the previous alarm.
 
@@ -184,7 +184,7 @@ def judge(
     return alarm or previous, None
 
 
-def _fresh(model: Result, view: View, log: LogStatistics) -> Alarm | None:
+def _fresh(model: IdentifiedModel, view: View, log: LogStatistics) -> Alarm | None:
     start, changed = 0, np.zeros(0, dtype=int)
     if view.baseline > view.settings.baseline:
         proof = evidence_of(view)
@@ -235,7 +235,7 @@ def _last(x: np.ndarray, excluded: np.ndarray) -> np.ndarray:
     return rows[len(rows) - int(np.argmax([*excluded[rows][::-1], True])) :]
 
 
-def _alarm(kind: str, model: Result, view: View, log: LogStatistics, columns: np.ndarray, start: int) -> Alarm:
+def _alarm(kind: str, model: IdentifiedModel, view: View, log: LogStatistics, columns: np.ndarray, start: int) -> Alarm:
     """Make an alarm for the quantities ``columns`` since the row ``start``, with its explanations."""
     logs, rows, x = view.logs, view.there, view.judged(kind)
     before, after = rows[rows < start], rows[rows >= start]

@@ -20,7 +20,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.stats import t as student
 
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings.words import to_width
 from gtau.watch.detectors import FEWEST, mean_of
 from gtau.watch.history import Cause
@@ -58,7 +58,12 @@ Hypothesis = tuple[str, str, np.ndarray]
 
 
 def causes_of(
-    model: Result, log: LogStatistics, before: np.ndarray, after: np.ndarray, healthy: np.ndarray, heaviest: float
+    model: IdentifiedModel,
+    log: LogStatistics,
+    before: np.ndarray,
+    after: np.ndarray,
+    healthy: np.ndarray,
+    heaviest: float,
 ) -> tuple[Cause, ...]:
     """Find the causes that fit a change and cannot be distinguished, the best one first.
 
@@ -115,7 +120,12 @@ def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarra
 
 
 def _stated(
-    model: Result, log: LogStatistics, heaviest: float, hypothesis: Hypothesis, sizes: np.ndarray, halves: np.ndarray
+    model: IdentifiedModel,
+    log: LogStatistics,
+    heaviest: float,
+    hypothesis: Hypothesis,
+    sizes: np.ndarray,
+    halves: np.ndarray,
 ) -> Cause | None:
     """Make a cause of the first parameter of a hypothesis whose interval excludes 0, if it is certain, or the best."""
     kind, joint, columns = hypothesis
@@ -159,7 +169,7 @@ def _described(cause: Cause, title: str) -> str:
     return text if cause.relative is None else f"{text}, {100 * cause.relative:+.0f} % of the model's"
 
 
-def _hypotheses(model: Result, quantities: tuple[Quantity, ...]) -> Iterator[Hypothesis]:
+def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Iterator[Hypothesis]:
     groups = defaultdict[tuple[str, str], list[int]](list)
     for k, quantity in enumerate(quantities):
         if quantity.kind != "off":

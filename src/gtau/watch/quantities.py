@@ -34,7 +34,7 @@ from gtau.estimation.regression.factors import add_products, delayed
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs
 from gtau.estimation.regression.rows import Rows, instants, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.loops import Labels, Motion
 from gtau.model.singularities import random_motion
 from gtau.robots.parameter import Parameter, unit_of
@@ -100,7 +100,7 @@ class Quantity:
         return self.kind if self.joint or self.kind == "rate" else "load"
 
 
-def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
+def quantities_of(model: IdentifiedModel) -> tuple[tuple[Quantity, ...], np.ndarray]:
     """List the watched quantities of a model in the order of the columns, and the base columns (n_b, k) of a load."""
     robot, standard = model.robot, model.base.standard
 
@@ -119,14 +119,14 @@ def quantities_of(model: Result) -> tuple[tuple[Quantity, ...], np.ndarray]:
     return (*load_quantities, *joint_quantities, Quantity("rate", "", "1")), payload.columns
 
 
-def identified(model: Result, name: Parameter) -> float:
+def identified(model: IdentifiedModel, name: Parameter) -> float:
     """Return the identified value of a parameter of friction, 0 where there is none."""
     estimate = model.friction_parameters.get(name)
     return 0.0 if estimate is None else estimate.value or 0.0
 
 
 def normal_equations(
-    model: Result, run: Run, parts: list[tuple[np.ndarray, ...]] | None = None
+    model: IdentifiedModel, run: Run, parts: list[tuple[np.ndarray, ...]] | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Reduce a log to the normal equations ``A^T A``, ``A = [columns | y]``, of the watched quantities.
 
@@ -186,7 +186,7 @@ def normal_equations(
 
 
 def _columns(
-    model: Result, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
+    model: IdentifiedModel, part: Rows, load: np.ndarray, payload: np.ndarray, quantities: Sequence[Quantity], run: str
 ) -> np.ndarray:
     """Build rows ``[columns | y]`` (n, K, p + 1) from base parameters (n_b,) and payload (n_b, k)."""
     idm, standard = model.idm, model.base.standard
@@ -214,7 +214,7 @@ def _columns(
     return A
 
 
-def unseen_zeros(model: Result) -> tuple[str, ...]:
+def unseen_zeros(model: IdentifiedModel) -> tuple[str, ...]:
     """List the joints of a tree whose encoder zero no motion shows, such as a vertical first axis."""
     idm, base = model.idm, model.base
     if model.robot.closures:  # whose poses need not close with another zero
@@ -227,7 +227,9 @@ def unseen_zeros(model: Result) -> tuple[str, ...]:
     return tuple(joint for joint, share in zip(idm.actuated, moved, strict=True) if share < UNSEEN)
 
 
-def _motion_slopes(model: Result, motion: Motion, load: np.ndarray, labels: Labels) -> tuple[np.ndarray, np.ndarray]:
+def _motion_slopes(
+    model: IdentifiedModel, motion: Motion, load: np.ndarray, labels: Labels
+) -> tuple[np.ndarray, np.ndarray]:
     """Differentiate the torques (n, K) by each encoder zero (n, n, K), per degree or millimetre, and by the rate."""
     idm = model.idm
     regressor = idm.columns(model.base.standard)

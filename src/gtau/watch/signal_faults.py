@@ -18,7 +18,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.effects.knots import hats
 from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.watch.history import Cause
@@ -39,7 +39,7 @@ EXTREMES = (0.02, 0.98)  # quantiles of it along the log, between which its size
 
 
 def signal_faults(
-    model: Result, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
+    model: IdentifiedModel, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
 ) -> tuple[Cause, ...]:
     """Name the fault that the samples of a log show.
 
@@ -66,7 +66,7 @@ def signal_faults(
 
 
 def _mean_squares(
-    model: Result, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]
+    model: IdentifiedModel, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]
 ) -> list[np.ndarray]:
     """Compute each joint's mean squared residual (n,) over the model's, for each choice of ``free`` columns."""
     G, rows, _ = normal_equations(model, run, parts)
@@ -89,7 +89,9 @@ def _frozen(run: Run, speed: np.ndarray) -> Iterator[Cause]:
             yield Cause(kind="frozen", joint=joint, size=share, text=text, advice=advice)
 
 
-def _exchanged(model: Result, run: Run, friction: list[int], grown: np.ndarray) -> Iterator[tuple[Cause, np.ndarray]]:
+def _exchanged(
+    model: IdentifiedModel, run: Run, friction: list[int], grown: np.ndarray
+) -> Iterator[tuple[Cause, np.ndarray]]:
     """Exchange columns of two joints back, and compute the mean squared residuals (n,)."""
     for pair, column in product(combinations(np.flatnonzero(grown), 2), ("position", "command")):
         values = getattr(run, column).copy()
@@ -105,7 +107,12 @@ def _exchanged(model: Result, run: Run, friction: list[int], grown: np.ndarray) 
 
 
 def _position_fault(
-    model: Result, run: Run, parts: list[tuple[np.ndarray, ...]], friction: list[int], single: np.ndarray, joint: int
+    model: IdentifiedModel,
+    run: Run,
+    parts: list[tuple[np.ndarray, ...]],
+    friction: list[int],
+    single: np.ndarray,
+    joint: int,
 ) -> tuple[Cause, np.ndarray]:
     """Fit friction and torque as functions of a joint's position, and compute the mean squared residuals (n,) then.
 

@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from gtau.estimation.estimators.estimator import jackknife
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.signals.run import Run
 from gtau.watch.quantities import Quantity, normal_equations, quantities_of
 
@@ -68,14 +68,14 @@ def unevenness(log: LogStatistics, healthy: np.ndarray) -> np.ndarray:
     return np.asarray(log.uneven / np.maximum(healthy, 1.0))
 
 
-def charts_of(model: Result) -> tuple[Quantity, ...]:
+def charts_of(model: IdentifiedModel) -> tuple[Quantity, ...]:
     """List the charts of a model."""
     quantities, _ = quantities_of(model)
     residuals = (Quantity(RESIDUAL, joint, "log") for joint in model.robot.actuated)
     return (*(quantity for quantity in quantities if quantity.charted), *residuals)
 
 
-def statistics_of(model: Result, run: Run) -> LogStatistics:
+def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log, the model loaded with its payload; raises GtauError."""
     G, rows, speed = normal_equations(model, run)
     (quantities, _), charts = quantities_of(model), charts_of(model)

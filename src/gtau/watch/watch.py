@@ -14,7 +14,7 @@ from gtau.documents.files import folder_of
 from gtau.documents.validation import TEXT, read_group, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.results.model_file import to_document
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.interpreter.program import single_threaded_blas
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
@@ -57,7 +57,7 @@ class Watch:
 
     Parameters
     ----------
-    model : Result
+    model : IdentifiedModel
         From :func:`gtau.identify` or :meth:`gtau.Result.load`.
     out : path, optional
         Folder of the history, continued if it exists; in memory if omitted. A history of another model is refused.
@@ -69,10 +69,10 @@ class Watch:
         was begun with.
     """
 
-    @takes(model=("the result of gtau.identify or gtau.Result.load", (Result,)))
+    @takes(model=("the result of gtau.identify or gtau.Result.load", (IdentifiedModel,)))
     def __init__(
         self,
-        model: Result,
+        model: IdentifiedModel,
         out: str | Path | None = None,
         tolerances: Tolerances | None = None,
         **settings: float | None,

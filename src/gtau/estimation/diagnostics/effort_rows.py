@@ -17,7 +17,7 @@ from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.rows import stream_rows
-from gtau.model.base_parameters import of_drive
+from gtau.model.base_parameters import belongs_to_drive
 from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.signals.preparation.prepared_run import SampleWindow
 
@@ -249,7 +249,7 @@ def by_file(
         free = joint.columns[:, first].any(axis=1)
         names, W, effort = joint.names[first], joint.columns[free][:, first], joint.effort[free, j]
         gravity, torque = joint.weight[free][:, first] @ values[names], W @ values[names]
-        driven = W[:, [of_drive(base.standard[k], dataset.model.actuated[j]) for k in names]]
+        driven = W[:, [belongs_to_drive(base.standard[k], dataset.model.actuated[j]) for k in names]]
         gravity_terms.append(_coefficient(effort, gravity, np.column_stack([torque - gravity, driven]), count))
         torque_terms.append(_coefficient(effort, torque, driven, count))
         without += gravity_terms[-1][-1]

@@ -39,7 +39,7 @@ class Mixed:
     random: np.ndarray
 
     def applied(self, fit: Fit) -> Fit:
-        """Move the estimates of a fit, whose scatter is that of the noise."""
+        """Move the estimates of a fit, which scatter as the noise does."""
         solution = finish(fit.system.problem, self.values, weights_of(fit), fit.free_gains)
         values, vectors = np.linalg.eigh(self.random)
         root = (vectors * np.sqrt(np.maximum(values, 0.0))).T
@@ -81,7 +81,7 @@ def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None)
         linear = replace(linear, model=mixed.model)
         if np.all(np.abs(moved - gains) <= STAYS * np.abs(gains)):
             break
-    # the delay of a model without the effects is that of the plain fit: a lag stands for a part of it
+    # without effects the model has the delay of the plain fit: a lag stands for a part of it
     delays = fit.system.problem.unknowns.delays
     values = np.concatenate([values[: delays.start], fit.solution.values[delays]])
     random = _random(mixed, linear)

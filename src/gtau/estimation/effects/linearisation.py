@@ -80,7 +80,7 @@ class FitWindow:
     def rows(self, torques: WindowTorques | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Compute the decimated rows of the window (c, K, columns + m), and which of them are kept (c, K).
 
-        Their columns are those of :class:`gtau.estimation.regression.factors.Factors`, and m of the ``torques``.
+        They have the columns of :class:`gtau.estimation.regression.factors.Factors`, and m of the ``torques``.
         """
         system, added = self.fit.system, torques and torques(self)
         loaded = any(term.kind in BY_LOAD for term in system.terms)
@@ -170,10 +170,10 @@ class Linearised:
         W, W_e, remaining, W_left, W_W = self._white
         added = self.added[..., columns].swapaxes(2, 3)  # (W, c, m, p)
 
-        def folded(of_channels: np.ndarray) -> np.ndarray:
-            """Order (W, c, m, ...) as (W, m, n, ...), that of shared columns summed over the channels."""
-            of_columns = of_channels.swapaxes(1, 2)
-            return of_columns.sum(axis=2, keepdims=True) if shared else of_columns
+        def folded(by_channel: np.ndarray) -> np.ndarray:
+            """Order (W, c, m, ...) as (W, m, n, ...), shared columns summed over the channels."""
+            by_column = by_channel.swapaxes(1, 2)
+            return by_column.sum(axis=2, keepdims=True) if shared else by_column
 
         # of each window, products of its column, (m, j) of joint j in all rows i, with W, itself and the residuals
         c_W, c_c = folded(added @ W), folded(np.sum(added**2, axis=-1))
@@ -204,7 +204,7 @@ def linearise(fit: Fit, windows: Windows, torques: WindowTorques | None = None) 
     reduced = []
     for window in fit_windows:
         A, keep = window.rows(torques)
-        reduced.append([triangle(of_channel[kept]) for of_channel, kept in zip(A, keep, strict=True)])
+        reduced.append([triangle(block[kept]) for block, kept in zip(A, keep, strict=True)])
     T = stacked_triangles(reduced)
     parts = [window.errors_and_jacobian(rows) for window, rows in zip(fit_windows, T, strict=True)]
     e, J = (np.stack(part) for part in zip(*parts, strict=True))
@@ -216,7 +216,7 @@ def linearise(fit: Fit, windows: Windows, torques: WindowTorques | None = None) 
 
 def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
     """Stack the triangles (., columns) of W windows and c channels, (W, c, p, columns), filled up with zero rows."""
-    height = max(len(R) for of_window in reduced for R in of_window)
+    height = max(len(R) for window in reduced for R in window)
     T = np.zeros((len(reduced), len(reduced[0]), height, reduced[0][0].shape[1]))
     for w, c in np.ndindex(T.shape[:2]):
         T[w, c, : len(reduced[w][c])] = reduced[w][c]
@@ -277,11 +277,11 @@ def on_channels(torques: WindowTorques, felt: bool) -> WindowTorques:
         columns = torques(at)
         behind = [channel.row for channel in at.window.run.channels if channel.kind.link_side]
 
-        def of_channels(rows: Rows) -> np.ndarray:
+        def by_channel(rows: Rows) -> np.ndarray:
             torques = columns(rows)
             return np.concatenate([torques, torques[behind] * felt]) if behind else torques
 
-        return of_channels
+        return by_channel
 
     return with_sensors
 

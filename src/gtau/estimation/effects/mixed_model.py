@@ -70,7 +70,7 @@ class Noise:
     partial: tuple[float, float] = (0.0, 0.0)
 
     def whitened(self, rows: LagProducts) -> np.ndarray:
-        """Combine products of rows into those of rows with independent noise of unit variance, (p, p)."""
+        """Combine products of rows into products of rows with independent noise of unit variance, (p, p)."""
         first, second = self.partial
         filters = (
             np.array([1.0]) * np.sqrt((1 - first**2) * (1 - second**2)),

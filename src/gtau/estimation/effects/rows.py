@@ -105,9 +105,9 @@ def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS)
         rows = np.concatenate([*_placed(layouts, columns, modes[run], driven, False), equations,
                                *_placed(layouts, columns, modes[run], driven, True)], axis=-1)  # fmt: skip
         parts = []
-        for of_channel, kept in zip(rows, keep, strict=True):
+        for block, kept in zip(rows, keep, strict=True):
             used = np.flatnonzero(kept)
-            parts.append(lag_products(of_channel[used], np.diff(used, prepend=-2) != 1))
+            parts.append(lag_products(block[used], np.diff(used, prepend=-2) != 1))
         products = parts if products is None else [a + b for a, b in zip(products, parts, strict=True)]
     assert products is not None
     return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows), starts[False], starts[True])
@@ -172,11 +172,11 @@ def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = N
         linear.append(LagProducts(B.T @ part.products @ B, part.counts))
     known = np.column_stack([J_known[:, free] @ back, e_known])
     # a change of friction between runs has no effect on known parameters
-    of_friction = np.full(len(per_run), len(rows.layouts))
-    own, shared = (_groups(rows.layouts, of_all) for of_all in (False, True))
+    friction_groups = np.full(len(per_run), len(rows.layouts))
+    own, shared = (_groups(rows.layouts, common) for common in (False, True))
     largest = np.array([LARGEST if layout.effect.description else 1.0 for layout in rows.layouts] + [1.0])
     noise = () if model is None else model.noise
-    made = MixedModel(tuple(linear), known.T @ known, own, np.append(of_friction, shared), largest, noise)
+    made = MixedModel(tuple(linear), known.T @ known, own, np.append(friction_groups, shared), largest, noise)
     slopes = np.hstack([T @ basis, np.zeros((len(values), rows.shared))])
     return Linear(made, slopes)
 

@@ -9,7 +9,7 @@ from gtau.estimation.diagnostics.log_checks import SMOOTHED
 from gtau.estimation.diagnostics.verdict import LONGER
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.estimation.results.torque_scale import enumerated, torque_headline
 from gtau.findings import Finding, Grade
 from gtau.findings.words import moment, percent_text
@@ -26,12 +26,12 @@ NAMED = 2  # groups of contradictory joints whose reason the headline gives
 VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 
 
-def headline(result: Result) -> str:
+def headline(result: IdentifiedModel) -> str:
     """Summarise a result: first what makes it unacceptable, then how many gains are known to which accuracy."""
     return " ".join([*_against(result), _known(result)]).strip()
 
 
-def _against(result: Result) -> Iterator[str]:
+def _against(result: IdentifiedModel) -> Iterator[str]:
     """Say what contradicts the result, and which requirements it misses; empty where it is accepted."""
     groups = [reason for reason in reasons(result) if reason.outcome == Grade.CONTRADICTORY]
     for reason in groups[:NAMED]:
@@ -48,14 +48,14 @@ def _against(result: Result) -> Iterator[str]:
         yield f"Requirement missed: {'; '.join(failed)}."
 
 
-def _stated(result: Result) -> Iterator[tuple[str, Finding]]:
+def _stated(result: IdentifiedModel) -> Iterator[tuple[str, Finding]]:
     """Name payloads and sensors, with their verdicts."""
     payloads = {payload.name: payload.verdict for payload in result.payloads}
     yield from ((f"payload '{name}'", verdict) for name, verdict in payloads.items())
     yield from ((f"the {sensor.source}", sensor.verdict) for sensor in result.sensors)
 
 
-def missed(result: Result) -> list[str]:
+def missed(result: IdentifiedModel) -> list[str]:
     """Describe each requirement that is not met."""
     return [
         f"{' of '.join(required(requirement))}: "
@@ -73,7 +73,7 @@ def required(requirement: Requirement) -> tuple[str, str]:
     return ("torque error", f"run '{requirement.run}'") if requirement.run else ("torque residual", "rows used")
 
 
-def _known(result: Result) -> str:
+def _known(result: IdentifiedModel) -> str:
     """State which gains are known to which accuracy."""
     gains = list(result.drive_gains.values())
     if result.kind == "torque":
@@ -94,7 +94,7 @@ def _known(result: Result) -> str:
     return " ".join(sentences)
 
 
-def reasons(result: Result) -> tuple[Finding, ...]:
+def reasons(result: IdentifiedModel) -> tuple[Finding, ...]:
     """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a finding.
 
     What differs between them, a number or the cause, is given of each.
@@ -153,12 +153,12 @@ def _number(count: int) -> str:
     return NUMBERS[count] if count < len(NUMBERS) else str(count)
 
 
-def findings(result: Result) -> list[Finding]:
+def findings(result: IdentifiedModel) -> list[Finding]:
     """Collect all notes on a result beside its verdicts: on the fit, the motion, the logs and the robot."""
     return [*remarks(result), *near_singularities(result.singularities), *result.notes]
 
 
-def remarks(result: Result) -> list[Finding]:
+def remarks(result: IdentifiedModel) -> list[Finding]:
     """Note faults of the fit beside the gains, with advice."""
     notes = []
     for name, verdict in _stated(result):
@@ -191,7 +191,7 @@ def sums_with_mass(payload: PayloadEstimate) -> list[str]:
     return [text.replace("+ -", "- ") for text in regroupings if text.split()[-1] == "m"]
 
 
-def without_temperature(result: Result, signals: Signals) -> list[Finding]:
+def without_temperature(result: IdentifiedModel, signals: Signals) -> list[Finding]:
     """Note the temperature assumed for logs without one where the model's friction depends on it."""
     warm = result.temperatures
     joints = sorted({name.body for name in result.friction if name.kind in TEMPERATURE_TERMS})

@@ -44,7 +44,7 @@ from gtau.estimation.results.estimate import (
 )
 from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.extensions import registered
 from gtau.findings import Finding
 from gtau.findings.finding import finding_document, note_document, read_note
@@ -228,7 +228,7 @@ class _Preparation(_Group):
         return Preparation(**rest | {"decimator": Decimator(self.decimation, self.decimator)})
 
 
-def _standard(result: Result) -> dict[str, Any] | None:
+def _standard(result: IdentifiedModel) -> dict[str, Any] | None:
     """Describe physically consistent parameters as in ``model.json``."""
     bodies, robot = result.consistency, result.robot
     if bodies is None:
@@ -293,7 +293,7 @@ class ModelDocument(_Group):
         Annotated[Consistency, _entry(_consistency_fields)] | None, PlainSerializer(lambda document: document)
     ]
 
-    def made(self, path: Path) -> Result:
+    def made(self, path: Path) -> IdentifiedModel:
         """Assemble the result."""
         robot = parse_native(self.robot_file, path).with_file(inertias=tuple(self.stated_inertias.items()))
         values = dict(self) | {
@@ -309,10 +309,10 @@ class ModelDocument(_Group):
             for group in (ModelEstimates, FitRecord, Evidence)
         )
         equations = Equations(InverseDynamics(robot), tuple(sensor.joint for sensor in values["sensors"]))
-        return Result(equations, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
+        return IdentifiedModel(equations, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
 
 
-def described(result: Result) -> ModelDocument:
+def described(result: IdentifiedModel) -> ModelDocument:
     """Fill the document of a result."""
     decimator = result.preparation.decimator
     prepared = vars(result.preparation) | {"decimation": decimator.factor, "decimator": decimator.kind}

@@ -12,13 +12,13 @@ from gtau.documents.validation import LARGEST, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation.results.model_document import ModelDocument, described
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.parameter import SHAPES, Parameter
 
 SCHEMA = "gtau-model/5"
 
 
-def to_document(result: Result) -> dict[str, Any]:
+def to_document(result: IdentifiedModel) -> dict[str, Any]:
     """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
     document = described(result).model_dump(mode="json")
     for entry in document["drive_gains"]:
@@ -26,17 +26,17 @@ def to_document(result: Result) -> dict[str, Any]:
     return {"schema": SCHEMA, "robot": result.robot.name, **document}
 
 
-def model_text(result: Result) -> str:
+def model_text(result: IdentifiedModel) -> str:
     """Write the text of a result's file."""
     return json.dumps(to_document(result), indent=1, allow_nan=False) + "\n"
 
 
-def save(result: Result, path: str | Path) -> None:
+def save(result: IdentifiedModel, path: str | Path) -> None:
     """Write ``result`` to ``path``, atomically."""
     write_atomically(path, model_text(result))
 
 
-def load(path: str | Path) -> Result:
+def load(path: str | Path) -> IdentifiedModel:
     """Read a result; raises GtauError where the file cannot be read, or is not a model of this schema."""
     refuse_other_kind(path, MODEL)
     path = Path(path)
@@ -74,7 +74,7 @@ def _finite(text: str) -> float:
     return number
 
 
-def _problems(result: Result) -> Iterator[str]:
+def _problems(result: IdentifiedModel) -> Iterator[str]:
     """List what the keys of a file cannot show: values that do not belong together."""
     robot = result.robot
     for what, estimates, joints in (

@@ -46,7 +46,7 @@ GROUPS: Mapping[str, str] = {
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result:
+class IdentifiedModel:
     """Drive gains, parameters and payloads of a robot, identified from its logs.
 
     Attributes

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.robot import PLAIN_FRICTION
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ class Row(NamedTuple):
     estimate: Estimate
 
 
-def estimates_table(result: Result) -> Iterator[Row]:
+def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     """List all estimates of a result, each once.
 
     Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
@@ -45,7 +45,7 @@ def estimates_table(result: Result) -> Iterator[Row]:
     return (Row(group, estimate) for group, estimates in groups for estimate in estimates)
 
 
-def estimates_frame(result: Result) -> pl.DataFrame:
+def estimates_frame(result: IdentifiedModel) -> pl.DataFrame:
     """Tabulate all estimates of a result, one row each.
 
     Columns: ``group`` (see :func:`estimates_table`), ``name``, ``value``, ``std``, ``rel_std`` (per cent), ``low`` and

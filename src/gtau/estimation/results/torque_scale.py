@@ -13,7 +13,7 @@ import yaml
 
 from gtau.estimation.diagnostics.verdict import APART
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import Result
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Grade
 from gtau.findings.words import percent_text
 
@@ -54,7 +54,7 @@ class TorqueScale:
         return low, high
 
 
-def torque_scales(result: Result) -> tuple[TorqueScale, ...]:
+def torque_scales(result: IdentifiedModel) -> tuple[TorqueScale, ...]:
     """List the torque scales of all joints; empty where logs hold currents, or nothing tests the torques.
 
     A scale is wrong where it differs from 1 by more than the required accuracy, and by 3.5 standard deviations: of many
@@ -78,7 +78,7 @@ def torque_scales(result: Result) -> tuple[TorqueScale, ...]:
     return tuple(TorqueScale(gain, state(gain)) for gain in gains)
 
 
-def torque_headline(result: Result) -> str:
+def torque_headline(result: IdentifiedModel) -> str:
     """Summarise the torque scale of each joint, or say that it was not tested and how to test it."""
     if not (scales := torque_scales(result)):
         if any(gain.value != 1 for gain in result.drive_gains.values()):
@@ -128,7 +128,7 @@ def enumerated(parts: Sequence[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" and {parts[-1]}"
 
 
-def torque_scale_text(result: Result) -> str:
+def torque_scale_text(result: IdentifiedModel) -> str:
     """Write the correction of the torques as YAML: a factor for each joint, with its interval and state."""
     joints: dict[str, dict[str, object]] = {}
     for scale in torque_scales(result):

@@ -27,7 +27,7 @@ _SIGNS = {ca.OP_ASSIGN: (1.0,), ca.OP_NEG: (-1.0,), ca.OP_ADD: (1.0, 1.0), ca.OP
 
 
 class Code(NamedTuple):
-    """Instructions of a function; the fields are those of :class:`gtau.model.interpreter.program.Program`."""
+    """Instructions of a function, with the fields of :class:`gtau.model.interpreter.program.Program`."""
 
     code: np.ndarray
     signs: np.ndarray
@@ -95,8 +95,8 @@ def instructions(function: ca.Function, parameters: int) -> Code:
         line[:3] = instruction.number, row[result], written.get(result, NOWHERE)
         line[3 : 3 + len(rows)] = rows
         sign[: len(instruction.signs)] = instruction.signs
-    values, of_fixed = ([constants[value] for value in some] for some in (used, (outputs[k] for k in fixed)))
-    return Code(code, signs, np.array(values), registers, (np.array(fixed, dtype=int), np.array(of_fixed)))
+    values, fixed_values = ([constants[value] for value in some] for some in (used, (outputs[k] for k in fixed)))
+    return Code(code, signs, np.array(values), registers, (np.array(fixed, dtype=int), np.array(fixed_values)))
 
 
 def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], list[int]]:
