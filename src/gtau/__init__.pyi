@@ -7,10 +7,10 @@ from .estimation.compare import EstimatorComparison as EstimatorComparison
 from .estimation.compare import compare as compare
 from .estimation.results.estimate import Estimate as Estimate
 from .estimation.results.estimate import TorqueError as TorqueError
-from .estimation.results.result import IdentifiedModel as IdentifiedModel
 from .estimation.results.payload_body import PayloadBody as PayloadBody
 from .estimation.results.payload_body import PayloadEstimate as PayloadEstimate
 from .estimation.results.predicted import Prediction as Prediction
+from .estimation.results.result import IdentifiedModel as IdentifiedModel
 from .excitation.design import Design as Design
 from .excitation.design import excite as excite
 from .excitation.design_file import read_design as read_design
