@@ -212,7 +212,7 @@ class Robot:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes of the reader, see :class:`RobotFile`."""
+        """Notes of the reader of the robot file."""
         return self.file.notes
 
     @property
