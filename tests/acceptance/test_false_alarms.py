@@ -10,7 +10,7 @@ from plausible_parameters import random_parameters
 from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
-import gtau.estimation.regression.dataset
+import gtau.model.base_parameters
 from gtau.estimation.results.conclusions import INFLATED
 from gtau.findings import Grade
 from gtau.model.base_parameters import BaseParameters, base_parameters
@@ -36,7 +36,7 @@ def quick() -> Iterator[None]:
         return found.setdefault(name, found.get(name) or base_parameters(model, sensors=sensors))
 
     with pytest.MonkeyPatch.context() as patch, threadpool_limits(1, "blas"):
-        patch.setattr(gtau.estimation.regression.dataset, "base_parameters", remembered)
+        patch.setattr(gtau.model.base_parameters, "base_parameters", remembered)
         yield
 
 

@@ -12,7 +12,7 @@ from five_bar_logs import GAINS as FIVE_BAR_GAINS
 from five_bar_logs import STEEL, Plant
 from orthoglide_logs import experiment
 
-import gtau.estimation.regression.dataset
+import gtau.model.base_parameters
 from gtau.demo.orthoglide import DRIVE_GAINS
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
@@ -44,7 +44,7 @@ def base_once() -> Iterator[None]:
         return found[model.robot]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(gtau.estimation.regression.dataset, "base_parameters", remembered)
+        patch.setattr(gtau.model.base_parameters, "base_parameters", remembered)
         yield
 
 

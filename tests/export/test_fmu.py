@@ -27,7 +27,7 @@ def test_fmpy_runs_the_model(robot: Robot, tmp_path: Path) -> None:
     assert not validate_fmu(str(path))
     description = fmpy.read_model_description(str(path))
     assert description.fmiVersion == "3.0"
-    assert "Outputs at the end of a step are those of the inputs at its start." in description.description
+    assert "Outputs at the end of a step belong to the inputs at its start." in description.description
     model = identified(result)
     names = list(suffixes(model.joints).values())
     units = {each.name: (each.unit, (each.description or "").split(", ")[-1]) for each in description.modelVariables}

@@ -127,7 +127,7 @@ def test_draws_become_models(result: Result, tmp_path: Path) -> None:
     assert names == ["stated_arm.xml", "samples.npz", "samples/0000/stated_arm.xml", "samples/0001/stated_arm.xml"]
     masses = [mujoco.MjModel.from_xml_path(str(tmp_path / name)).dof_frictionloss for name in names if "xml" in name]
     assert not np.allclose(masses[1], masses[2])
-    assert "4 draws of what was identified (seed 1)" in exported.notes[-1]
+    assert "4 draws of the identified model (seed 1)" in exported.notes[-1]
     assert 0 <= exported.figures["moved_share"] <= 1
 
 

@@ -233,7 +233,7 @@ def test_wrong_fleet_files(tmp_path: Path, text: str, says: str) -> None:
 
 def test_options_that_do_not_go_together(cells: Path, tmp_path: Path) -> None:
     one = str(cells / "robot_1" / "experiment.yaml")
-    wrong = {("--method", "wls"): "takes the drive gains as given", ("--jobs", "2", "--dask", "local"): "give one of"}
+    wrong = {("--method", "wls"): "uses given drive gains", ("--jobs", "2", "--dask", "local"): "give one of"}
     for options, says in wrong.items():
         result = run(one, "--out", str(tmp_path), *options)
         assert result.exit_code == 2

@@ -138,7 +138,7 @@ def test_springs_move_with_what_is_held() -> None:
             "{between: [{body: arm}, {body: arm, xyz: [1, 0, 0]}]}",
             "spring 's' ties 'arm' to itself",
         ),
-        ("{between: [{body: arm}, {body: leg}]}", "spring 's' is attached to 'leg', which is no joint"),
+        ("{between: [{body: arm}, {body: leg}]}", "spring 's' is attached to 'leg', which is not a joint"),
         (
             "{between: [{body: ground}, {body: arm}], preload: false, stiffness: false}",
             "has none of preload",

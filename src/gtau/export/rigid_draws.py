@@ -152,7 +152,10 @@ class Target:
         """Draw unknowns (count, n + r)."""
         rng = np.random.default_rng(seed)
         y, H = self.mode(start)
-        T = np.linalg.inv(np.linalg.cholesky(H)).T  # unknowns of unit variance, were the density normal
+        try:
+            T = np.linalg.inv(np.linalg.cholesky(H)).T  # unknowns of unit variance, were the density normal
+        except np.linalg.LinAlgError:  # of a mode at the edge of the cone
+            raise GtauError(TOO_FAR) from None
         value, gradient = self.energy(y)
         if not np.isfinite(value):
             raise GtauError(TOO_FAR)

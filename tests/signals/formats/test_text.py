@@ -146,10 +146,10 @@ def _stamp(row: str) -> float:
     ("ending", "advice"),
     [
         (".npy", "save arrays by name in its place"),
-        (".csv.gz", "unpack it and give what it holds"),
+        (".csv.gz", "unpack it and give its content"),
         (".xlsx", "export its table as CSV"),
         (".tdms", "export its signals as CSV or MAT"),
-        (".log", "export what it holds as CSV, Parquet, NPZ, MAT or HDF5"),
+        (".log", "export its content as CSV, Parquet, NPZ, MAT or HDF5"),
     ],
 )
 def test_what_to_do_with_files_of_other_programs(ending: str, advice: str, tmp_path: Path) -> None:
