@@ -136,7 +136,8 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             effects, causes = estimated_effects(mixed), contradictions(mixed)
         frozen = list(frozen_encoders(fit))
         tried = _other_descriptions(fit, effort, effects, bool(frozen), progress)
-        if refit := next(filter(None, tried), None):
+        # one that leaves more of the residuals than the user's explains a single joint at most
+        if refit := next((other for other in tried if other is not None and other.share > 0), None):
             # what is linear about the wrong description explains nothing, and what columns would hold is its effect
             effects, causes, refits, findings = nothing, nothing, (refit,), []
         elif not findings and effort.gravity_open:
