@@ -30,21 +30,7 @@ if TYPE_CHECKING:
 
 
 class Result(IdentifiedModel):
-    """Drive gains, parameters and payloads of a robot, identified from its logs.
-
-    Attributes
-    ----------
-    robot : Robot
-        The robot.
-    estimates : ModelEstimates
-        Estimates with which the model predicts.
-    fit : FitRecord
-        How they were fitted, and to what.
-    evidence : Evidence
-        What speaks for and against them.
-
-    All fields of these groups are properties of the result, too.
-    """
+    """An identified model, with what is done with it: predict, validate, plot, report, save."""
 
     @classmethod
     def of(cls, model: IdentifiedModel) -> Result:

@@ -51,8 +51,8 @@ class IdentifiedModel:
 
     Attributes
     ----------
-    robot : Robot
-        The robot.
+    equations : Equations
+        The robot's inverse dynamic model, and its base parameters.
     estimates : ModelEstimates
         Estimates with which the model predicts.
     fit : FitRecord
