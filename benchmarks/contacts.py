@@ -28,8 +28,7 @@ from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import Pose
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
-from gtau.uses.external_torques import momentum_observer, predict_under_load
-from gtau.uses.wrench import wrench_along_log
+from gtau.uses.external_torques import momentum_observer, predict_under_load, wrench_along_log
 
 LOGS = ("ur10e", "rokae_sensor")
 FORCES = (5.0, 20.0, 100.0)  # N

@@ -33,11 +33,11 @@ from zoo import ENTRIES
 from gtau.estimation import identify as stages
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.experiment_runs import read_runs
+from gtau.estimation.friction.curves import group_estimates
 from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
 from gtau.estimation.friction.selection import FrictionFit, choose
 from gtau.estimation.regression.problem import Estimates
-from gtau.estimation.results.friction_curves import group_estimates
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.robot import PLAIN_FRICTION

@@ -30,7 +30,6 @@ from gtau.demo.run import CASES, make_experiment
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.results.estimate import Estimate, TorqueError
-from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.progress import Progress, silent
 from gtau.report.chart import Chart, intervals
 from gtau.report.gains import LARGEST
@@ -43,6 +42,7 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
 from gtau.simulation.simulation_file import read_simulation
 from gtau.simulation.trajectories import make_trajectory
+from gtau.uses.prediction import Prediction, torque_errors
 from gtau.uses.weigh import weigh
 
 DURATION = 20.0  # s, the paper's exciting trajectories

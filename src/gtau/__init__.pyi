@@ -9,7 +9,6 @@ from .estimation.results.estimate import Estimate as Estimate
 from .estimation.results.estimate import TorqueError as TorqueError
 from .estimation.results.payload_body import PayloadBody as PayloadBody
 from .estimation.results.payload_body import PayloadEstimate as PayloadEstimate
-from .estimation.results.predicted import Prediction as Prediction
 from .estimation.results.result import IdentifiedModel as IdentifiedModel
 from .excitation.design import Design as Design
 from .excitation.design import excite as excite
@@ -39,6 +38,7 @@ from .signals.run import read_run as read_run
 from .simulation.experiment_files import simulate as simulate
 from .simulation.simulation_file import Simulation as Simulation
 from .uses.external_torques import momentum_observer as momentum_observer
+from .uses.prediction import Prediction as Prediction
 from .uses.weigh import weigh as weigh
 from .watch.watch import Watch as Watch
 

@@ -7,7 +7,7 @@ from typing import Any
 SHOWN = {
     "Named": "gtau.estimation.results.estimate",
     "PayloadEstimate": "gtau.estimation.results.payload_body",
-    "Prediction": "gtau.estimation.results.predicted",
+    "Prediction": "gtau.uses.prediction",
     "EstimatorComparison": "gtau.estimation.compare",
     "ExperimentCheck": "gtau.estimation.check_logs",
 }

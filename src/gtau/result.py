@@ -12,16 +12,14 @@ from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
 from gtau.estimation.experiment_runs import ACCURACY, options_of
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.model_file import load, save
-from gtau.estimation.results.predicted import Prediction
-from gtau.estimation.results.result import IdentifiedModel
-from gtau.estimation.results.table import estimates_frame
+from gtau.estimation.results.result import IdentifiedModel, estimates_frame
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identify as uses
-from gtau.uses.prediction import predict, torques, validate
+from gtau.uses.prediction import Prediction, predict, torques, validate
 
 if TYPE_CHECKING:
     import polars as pl

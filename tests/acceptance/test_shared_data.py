@@ -19,7 +19,7 @@ from gtau.result import Result, identify
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
-from gtau.uses.runs import read_log
+from gtau.uses.identify import read_log
 from gtau.uses.weigh import weigh
 from gtau.watch.watch import Watch
 

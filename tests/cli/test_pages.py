@@ -263,10 +263,10 @@ def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_pa
 
 
 def test_a_chart_of_torques_is_titled_with_its_run() -> None:
-    from gtau.estimation.results.predicted import Prediction
     from gtau.report.render.charts import figure_of
     from gtau.report.torques import torques_chart
     from gtau.signals.preparation.filters import Decimator
+    from gtau.uses.prediction import Prediction
 
     time, torques = np.linspace(0.0, 1.0, 50), np.ones((50, 2))
     kept = np.ones((50, 2), dtype=bool)

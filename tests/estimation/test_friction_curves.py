@@ -13,8 +13,8 @@ from models_to_export import of_equations
 import gtau
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState, stop
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
-from gtau.estimation.friction.structure import Structure, parameter_columns
-from gtau.estimation.regression.friction_terms import FORMULAS
+from gtau.estimation.friction.selection import Structure, parameter_columns
+from gtau.estimation.regression.rows import FORMULAS
 from gtau.robots.parameter import KINDS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 

@@ -19,7 +19,7 @@ from gtau.robots.robot import Limits, Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import PreparedRun
 from gtau.signals.run import Run, read_run
-from gtau.uses.runs import experiment_of
+from gtau.uses.identify import experiment_of
 
 
 def limited(limits: Limits) -> Robot:

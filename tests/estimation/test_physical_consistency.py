@@ -14,13 +14,13 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.standard_parameters import (
+from gtau.estimation.estimators.physical_consistency import (
     BASIS,
     LAST_OVERHANG,
     MARGIN,
     OVERHANG,
     Body,
+    Consistency,
     ball_row,
     constrained_least_squares,
     pseudo_inertia,

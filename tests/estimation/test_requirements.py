@@ -11,7 +11,6 @@ from five_bar_logs import Plant, write_experiment
 import gtau
 from gtau.estimation.results.estimate import Requirement
 from gtau.estimation.results.model_file import to_document
-from gtau.estimation.results.predicted import Prediction
 from gtau.report.evidence import RunEvidence, gather
 from gtau.report.identification import report_page, summary_page, verdict_section
 from gtau.report.page import Page, Text
@@ -19,6 +18,7 @@ from gtau.report.render.terminal import plain
 from gtau.report.torques import determination
 from gtau.report.uncertainty import correlation_section
 from gtau.signals.preparation.filters import Decimator
+from gtau.uses.prediction import Prediction
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,7 @@ from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
 from gtau.estimation.effects.known.torque_scale import EFFECT as TORQUE_SCALE
-from gtau.estimation.results.conclusions import headline
-from gtau.estimation.results.torque_scale import torque_scale_text, torque_scales
+from gtau.estimation.results.conclusions import headline, torque_scale_text, torque_scales
 from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify

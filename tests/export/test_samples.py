@@ -13,7 +13,7 @@ from models_to_export import model_of
 from stated_arm import chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.standard_parameters import pseudo_inertia
+from gtau.estimation.estimators.physical_consistency import pseudo_inertia
 from gtau.export.exported import export_model
 from gtau.export.samples import Draws, draw
 from gtau.model.home import load_robot

@@ -10,9 +10,10 @@ from robots_for_tests import slider_crank
 
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.results.estimate import Estimate, FrictionCurve
-from gtau.estimation.results.groups import FitRecord, ModelEstimates
+from gtau.estimation.friction.curves import FrictionCurve
+from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate
+from gtau.estimation.results.result import FitRecord, ModelEstimates
 from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import Result

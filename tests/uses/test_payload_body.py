@@ -11,7 +11,7 @@ from plausible_parameters import body_parameters, random_parameters
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.standard_parameters import pseudo_inertia
+from gtau.estimation.estimators.physical_consistency import pseudo_inertia
 from gtau.estimation.results.payload_body import QUANTITIES, PayloadBody, PayloadEstimate, Weighed, quantities
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -18,7 +18,7 @@ from gtau.model.home import load_robot
 from gtau.robots.readers.links import frame_on
 from gtau.signals.reading.statements import Payload
 from gtau.uses.external_torques import torques_along_log, write_table
-from gtau.uses.runs import carrying
+from gtau.uses.identify import carrying
 
 PLANT = Plant(noise=0.005)
 

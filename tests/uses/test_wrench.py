@@ -23,8 +23,7 @@ from gtau.robots.placement import WRENCH
 from gtau.robots.readers.links import frame_on
 from gtau.robots.robot import Robot
 from gtau.simulation.closed_loop import write_log
-from gtau.uses.external_torques import torques_along_log
-from gtau.uses.wrench import BEYOND
+from gtau.uses.external_torques import BEYOND, torques_along_log
 
 SCREW = np.array([1.0, -2.0, 0.5, 10.0, 20.0, -15.0])  # moment, force
 FRAME = "0.05 -0.1 0.2 0.3 -0.4 0.5"

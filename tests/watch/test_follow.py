@@ -19,7 +19,7 @@ from five_bar_logs import Plant, write_experiment, write_log
 
 from gtau.result import Result, identify
 from gtau.signals.run import Run
-from gtau.uses.runs import read_log
+from gtau.uses.identify import read_log
 from gtau.watch.follow import SETTLED, follow
 from gtau.watch.watch import Watch
 

@@ -67,7 +67,7 @@ def validate(
         from gtau.report.evidence import predicted, settings_of
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
         from gtau.report.write import inputs_of, write_report
-        from gtau.uses.runs import experiment_of as experiment_for
+        from gtau.uses.identify import experiment_of as experiment_for
 
         result = load(model)
         described = experiment_for(result, experiment)
@@ -128,8 +128,7 @@ def payload(
     if to is not None and out is None:
         raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
-        from gtau.estimation.results.model_document import payload_documents
-        from gtau.estimation.results.model_file import load
+        from gtau.estimation.results.model_file import load, payload_documents
         from gtau.report.evidence import settings_of
         from gtau.report.validation import bodies_document, weighing_page
         from gtau.report.write import inputs_of, write_report
@@ -244,7 +243,7 @@ def export(
             from gtau.estimation.experiment_runs import read_runs
             from gtau.estimation.results.model_file import load
             from gtau.export.thresholds import export_thresholds
-            from gtau.uses.runs import experiment_of as experiment_for
+            from gtau.uses.identify import experiment_of as experiment_for
 
             result = load(model)
             described = experiment_for(result, experiment)
@@ -296,11 +295,10 @@ def use(
     has the columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file
     names others. FILE gets motor, model and external torque of every sample, and the wrench at --frame.
     """
-    from gtau.estimation.results.model_document import torque_error
-    from gtau.estimation.results.model_file import load
+    from gtau.estimation.results.model_file import load, torque_error
     from gtau.report.torques import external_page
     from gtau.uses.external_torques import torques_along_log, write_table
-    from gtau.uses.runs import read_log
+    from gtau.uses.identify import read_log
 
     if force_only and frame is None:
         raise GtauError(

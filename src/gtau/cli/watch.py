@@ -63,7 +63,7 @@ def watch(
     refuse_as_folder(out)
     from gtau.estimation.results.model_file import load
     from gtau.signals.reading.experiment import read_experiment
-    from gtau.uses.runs import read_log
+    from gtau.uses.identify import read_log
     from gtau.watch.follow import follow as blocks
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch

@@ -24,13 +24,13 @@ from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.experiment_runs import Options, Subject, geometry_of
+from gtau.estimation.friction.curves import friction_step
 from gtau.estimation.preconditions import Attempt, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
-from gtau.estimation.results.friction_curves import friction_step
+from gtau.estimation.results.conclusions import SCALE_UNTESTED
 from gtau.estimation.results.result import NO_BODIES, IdentifiedModel
-from gtau.estimation.results.torque_scale import SCALE_UNTESTED
 from gtau.findings import Finding, Grade
 from gtau.findings.words import listed
 from gtau.progress import Progress, silent

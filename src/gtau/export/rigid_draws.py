@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtri, gammaln, ndtri, stdtr
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.standard_parameters import BASIS, SLENDER, natural_size, pseudo_inertia
+from gtau.estimation.estimators.physical_consistency import BASIS, SLENDER, natural_size, pseudo_inertia
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.geometry import characteristic_length

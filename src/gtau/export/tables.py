@@ -15,8 +15,7 @@ from unicodedata import normalize
 from gtau.documents.files import identifier, in_csv
 from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.results.estimate import Estimate
-from gtau.estimation.results.result import IdentifiedModel
-from gtau.estimation.results.table import estimates_frame, estimates_table
+from gtau.estimation.results.result import IdentifiedModel, estimates_frame, estimates_table
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import wrapped
 from gtau.findings import Grade

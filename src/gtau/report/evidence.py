@@ -9,14 +9,13 @@ import numpy as np
 
 from gtau.errors import GtauError, quoted
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.predicted import Prediction, torque_errors
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
 from gtau.progress import Progress, silent
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.notes import reading
 from gtau.signals.run import Run
-from gtau.uses.prediction import predict
+from gtau.uses.prediction import Prediction, predict, torque_errors
 from gtau.uses.weigh import undeclared_load
 
 LONGEST = 300_000  # samples; of longer runs only the beginning is predicted

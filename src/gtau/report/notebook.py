@@ -10,7 +10,6 @@ from gtau.estimation.check_logs import ExperimentCheck
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.check import check_page
 from gtau.report.comparison import comparison_page
@@ -23,6 +22,7 @@ from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
 from gtau.report.write import stamped
+from gtau.uses.prediction import Prediction
 
 SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 

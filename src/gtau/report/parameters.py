@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
-from gtau.estimation.regression.friction_terms import SLOPES
-from gtau.estimation.results.estimate import Estimate, FrictionCurve
-from gtau.estimation.results.result import IdentifiedModel
-from gtau.estimation.results.table import estimates_table
+from gtau.estimation.friction.curves import FrictionCurve
+from gtau.estimation.regression.rows import SLOPES
+from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.result import IdentifiedModel, estimates_table
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, value_cells

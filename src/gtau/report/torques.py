@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
@@ -31,6 +30,7 @@ from gtau.report.page import (
     table_of,
 )
 from gtau.robots.parameter import torque_unit
+from gtau.uses.prediction import Prediction
 
 if TYPE_CHECKING:
     from gtau.uses.external_torques import TorquesAlongLog

@@ -8,7 +8,7 @@ from typing import Any
 
 from gtau.documents.files import write_table
 from gtau.estimation.results.conclusions import headline as headline_of_model
-from gtau.estimation.results.model_document import torque_error
+from gtau.estimation.results.model_file import torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade

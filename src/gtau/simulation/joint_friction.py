@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import JOINT_TERMS, FrictionLaw
-from gtau.estimation.regression.friction_terms import FORMULAS
+from gtau.estimation.regression.rows import FORMULAS
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import BY_LOAD, Parameter, parameter_of

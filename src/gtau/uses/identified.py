@@ -19,7 +19,7 @@ import numpy as np
 
 from gtau.documents.files import identifier
 from gtau.estimation.friction.law import transmitted
-from gtau.estimation.regression.friction_terms import SLOPES
+from gtau.estimation.regression.rows import SLOPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.model import dynamics

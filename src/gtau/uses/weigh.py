@@ -35,7 +35,7 @@ from gtau.robots.parameter import TERMS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run
-from gtau.uses.runs import require_same
+from gtau.uses.identify import require_same
 
 
 @takes(model=("the result of gtau.identify or gtau.Result.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)

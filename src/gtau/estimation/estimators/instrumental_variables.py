@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.estimators.didim import resimulated_runs
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import RANK, jacobian, moved, one_step, residuals, squared, to_gains
-from gtau.estimation.estimators.simulated_motion import resimulated_runs
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangles, triangle
 from gtau.estimation.regression.problem import Problem

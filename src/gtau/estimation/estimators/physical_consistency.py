@@ -12,26 +12,285 @@ Unidentifiable directions are taken close to a plausible robot: solid links of e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, missing_extra
 from gtau.estimation.estimators.estimator import Solution, jackknife
 from gtau.estimation.estimators.newton import jacobian, moved, residuals, squared, stacked
-from gtau.estimation.estimators.standard_parameters import (
-    StandardUnknowns,
-    constrained_least_squares,
-    pseudo_inertia,
-    standard_unknowns,
-)
 from gtau.estimation.regression.assembly import theta_equations
+from gtau.estimation.regression.column_blocks import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.robots.robot import INERTIAL
+from gtau.robots.geometry import characteristic_length, extent, longest_placement
+from gtau.robots.parameter import DISSIPATING, KINDS, Parameter
+from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
+from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import Prior
+
+OVERHANG = 0.5  # reach of a body's mass beyond the ball around its joints, in lengths of the robot's longest link
+LAST_OVERHANG = 1.2  # the same reach of a body that no other follows, in lengths of the longest link
+
+ROOT2 = np.sqrt(2.0)
+MARGIN = 1e-6
+LOOSE = 10.0  # natural sizes: standard deviation of the prior on parameters without a stated one
+SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
+
+
+def _basis() -> np.ndarray:
+    """Build the pseudo-inertias of unit parameters, in the order of INERTIAL, (10, 4, 4)."""
+    basis = np.zeros((10, 4, 4))
+    for k, name in enumerate(INERTIAL):
+        axes = ["xyz".index(letter) for letter in name if letter in "xyz"]
+        if name == "m":
+            basis[k, 3, 3] = 1.0
+        elif name.startswith("m"):
+            basis[k, axes[0], 3] = basis[k, 3, axes[0]] = 1.0
+        elif axes[0] == axes[1]:
+            basis[k, :3, :3] = np.eye(3) / 2  # Sigma = tr(I)/2 - I
+            basis[k, axes[0], axes[0]] -= 1.0
+        else:
+            basis[k, axes[0], axes[1]] = basis[k, axes[1], axes[0]] = -1.0  # xy = -int x y dm
+    return basis
+
+
+BASIS = _basis()
+
+
+def pseudo_inertia(values: np.ndarray) -> np.ndarray:
+    """Build the pseudo-inertia (4, 4) of inertial parameters (10,), in the order of INERTIAL, SI units."""
+    return np.einsum("k,kij->ij", values, BASIS)
+
+
+def ball_row(centre: np.ndarray, radius: float) -> np.ndarray:
+    """Build the row (10,) whose product with a body's parameters is not negative if its mass lies within a ball.
+
+    It is ``tr(J Q)`` of the pseudo-inertia J, the integral of ``radius^2 - |x - centre|^2`` over the mass: it bounds
+    the distance of the centre of mass, and the radius of gyration about the centre of the ball, by the ball's radius
+    (Wensing, Kim and Slotine, 2018).
+    """
+    Q = np.zeros((4, 4))
+    Q[:3, :3], Q[3, 3] = -np.eye(3), radius**2 - centre @ centre
+    Q[:3, 3] = Q[3, :3] = centre
+    return np.einsum("kij,ij->k", BASIS, Q)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A body: the place of each of its ten parameters among the unknowns, -1 for ``known`` values (10,)."""
+
+    name: str
+    places: np.ndarray
+    known: np.ndarray
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """Return the body's inertial parameters (10,)."""
+        return np.where(self.places < 0, self.known, x[self.places])
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBodies:
+    """Constraints of unknowns x (c,) by rigid bodies and bounds.
+
+    The pseudo-inertias of ``bodies`` are held above the share MARGIN of ``mass`` (kg), in lengths of ``length`` (m);
+    ``unit`` (c,) are natural sizes of the unknowns, for the solver's scaling; ``lower`` and ``upper`` (c,) bound them,
+    infinite where there are none; ``within @ x >= 0`` (k, c), see :func:`ball_row`.
+    """
+
+    bodies: tuple[Body, ...]
+    unit: np.ndarray
+    mass: float
+    length: float
+    lower: np.ndarray
+    upper: np.ndarray
+    within: np.ndarray
+
+    def beside(self, sizes: np.ndarray) -> RigidBodies:
+        """Append unknowns of these natural ``sizes`` without constraints."""
+        more = len(sizes)
+        lower, upper = (np.append(x, np.full(more, end)) for x, end in ((self.lower, -np.inf), (self.upper, np.inf)))
+        unit, within = np.append(self.unit, sizes), np.pad(self.within, ((0, 0), (0, more)))
+        return replace(self, unit=unit, lower=lower, upper=upper, within=within)
+
+
+def unbounded(bodies: Sequence[Body], unit: np.ndarray, mass: float, length: float) -> RigidBodies:
+    """Constrain unknowns by rigid bodies alone."""
+    free, none = np.full(len(unit), np.inf), np.zeros((0, len(unit)))
+    return RigidBodies(tuple(bodies), unit, mass, length, -free, free, none)
+
+
+def constrained_least_squares(R: np.ndarray, y: np.ndarray, rigid: RigidBodies) -> np.ndarray:
+    """Minimise ``|R x - y|``, R (r, c), over unknowns (c,) that are consistent with rigid bodies; all must enter R.
+
+    Raises GtauError.
+    """
+    try:
+        import clarabel
+    except ModuleNotFoundError:
+        raise missing_extra("a search for physically consistent parameters", "clarabel", "consistency") from None
+    from scipy.sparse import csc_array, diags_array, hstack, vstack
+
+    r, c = R.shape
+    # unknowns (x / unit, e) with e = R x - y, so that R^T R is never formed
+    rows = [hstack([csc_array(R * rigid.unit), -diags_array(np.ones(r))])]
+    right, cones = [y], [clarabel.ZeroConeT(r)]
+    limits, ends = _inequalities(rigid)
+    if len(ends):
+        rows.append(hstack([csc_array(limits), csc_array((len(ends), r))]))
+        right.append(ends)
+        cones.append(clarabel.NonnegativeConeT(len(ends)))
+    for block, end in _pseudo_inertias(rigid):
+        rows.append(hstack([csc_array(block), csc_array((len(end), r))]))
+        right.append(end)
+        cones.append(clarabel.PSDTriangleConeT(4))
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    objective = diags_array(np.append(np.zeros(c), np.ones(r)), format="csc")
+    stacked = csc_array(vstack(rows, format="csc"))
+    problem = clarabel.DefaultSolver(objective, np.zeros(c + r), stacked, np.concatenate(right), cones, settings)
+    solved = problem.solve()
+    if solved.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
+        raise GtauError(
+            f"no rigid bodies can have these parameters (the solver says '{solved.status}'); "
+            "check the bounds under 'priors' and the known parameters of the payloads."
+        )
+    return np.asarray(solved.x)[:c] * rigid.unit
+
+
+def _inequalities(rigid: RigidBodies) -> tuple[np.ndarray, np.ndarray]:
+    """Write bounds and balls as rows ``A z <= end`` of the scaled unknowns z, (k, c) and (k,)."""
+    rows, ends, eye = [], [], np.eye(len(rigid.unit))
+    for sign, bound in ((-1.0, rigid.lower), (1.0, rigid.upper)):
+        k = np.isfinite(bound)
+        rows.append(sign * eye[k])
+        ends.append(sign * bound[k] / rigid.unit[k])
+    rows.append(-rigid.within * rigid.unit)
+    ends.append(np.zeros(len(rigid.within)))
+    return np.concatenate(rows), np.concatenate(ends)
+
+
+def _pseudo_inertias(rigid: RigidBodies) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Write the pseudo-inertia of each body, less its lower limit, as ``end - A z``, (10, c) and (10,)."""
+    i, j = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+    scale = np.append(np.full(3, 1 / rigid.length), 1.0)
+    vectors = (BASIS * np.outer(scale, scale))[:, i, j] * np.where(i == j, 1.0, ROOT2)  # (10, 10)
+    floor = MARGIN * np.where(i == j, 1.0, 0.0)
+    for body in rigid.bodies:
+        free = body.places >= 0
+        block = np.zeros((10, len(rigid.unit)))
+        block[:, body.places[free]] = -(vectors[free] * rigid.unit[body.places[free], None]).T / rigid.mass
+        yield block, body.known[~free] @ vectors[~free] / rigid.mass - floor
+
+
+@dataclass(frozen=True, eq=False)
+class StandardUnknowns:
+    """Unknowns x (c,) of the consistent fit, ``theta = S x`` of the problem, and what they may be.
+
+    Their priors have the means ``centre`` and the standard deviations ``std``.
+    """
+
+    names: tuple[Parameter, ...]
+    S: np.ndarray
+    centre: np.ndarray
+    std: np.ndarray
+    rigid: RigidBodies
+
+
+def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, Prior]) -> StandardUnknowns:
+    """List the standard parameters behind the problem's, with their priors."""
+    robot, problem = system.dataset.robot, system.unreduced
+    bodies, names, S = _regrouped(system)
+    length = characteristic_length(robot)
+    mass = _mass_scale(robot, problem, solution, length)
+    unit = np.array([natural_size(name, robot, mass, length, problem.channels) for name in names])
+    centre, std = np.zeros(len(names)), LOOSE * unit
+    plausible = np.array([mass / len(robot.bodies) * (SLENDER * length) ** 2] * 10)
+    plausible[[1, 2, 4, 6, 7, 8]] = 0.0
+    plausible[9] = mass / len(robot.bodies)
+    for body in bodies:
+        centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
+    dissipates = [name.kind in DISSIPATING and name.run is None for name in names]
+    lower, upper = np.where(dissipates, 0.0, -np.inf), np.full(len(names), np.inf)
+    place: dict[str, int] = {name: k for k, name in enumerate(names)}
+    for stated, prior in priors.items():
+        if stated not in place:  # a base parameter: see known_equations
+            continue
+        k = place[stated]
+        lower[k] = lower[k] if prior.min is None else prior.min
+        upper[k] = upper[k] if prior.max is None else prior.max
+        if prior.value is not None and prior.std is not None:
+            centre[k], std[k] = prior.value, prior.std
+    robot_bodies = bodies[: len(bodies) - len(system.payloads)]
+    within = within_reach(robot, robot_bodies, len(names)) / (mass * length**2)
+    rigid = RigidBodies(tuple(bodies), unit, mass, length, lower, upper, within)
+    return StandardUnknowns(tuple(names), S, centre, std, rigid)
+
+
+def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]:
+    """List the bodies, payloads last, the unknowns (c,), and what these add to the problem's parameters, (., c)."""
+    base, problem, kinds = system.dataset.base, system.unreduced, len(INERTIAL)
+    names = list(system.dataset.model.parameter_names)
+    place = {name: k for k, name in enumerate(names)}
+    bodies = [
+        Body(body, np.array([place[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(kinds))
+        for body in system.dataset.robot.bodies
+        if Parameter("m", body) in place
+    ]
+    for payload in system.payloads:
+        label, known, first = payload.label, known_values(payload.payload), len(names)
+        summed = {kind: first + k for k, kind in enumerate(payload.summed)}
+        places = np.array([summed.get(kind, -1) for kind in INERTIAL])
+        bodies.append(Body(label, places, np.array([known.get(kind, 0.0) for kind in INERTIAL])))
+        names += [Parameter(kind, label) for kind in payload.summed]
+    payload_parameters = {name for payload in system.payloads for name in payload.unknown}
+    others = [name for name in problem.parameters[base.count :] if name not in payload_parameters]
+    S = np.zeros((len(problem.parameters), len(names) + len(others)))
+    S[: base.count, : len(place)] = base.matrix
+    end = len(place)
+    for payload in system.payloads:
+        begin, end = end, end + len(payload.summed)
+        S[problem.unknowns.at(payload.unknown), begin:end] = payload.sums
+    S[problem.unknowns.at(others), np.arange(end, end + len(others))] = 1.0
+    return bodies, [*names, *others], S
+
+
+def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:
+    """Build rows (bodies, count) that keep the mass of each body within reach of its frames; see :func:`extent`."""
+    longest, rows = longest_placement(robot), np.zeros((len(bodies), count))
+    for row, body in zip(rows, bodies, strict=True):
+        middle, radius, ends = extent(robot, body.name)
+        row[body.places] = ball_row(middle, radius + (LAST_OVERHANG if ends else OVERHANG) * longest)
+    return rows
+
+
+def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
+    """Compute the mass that the largest rms torque would hold against gravity, kg."""
+    lever = [length if robot.joint(joint).turns else 1.0 for joint in problem.joints]
+    torques = (np.abs(solution.gains) * problem.signal)[: len(lever)]
+    return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)
+
+
+def natural_size(name: Parameter, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:
+    """Return a size of a standard parameter that a robot of this ``mass`` (kg) and ``length`` (m) might have.
+
+    The parameter may be one of the ``channels``' own.
+    """
+    kind, body = name.kind, name.body
+    if kind in INERTIAL:
+        return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
+    if any(spring.name == body for spring in robot.springs):
+        return mass * STANDARD_GRAVITY / (length if kind == STIFFNESS else 1.0)
+    joint = next((channel.joint for channel in channels if channel.name == body), body)
+    turns = robot.joint(joint).turns
+    if kind == "ia":
+        return mass * length**2 if turns else mass
+    if KINDS[kind].units[0] == "1":
+        return 1.0
+    return mass * STANDARD_GRAVITY * (length if turns else 1.0)
+
 
 STEPS = 40
 CONVERGED = 1e-3  # of a standard deviation

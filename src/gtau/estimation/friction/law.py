@@ -7,7 +7,7 @@ A joint's friction is
 with ``z = sign(qd)`` where it slides, and where its logs show presliding the state of a stop operator of its width
 (:func:`stop`). ``fb`` is the excess of friction at rest over fast sliding: Stribeck's effect where positive, viscous
 friction that saturates where negative. Both and ``fl`` come from all samples
-(:mod:`gtau.estimation.results.friction_curves`), with coefficients for which the law dissipates energy at every speed.
+(:mod:`gtau.estimation.friction.selection`), with coefficients for which the law dissipates energy at every speed.
 
 The plain law of the equations of identification is the same with ``z = sign(qd)`` and a cubic term ``f3 qd^3``. Its
 coefficients may be negative, and a polynomial says nothing beyond the speeds of the logs: with ``f3 < 0`` it turns into
@@ -33,8 +33,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.regression.friction_terms import FORMULAS, SLOPES, Sliding
 from gtau.estimation.regression.plausibility import motor_to_joint_speed
+from gtau.estimation.regression.rows import FORMULAS, SLOPES, Sliding
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter

@@ -14,8 +14,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.friction.law import JOINT_TERMS, FrictionLaw, PreslidingState
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import add_products, delayed_signal
-from gtau.estimation.regression.friction_terms import Sliding, column
-from gtau.estimation.regression.rows import Law, Rows, stream_rows
+from gtau.estimation.regression.rows import Law, Rows, Sliding, column, stream_rows
 from gtau.model.loops import Motion
 from gtau.robots.parameter import DRY, TEMPERATURE_TERMS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION

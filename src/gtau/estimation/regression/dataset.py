@@ -19,7 +19,6 @@ from gtau.estimation.regression.assembly import (
     scale_of_file,
     unexcited,
 )
-from gtau.estimation.regression.bandwidth_trials import best_of_trials
 from gtau.estimation.regression.column_blocks import (
     ColumnBlock,
     PayloadColumns,
@@ -31,7 +30,7 @@ from gtau.estimation.regression.column_blocks import (
     temperatures_of,
 )
 from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
-from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
+from gtau.estimation.regression.plausibility import best_of_trials, check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of

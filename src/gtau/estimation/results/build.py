@@ -13,22 +13,21 @@ from gtau.estimation.diagnostics.stated_constants import scale_shares
 from gtau.estimation.diagnostics.verdict import GOOD, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
+from gtau.estimation.friction.curves import FrictionCurve, friction_unit, reference_temperatures
 from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.results.estimate import (
     Estimate,
-    FrictionCurve,
     Named,
     SensorEstimate,
     TorqueError,
     distances_along,
     nearest_poses,
 )
-from gtau.estimation.results.friction_curves import friction_unit, reference_temperatures
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
 from gtau.estimation.results.payload_body import PayloadEstimate, Weighed
+from gtau.estimation.results.result import Evidence, FitRecord, ModelEstimates
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import longest_placement

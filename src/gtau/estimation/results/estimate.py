@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
-from pydantic import NonNegativeFloat
 
 from gtau.documents.files import write_table
 from gtau.errors import GtauError, UnknownName
@@ -116,26 +115,6 @@ class Named(dict[Key, Estimate], Generic[Key]):
 
 
 @dataclass(frozen=True)
-class FrictionCurve:
-    """What the data say of the friction of a joint on all samples; see :mod:`gtau.estimation.friction.law`.
-
-    Attributes
-    ----------
-    joint : str
-        Its name.
-    evidence : dict
-        By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
-    error, plain_error : float
-        Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
-    """
-
-    joint: str
-    evidence: Mapping[str, float]
-    error: NonNegativeFloat
-    plain_error: NonNegativeFloat
-
-
-@dataclass(frozen=True)
 class SensorEstimate:
     """The sensor of a joint, behind its drive: its offset and friction by name, its delay (s), and its residual.
 
@@ -160,22 +139,6 @@ class SensorEstimate:
     def verdict(self) -> Finding:
         """Verdict on its agreement with the other stated constants."""
         return GOOD if self.ratio is None else self.ratio.verdict
-
-
-@dataclass(frozen=True)
-class ReferenceTemperatures:
-    """Mean temperatures over the runs, by joint, at which friction has the values of the parameters.
-
-    ``unit`` is the unit of the log's columns, of a temperature or of the time since start.
-    """
-
-    unit: str
-    of_joint: Mapping[str, float]
-
-    @property
-    def per(self) -> str:
-        """Unit of a difference, by which the slopes of friction are divided."""
-        return "K" if self.unit == "degC" else self.unit
 
 
 @dataclass(frozen=True)

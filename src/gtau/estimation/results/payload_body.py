@@ -18,7 +18,7 @@ import numpy as np
 from gtau.documents.validation import PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import GOOD
-from gtau.estimation.estimators.standard_parameters import Body, constrained_least_squares, unbounded
+from gtau.estimation.estimators.physical_consistency import Body, constrained_least_squares, unbounded
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding
 from gtau.robots.parameter import RigidBody, inertial_parameters

@@ -1,27 +1,18 @@
-"""Identified model of a robot: its four groups, and what follows from them."""
+"""Identified model of a robot: its estimates, how they were fitted, the evidence on them, and what follows."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
 from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.friction.curves import FrictionCurve, ReferenceTemperatures
 from gtau.estimation.friction.law import FrictionLaw
-from gtau.estimation.results.estimate import (
-    Estimate,
-    FrictionCurve,
-    Named,
-    NearestPose,
-    ReferenceTemperatures,
-    Requirement,
-    SensorEstimate,
-    TorqueError,
-)
-from gtau.estimation.results.groups import Evidence, FitRecord, ModelEstimates
+from gtau.estimation.results.estimate import Estimate, Named, NearestPose, Requirement, SensorEstimate, TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import BaseParameters, Equations
@@ -32,11 +23,69 @@ from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
+    import polars as pl
+
     from gtau.estimation.diagnostics.geometry import GeometryTest
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
     from gtau.estimation.estimators.physical_consistency import Consistency
 
 NO_BODIES = "no physically consistent parameters"
+
+
+@dataclass(frozen=True, eq=False)
+class ModelEstimates:
+    """Estimates with which the model predicts."""
+
+    drive_gains: Named[str]
+    delays: Named[str]
+    parameters: Named[Parameter]
+    friction: Named[Parameter]
+    payloads: tuple[PayloadEstimate, ...]
+    covariance_names: tuple[Parameter, ...]
+    covariance: np.ndarray
+    sensors: tuple[SensorEstimate, ...] = ()
+    temperatures: ReferenceTemperatures | None = None
+    consistency: Consistency | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("drive_gains", "delays", "parameters", "friction"):
+            object.__setattr__(self, name, Named(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False)
+class FitRecord:
+    """How the estimates were fitted, and to what; ``model.json`` holds neither ``data`` nor ``singular_values``."""
+
+    method: str
+    kind: str
+    runs: tuple[str, ...]
+    preparation: Preparation
+    residuals: tuple[TorqueError, ...]
+    logged_speeds: Mapping[str, float]
+    statistics: Mapping[str, float]
+    scale: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    singular_values: tuple[float, ...] = ()
+    data: tuple[Run, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What speaks for and against the estimates; ``model.json`` does not hold the ``distances``."""
+
+    notes: tuple[Finding, ...] = ()
+    effects: tuple[EstimatedEffect, ...] = ()
+    curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
+    equation_friction: Named[Parameter] = field(default_factory=Named)
+    geometry: GeometryTest | None = None
+    audit: InertiaAudit | None = None
+    requirements: tuple[Requirement, ...] = ()
+    singularities: tuple[NearestPose, ...] = ()
+    distances: tuple[np.ndarray, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "equation_friction", Named(self.equation_friction))
+
+
 GROUPS: Mapping[str, str] = {
     field.name: group
     for group, kind in (("estimates", ModelEstimates), ("fit", FitRecord), ("evidence", Evidence))
@@ -85,12 +134,15 @@ class IdentifiedModel:
 
     @property
     def parameters(self) -> Named[Parameter]:
-        """All base parameters by name."""
+        """All base parameters by name, friction on all samples among them.
+
+        As in the paper, ``as_paper`` estimates the essential ones again, and the others have no value.
+        """
         return self.estimates.parameters
 
     @property
     def friction(self) -> Named[Parameter]:
-        """Friction beyond that among the base parameters."""
+        """Friction beyond the base parameters by name, such as ``fb_J``, ``fl_J``, ``fvt_J`` and ``width_J``."""
         return self.estimates.friction
 
     @property
@@ -110,7 +162,7 @@ class IdentifiedModel:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance of parameters, gains and delays."""
+        """Covariance of parameters, gains and delays, by the block jackknife."""
         return self.estimates.covariance
 
     @property
@@ -150,7 +202,7 @@ class IdentifiedModel:
 
     @property
     def logged_speeds(self) -> Mapping[str, float]:
-        """Largest speed of each actuated joint among the rows used, rad/s or m/s."""
+        """Largest speed of each actuated joint among the rows used, rad/s or m/s; friction is extrapolated beyond."""
         return self.fit.logged_speeds
 
     @property
@@ -292,3 +344,55 @@ class IdentifiedModel:
         """Whether the result is :attr:`believable`, has all that was asked for, and meets all requirements."""
         lacking = any(note.kind == NO_BODIES for note in self.notes)
         return self.believable and not lacking and all(requirement.met for requirement in self.requirements)
+
+
+class Row(NamedTuple):
+    """An estimate in its group."""
+
+    group: str
+    estimate: Estimate
+
+
+def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
+    """List all estimates of a result, each once.
+
+    Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
+    terms that the data ask for), ``logged speed`` (up to which friction is identified), ``torque sensor JOINT`` and
+    ``payload NAME of RUN``.
+    """
+    friction = {name: name.kind in PLAIN_FRICTION for name in result.parameters}
+    robot = result.robot
+    speeds = [
+        Estimate(joint, speed, None, f"{robot.joint(joint).unit}/s") for joint, speed in result.logged_speeds.items()
+    ]
+    groups: list[tuple[str, Iterable[Estimate]]] = [
+        ("drive gain", result.drive_gains.values()),
+        ("delay", result.delays.values()),
+        ("base parameter", [estimate for name, estimate in result.parameters.items() if not friction[name]]),
+        ("friction", [estimate for name, estimate in result.parameters.items() if friction[name]]),
+        ("friction", result.friction.values()),
+        ("logged speed", speeds),
+        *((f"{sensor.kind.name} {sensor.joint}", sensor.parameters.values()) for sensor in result.sensors),
+        *((f"payload {payload.name} of {payload.run}", payload.parameters.values()) for payload in result.payloads),
+    ]
+    return (Row(group, estimate) for group, estimates in groups for estimate in estimates)
+
+
+def estimates_frame(result: IdentifiedModel) -> pl.DataFrame:
+    """Tabulate all estimates of a result, one row each.
+
+    Columns: ``group`` (see :func:`estimates_table`), ``name``, ``value``, ``std``, ``rel_std`` (per cent), ``low`` and
+    ``high`` of the 95 % interval, ``unit``, ``verdict``, ``essential`` (whether the reduction keeps a base parameter;
+    null for other estimates) and ``regrouping``. Null where there is no value.
+    """
+    import polars as pl
+
+    numbers = dict.fromkeys(("value", "std", "rel_std", "low", "high"), pl.Float64)
+    texts = dict.fromkeys(("group", "name"), pl.String)
+    rest = {"unit": pl.String, "verdict": pl.String, "essential": pl.Boolean, "regrouping": pl.String}
+    rows = []
+    for group, estimate in estimates_table(result):
+        interval, verdict = estimate.interval() or (None, None), estimate.verdict.outcome.value
+        numbered = (estimate.value, estimate.std, estimate.rel_std, *interval)
+        rows.append((group, estimate.name, *numbered, estimate.unit, verdict, estimate.essential, estimate.regrouping))
+    return pl.DataFrame(rows, schema={**texts, **numbers, **rest}, orient="row")

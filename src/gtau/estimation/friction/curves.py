@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from pydantic import NonNegativeFloat
 
 from gtau.estimation.estimators.estimator import Fit, jackknife
 from gtau.estimation.estimators.huber import CONVERGED, PASSES, TUNING, robust_sigma, sandwich_factor
@@ -17,19 +19,57 @@ from gtau.estimation.friction.normal_equations import (
     normal_equations,
 )
 from gtau.estimation.friction.selection import (
+    SHAPE_OF,
+    WORDS,
     FrictionFit,
     choose,
+    parameter_columns,
+    place,
     with_shapes,
 )
-from gtau.estimation.friction.structure import SHAPE_OF, WORDS, parameter_columns, place
 from gtau.estimation.regression.problem import Estimates
-from gtau.estimation.results.estimate import FrictionCurve, ReferenceTemperatures
 from gtau.robots.parameter import TEMPERATURE_TERMS, Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 
 # Standard deviation of the logarithm of a width or speed between those tried, whose columns are interpolated: over 18
 # widths and 9 speeds of a simulated UR10e and Puma 560 the rms was this where noise gave a fifth of it.
 BETWEEN = {"width": 0.09, "speed": 0.07}
+
+
+@dataclass(frozen=True)
+class FrictionCurve:
+    """What the data say of the friction of a joint on all samples; see :mod:`gtau.estimation.friction.law`.
+
+    Attributes
+    ----------
+    joint : str
+        Its name.
+    evidence : dict
+        By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
+    error, plain_error : float
+        Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
+    """
+
+    joint: str
+    evidence: Mapping[str, float]
+    error: NonNegativeFloat
+    plain_error: NonNegativeFloat
+
+
+@dataclass(frozen=True)
+class ReferenceTemperatures:
+    """Mean temperatures over the runs, by joint, at which friction has the values of the parameters.
+
+    ``unit`` is the unit of the log's columns, of a temperature or of the time since start.
+    """
+
+    unit: str
+    of_joint: Mapping[str, float]
+
+    @property
+    def per(self) -> str:
+        """Unit of a difference, by which the slopes of friction are divided."""
+        return "K" if self.unit == "degC" else self.unit
 
 
 def friction_step(
