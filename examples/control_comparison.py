@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.assembly import known_values
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion

@@ -14,7 +14,7 @@ from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import ols, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.total_least_squares import tls
-from gtau.estimation.regression.column_blocks import all_terms
+from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import Factors, reduce_run
 from gtau.estimation.regression.problem import Problem

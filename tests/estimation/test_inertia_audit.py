@@ -11,7 +11,7 @@ from stated_arm import MASSES, chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.inertia_audit import PRIOR_INERTIA, AuditedParameter
-from gtau.estimation.regression.assembly import inertia_priors
+from gtau.estimation.regression.priors import inertia_priors
 from gtau.report.parameters import inertias_section
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot

@@ -22,7 +22,7 @@ from gtau.estimation.estimators.newton import one_step
 from gtau.estimation.estimators.physical_consistency import standard_unknowns
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.estimators.two_stage import two_stage
-from gtau.estimation.regression.column_blocks import all_terms
+from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.model.home import load_robot
 from gtau.report.comparison import comparison_table

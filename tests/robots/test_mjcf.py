@@ -13,7 +13,7 @@ from engines import closed_torques, random_parameters
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.assembly import stated_inertias
+from gtau.estimation.regression.priors import stated_inertias
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, poses

@@ -130,8 +130,13 @@ def wrench_along_log(
 
     ``prediction`` is :meth:`gtau.Result.predict` of it, ``frame`` a name and the placement on the body (see
     :func:`gtau.robots.readers.read.frame_on`). If ``force_only``, the contact exerts no moment about the frame's
-    origin, so that three motors suffice for the force. Raises GtauError where the base floats, or the model lacks a
-    residual.
+    origin, so that three motors suffice for the force.
+
+    The torques are weighted by their covariance: the residual of the identification, plus the joint covariance of
+    parameters and gains at the sample's motion. So seven motors average and six are exact. The share of the torques
+    that the identification left unexplained is uncertain in the external torques too. Near singular poses, directions
+    that the pose does not show are left out; components with a part in them are not seen, and have no value. Raises
+    GtauError where the base floats, or the model lacks a residual.
     """
     refuse_floating(result.robot, "the external wrench is")
     errors = {error.joint: error for error in result.residuals}

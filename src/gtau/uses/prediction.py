@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import transmitted
-from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.plausibility import check_wrenches, motor_to_joint_speed
 from gtau.estimation.regression.rows import Law, instants, stream_torques

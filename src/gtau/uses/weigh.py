@@ -22,8 +22,8 @@ from gtau.estimation.experiment_runs import Subject, options_of, read
 from gtau.estimation.preconditions import given_gains, refuse_repeated
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import Dataset, System, at_rate_of, reduce_runs
+from gtau.estimation.regression.priors import ReferenceModel
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.estimation.regression.reference import ReferenceModel
 from gtau.estimation.results.build import payload_estimates
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate

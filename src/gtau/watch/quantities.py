@@ -28,7 +28,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import transmitted
-from gtau.estimation.regression.column_blocks import payload_columns
+from gtau.estimation.regression.assembly import payload_columns
 from gtau.estimation.regression.dataset import at_rate_of
 from gtau.estimation.regression.factors import add_products, delayed
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.effects.linearisation import least_squares_step, window_motion
-from gtau.estimation.regression.assembly import stated_inertias
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
+from gtau.estimation.regression.priors import stated_inertias
 from gtau.estimation.regression.rows import stream_rows
 from gtau.model.base_parameters import belongs_to_drive
 from gtau.robots.robot import DRIVE, INERTIAL

@@ -16,8 +16,8 @@ import numpy as np
 from gtau.estimation.diagnostics.refits import refitted
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stacked
-from gtau.estimation.regression.assembly import file_sums, inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.factors import MODEL
+from gtau.estimation.regression.priors import file_sums, inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.problem import Estimates
 from gtau.findings import Finding, Grade
 from gtau.robots.parameter import Parameter, unit_of

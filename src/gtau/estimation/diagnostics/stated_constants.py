@@ -16,7 +16,7 @@ import numpy as np
 from gtau.estimation.effects.linearisation import slopes_of, weighted, weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve
 from gtau.estimation.estimators.newton import curvature_of_delays, jacobian, jacobian_of_known, stacked, whitening
-from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import FIXED, KNOWN, SIGNALS, delayed_signal
 from gtau.estimation.regression.problem import Problem

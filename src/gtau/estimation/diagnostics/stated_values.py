@@ -11,7 +11,7 @@ from gtau.estimation.diagnostics.examine import Examination, estimates_of
 from gtau.estimation.diagnostics.refits import refitted, residual_ratio
 from gtau.estimation.diagnostics.verdict import APART, GOOD, WIDTH, contradiction, motors, unexplained_shares
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.problem import Estimates
 from gtau.findings import Finding
 from gtau.model.base_parameters import whole_mass

@@ -8,7 +8,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution, Solve
 from gtau.estimation.estimators.newton import delays_lost_in_noise
-from gtau.estimation.regression.column_blocks import all_terms
+from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import delayed_signal, triangle
 from gtau.estimation.regression.problem import Problem

@@ -19,22 +19,11 @@ from gtau.progress import Progress, silent
 class Solution:
     """Estimates of one method.
 
-    Attributes
-    ----------
-    unknowns, values : Unknowns, ndarray
-        Estimates (k,) of parameters (SI units), gains (N m/A or N per A, 1 of torque sensors) and delays (s).
-    sigma : ndarray
-        Standard deviation of each channel's residual, (c,), A, of torque sensors N m or N.
-    covariance : ndarray
-        (k, k) by the method's formula, which assumes independent errors; zero where a value is given and not estimated.
-    replicates : callable
-        Changes of the estimates when one unit after another is left out, (U, k); called for the jackknife.
-    statistics : Mapping
-        Further figures that the method offers, such as ``singular_ratio``.
-    prior_covariance : ndarray or float
-        Contribution of priors to the covariance, which no unit of the data contains.
-    converged : bool
-        Whether the iteration converged.
+    ``values`` (k,) of the ``unknowns`` are parameters (SI units), gains (N m/A or N per A, 1 of torque sensors) and
+    delays (s); ``sigma`` (c,) the standard deviation of each channel's residual, A, of torque sensors N m or N. The
+    ``covariance`` (k, k) by the method's formula assumes independent errors, and is zero where a value is given.
+    ``replicates`` makes the changes (U, k) of the estimates when one unit after another is left out. ``statistics`` are
+    further figures that the method offers, ``prior_covariance`` what priors contribute, which no unit contains.
     """
 
     unknowns: Unknowns
@@ -63,7 +52,7 @@ class Solution:
 
     @cached_property
     def jackknife(self) -> np.ndarray:
-        """Compute the covariance (k, k) from the steps (U, k) that leaving out each unit makes."""
+        """Covariance (k, k) by the delete-one jackknife."""
         return jackknife(self.replicates()) + self.prior_covariance
 
 
@@ -90,10 +79,9 @@ class Fit:
     """A fit of an estimator to the data.
 
     ``system`` are the equations solved: those given, or the same reweighted or along simulated motion. ``solve``
-    solves the same equations with other known payload values, for sensitivities. ``solve_fixed`` solves for fewer
-    parameters with the gains of ``solution``, which were estimated if ``free_gains``. ``noise_free`` estimates are
-    free of bias from position noise. ``unweighted`` are the equations with every row at full weight, if the estimator
-    weighted rows.
+    solves them with other known payload values, ``solve_fixed`` for fewer parameters with the gains of ``solution``,
+    which were estimated if ``free_gains``. ``noise_free`` estimates have no bias from position noise; ``unweighted``
+    are the equations with every row at full weight, if the estimator weighted rows.
     """
 
     system: System

@@ -22,7 +22,7 @@ from gtau.errors import GtauError
 from gtau.estimation.estimators.didim import resimulated_runs
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.estimators.newton import RANK, jacobian, moved, one_step, residuals, squared, to_gains
+from gtau.estimation.estimators.newton import RANK, moved, one_step, squared, to_gains, weighted
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangles, triangle
 from gtau.estimation.regression.problem import Problem
@@ -85,10 +85,8 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 
     def linear(blocks: np.ndarray, instruments: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Linearise: weighted errors (., n p), their Jacobian (., n p, k) and the instruments' Jacobian."""
-        e = residuals(blocks, values) * weights[:, None]
-        J, Z = (jacobian(rows, values, problem, free) * weights[:, None, None] for rows in (blocks, instruments))
-        axes = (*e.shape[:-2], -1)
-        return e.reshape(axes), J.reshape(*axes, J.shape[-1]), Z.reshape(*axes, Z.shape[-1])
+        e, J = weighted(blocks, values, problem, free, weights)
+        return e, J, weighted(instruments, values, problem, free, weights)[1]
 
     for k in range(STEPS):
         free = free_gains and k > 0  # theta comes first: without it the model gives no currents for gains

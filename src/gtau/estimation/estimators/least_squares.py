@@ -31,7 +31,7 @@ def ols(problem: Problem, gains: np.ndarray) -> Solution:
 def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -> Solution:
     """Solve weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28).
 
-    The iteration starts from ``delays`` (c,), if these are known from a similar problem.
+    The iteration starts from ``delays`` (c,), if given.
     """
 
     def weights(squares: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def split(values: np.ndarray, channels: int) -> list[np.ndarray]:
-    """Split estimates (k,) into parameters, and gains and delays of the ``channels``."""
+    """Split estimates (k,) into parameters, gains and delays."""
     return np.split(values, [-2 * channels, -channels])
 
 
@@ -71,6 +71,16 @@ def jacobian(blocks: np.ndarray, values: np.ndarray, problem: Problem, free_gain
     return np.concatenate(parts, axis=-1)
 
 
+def weighted(
+    blocks: np.ndarray, values: np.ndarray, problem: Problem, free_gains: bool, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the residuals (., n p) of blocks (., n, p, n_theta + 4) and their Jacobian, times ``weights`` (n,)."""
+    e = residuals(blocks, values) * weights[:, None]
+    J = jacobian(blocks, values, problem, free_gains) * weights[:, None, None]
+    shape = (*e.shape[:-2], e.shape[-2] * e.shape[-1])
+    return e.reshape(shape), J.reshape(*shape, J.shape[-1])
+
+
 def stacked(problem: Problem) -> np.ndarray:
     """Stack the joints' triangles, (n, p, n_theta + 4), filled up with zero rows."""
     triangles = np.zeros((len(problem.channels), max(map(len, problem.triangles)), problem.n_theta + FIXED))
@@ -88,17 +98,15 @@ def solve(
 ) -> Solution:
     """Iterate Newton's method from ``values`` (k,) with re-estimated weights, then compute the covariances.
 
-    ``weigh`` makes weights (c,) from the squared residuals (c,) of the channels; ``converged`` of the solution is
-    whether it converged within ``steps``.
+    ``weigh`` makes weights (c,) from the squared residuals (c,) of the channels.
     """
     triangles, n, end = stacked(problem), len(problem.channels), problem.n_theta
     sizes, J_known = np.abs(triangles), jacobian_of_known(problem, free_gains)
     P, y = problem.known[:, :-1], problem.known[:, -1]
     for _ in range(steps):
         weights = weigh(squared(triangles, values))
-        J = (jacobian(triangles, values, problem, free_gains) * weights[:, None, None]).reshape(-1, J_known.shape[1])
+        e, J = weighted(triangles, values, problem, free_gains, weights)
         J = np.concatenate([J, J_known])
-        e = (residuals(triangles, values) * weights[:, None]).reshape(-1)
         e = np.concatenate([e, P @ values[:end] - y])
         # without parameters the signal is error, with the curvature of no model
         curvature = curvature_of_delays(triangles, values, problem, weights) * values[:end].any()
@@ -224,8 +232,8 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
         whitened, second, blocks = rows @ back, curvature(triangles), []
         gauss = whitened.T @ whitened
         for block in problem.units:
-            J_u = (jacobian(block, values, problem, free_gains) * weights[:, None, None]).reshape(-1, size) @ back
-            e_u = (residuals(block, values) * weights[:, None]).reshape(-1)
+            e_u, J_u = weighted(block, values, problem, free_gains, weights)
+            J_u = J_u @ back
             others = curved(gauss - J_u.T @ J_u, second - curvature(block))
             blocks.append((np.eye(len(others)) - others, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T
@@ -245,8 +253,8 @@ def to_gains(values: np.ndarray, channels: int, free_gains: bool) -> np.ndarray:
 def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Take Newton's steps (U, k) from the estimates of all units to those without each.
 
-    ``blocks`` are each unit's share in the matrix of the normal equations (k, k), whose sum is the unit matrix, and its
-    equations' left-hand side (k,), whose sum is zero.
+    ``blocks`` are each unit's shares in the normal equations: in their matrix (k, k), which adds up to the unit matrix,
+    and in their left-hand side (k,), which adds up to zero.
     """
     steps = []
     for share, side in blocks:
@@ -264,25 +272,20 @@ def one_step(blocks: Iterable[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
 def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -> np.ndarray:
     """Compute the degrees of freedom (k,) of the jackknife standard deviations, for intervals by the t distribution.
 
-    As many as there are blocks, less one, if all blocks carry the same information on a parameter. Often a few carry
-    nearly all: Coulomb friction of a passive joint shows where that joint reverses, and its standard deviation rests on
-    these few alone. The information of each block follows from the motions (Satterthwaite's rule, as Bell and
-    McCaffrey use it): ``(sum s_u^2)^2 / sum s_u^4`` with s_u^2 the variance that leaving out block u contributes, for
-    independent residuals. Known parameters belong to no block; their standard deviations count as known.
+    As many as there are blocks, less one, if all carry the same information on a parameter. Often a few carry nearly
+    all: Coulomb friction of a passive joint shows where that joint reverses. The information of each block follows from
+    the motions (Satterthwaite's rule, as Bell and McCaffrey use it): ``(sum s_u^2)^2 / sum s_u^4`` with s_u^2 the
+    variance that leaving out block u contributes, for independent residuals. Known parameters belong to no block; their
+    standard deviations count as known.
     """
     values, n = solution.values, len(problem.channels)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
-
-    def rows(blocks: np.ndarray) -> np.ndarray:
-        J = jacobian(blocks, values, problem, free_gains) * weights[:, None, None]
-        return np.asarray(J.reshape(-1, J.shape[-1]))
-
-    every = np.concatenate([rows(stacked(problem)), jacobian_of_known(problem, free_gains)])
-    back = whitening(every, np.zeros(n))
+    _, rows = weighted(stacked(problem), values, problem, free_gains, weights)
+    back = whitening(np.concatenate([rows, jacobian_of_known(problem, free_gains)]), np.zeros(n))
     named = to_gains(values, n, free_gains) @ back
     variances = []
     for block in problem.units:
-        J = rows(block) @ back
+        J = weighted(block, values, problem, free_gains, weights)[1] @ back
         others = np.eye(J.shape[1]) - J.T @ J
         try:
             row_influence = np.linalg.solve(others, J.T)

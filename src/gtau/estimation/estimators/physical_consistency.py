@@ -1,11 +1,11 @@
 """Physically consistent standard parameters behind the identified base parameters.
 
-The data determine sums of standard parameters only. Simulation and control need every one of
-them, and a positive definite mass matrix: so the fit is repeated over the standard parameters, with
-a positive definite pseudo-inertia for every link, platform and payload, the mass of every body within reach
-of its joints, friction and rotor inertia not negative, and the bounds and priors that are given. With the
-gains free it is a sequence of convex programmes, each one Gauss-Newton step of the maximum likelihood in
-the current domain.
+The data determine sums of standard parameters only. Simulation and control need every one of them, and a positive
+definite mass matrix: so the fit is repeated over the standard parameters, with a positive definite pseudo-inertia
+``[[Sigma, ms], [ms^T, m]]`` for every link, platform and payload (``Sigma`` is the second moment of its mass; every
+such matrix belongs to some body), the mass of every body within reach of its joints, friction and rotor inertia not
+negative, and the bounds and priors that are given. With the gains free it is a sequence of convex programmes, each one
+Gauss-Newton step of the maximum likelihood in the current domain, solved by the interior-point solver Clarabel.
 
 Unidentifiable directions are taken close to a plausible robot: solid links of equal masses, no friction.
 """
@@ -19,11 +19,11 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.estimators.estimator import Solution, jackknife
-from gtau.estimation.estimators.newton import jacobian, moved, residuals, squared, stacked
-from gtau.estimation.regression.assembly import theta_equations
-from gtau.estimation.regression.column_blocks import known_values
+from gtau.estimation.estimators.newton import moved, squared, stacked, weighted
+from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import leave_one_out, triangle
+from gtau.estimation.regression.priors import theta_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
 from gtau.robots.parameter import DISSIPATING, KINDS, Parameter
@@ -355,8 +355,8 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
         x, rest = _programme(triangle(linear, stated), unknowns)
         step = np.concatenate([unknowns.S @ x - values[: problem.n_theta], rest])
         values = moved(values, step, channels)
-        J = jacobian(triangles, values, problem, free_gains) * weights[:, None, None]
-        if np.linalg.norm(J.reshape(-1, step.size) @ step) < CONVERGED * np.sqrt(step.size):
+        _, J = weighted(triangles, values, problem, free_gains, weights)
+        if np.linalg.norm(J @ step) < CONVERGED * np.sqrt(step.size):
             break
     else:
         raise GtauError(
@@ -401,9 +401,8 @@ def _linear(
     blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray, free_gains: bool
 ) -> np.ndarray:
     """Build rows ``[J_theta J_rest | y]`` (., size + 1), linear in theta and in steps of 1/g and the delays."""
-    J = jacobian(blocks, values, problem, free_gains) * weights[:, None, None]
-    J, theta = J.reshape(-1, J.shape[-1]), values[: problem.n_theta]
-    e = (residuals(blocks, values) * weights[:, None]).reshape(-1)
+    e, J = weighted(blocks, values, problem, free_gains, weights)
+    theta = values[: problem.n_theta]
     return np.column_stack([J, J[:, : len(theta)] @ theta - e])
 
 

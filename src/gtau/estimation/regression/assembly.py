@@ -2,28 +2,257 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.column_blocks import (
-    ColumnBlock,
-    column_blocks,
-    column_map,
-    payload_columns,
-    unknown_names,
-)
-from gtau.estimation.regression.factors import MODEL, SIGNAL, Factors, triangle
+from gtau.estimation.regression.factors import EXTRA, FIXED, KNOWN, MODEL, SIGNAL, SIGNALS, Factors, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.model.base_parameters import BaseParameters, independent_columns
+from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns
+from gtau.model.base_parameters import BaseParameters, independent_columns, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
+from gtau.robots.parameter import DRIFTING, TEMPERATURE_TERMS, TERMS, Parameter, payload_label
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 from gtau.signals.channel import Channel, channels_of
-from gtau.signals.reading.statements import Payload, Prior
+from gtau.signals.preparation.prepared_run import PreparedRun
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+
+INSTANTS = 50  # of a block, over which the mean is taken
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnBlock:
+    """Named columns, each a combination of the columns of the factors.
+
+    Attributes
+    ----------
+    names : tuple of Parameter
+        (k,).
+    columns : callable
+        From a run, a channel and its temperature above the mean, (...,), to the combinations (..., p, k).
+    stated : mapping
+        Values of the names that are known: their columns, times these, are added to the column ``known``.
+    """
+
+    names: tuple[Parameter, ...]
+    columns: Callable[[int, Channel, np.ndarray], np.ndarray]
+    stated: Mapping[Parameter, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadColumns:
+    """Columns of the payload of one run, which is a body called ``label``.
+
+    ``unknown`` are its parameters that act on some actuated joint: each the sum of parameters of the kinds ``summed``,
+    which are not known, with the factors ``sums`` (unknown, summed). ``columns`` (n_b, k) are the columns of the
+    unknown and then of the known parameters, in base columns.
+    """
+
+    run: int
+    label: str
+    payload: Payload
+    unknown: tuple[Parameter, ...]
+    summed: tuple[str, ...]
+    sums: np.ndarray
+    columns: np.ndarray
+
+    @property
+    def acts(self) -> bool:
+        """Decide whether its known parameters act on some actuated joint."""
+        return bool(self.columns[:, len(self.unknown) :].any())
+
+    @property
+    def shown(self) -> bool:
+        """Decide whether its known parameters act on some actuated joint otherwise than its unknown ones do."""
+        return len(independent_columns(self.columns)[0]) > len(self.unknown)
+
+    def regrouping(self, name: Parameter) -> str:
+        """Write the sum of parameters that an unknown one stands for."""
+        terms = zip(self.summed, self.sums[self.unknown.index(name)], strict=True)
+        return " + ".join(kind if kind == name.kind else f"{factor:.5g} {kind}" for kind, factor in terms if factor)
+
+
+def known_values(payload: Payload) -> dict[str, float]:
+    """Return the known inertial parameters of a payload, by kind; empty for an unknown payload."""
+    mass = {} if payload.mass is None else {"m": payload.mass}
+    return {**mass, **payload.parameters}
+
+
+def payload_columns(
+    idm: InverseDynamics, base: BaseParameters, payloads: Sequence[Payload | None]
+) -> tuple[PayloadColumns, ...]:
+    """Express the parameters of the payloads of all runs on the robot's tool in base columns (eq. 18).
+
+    Of parameters that act alike first moments are kept rather than inertias, and masses last, so that a parameter is
+    called ``m`` only where it is the mass by itself.
+    """
+    tool_columns = {
+        kind: base.matrix[:, idm.parameter_names.index(Parameter(kind, idm.robot.tool))] for kind in INERTIAL
+    }
+    order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
+    blocks = []
+    for run, payload in ((run, payload) for run, payload in enumerate(payloads) if payload is not None):
+        values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
+        summed = tuple(kind for kind in order if kind not in values and kind not in center)
+        mass = tool_columns["m"] + sum(at * tool_columns[kind] for kind, at in center.items())  # moments are the mass's
+        acting = tool_columns | {"m": mass}
+        columns = np.reshape([acting[kind] for kind in summed], (len(summed), base.count)).T
+        kept, sums, _ = independent_columns(columns)
+        label = payload_label(idm.robot, run)
+        unknown = tuple(Parameter(summed[k], label) for k in kept)
+        both = np.array([acting[kind] for kind in (*(name.kind for name in unknown), *values)]).T
+        blocks.append(PayloadColumns(run, label, payload, unknown, summed, sums, both.reshape(base.count, -1)))
+    return tuple(blocks)
+
+
+def column_blocks(
+    base: BaseParameters,
+    channels: Sequence[Channel],
+    payloads: Sequence[PayloadColumns],
+    terms: tuple[Parameter, ...],
+    drifting: int,
+) -> tuple[ColumnBlock, ...]:
+    """List the effects of the model, in the order of their parameters in the problem.
+
+    ``base`` are the base parameters, whose standard columns the factors have, ``terms`` the further friction terms to
+    take. Friction differs between the ``drifting`` runs; 1 if it is the same in all.
+    """
+    offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.link_side)
+    return (
+        ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
+        *(_payload_block(base, payload) for payload in payloads),
+        _drift_block(base, [channel.joint for channel in channels], drifting),
+        _own_block(base, terms),
+        _own_block(base, offsets),
+    )
+
+
+def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.ndarray:
+    """Place columns (n_b, k) in the factors, (p, k); a sensor does not measure its joint's drive."""
+    felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.link_side else columns
+    return np.concatenate([felt, np.zeros((EXTRA, columns.shape[1]))])
+
+
+def _payload_block(base: BaseParameters, payload: PayloadColumns) -> ColumnBlock:
+    values = {Parameter(kind, payload.label): value for kind, value in known_values(payload.payload).items()}
+
+    def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
+        return _felt(base, channel, payload.columns * (run == payload.run))
+
+    return ColumnBlock((*payload.unknown, *values), columns, values)
+
+
+def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:
+    """Build the block of friction's differences from its mean in every run; they add up to zero."""
+    kinds = {Parameter(kind, joint) for kind in DRIFTING for joint in joints}
+    drifting = [k for k, name in enumerate(base.names) if name in kinds] if runs > 1 else []
+    units = np.eye(base.count)[:, drifting]
+
+    def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
+        changes = [units * ((k == run) - (run == runs - 1)) for k in range(runs - 1)]
+        return _felt(base, channel, np.hstack([units[:, :0], *changes]))
+
+    names = ((base.names[k], run) for run in range(runs - 1) for k in drifting)
+    return ColumnBlock(tuple(Parameter(name.kind, name.body, run) for name, run in names), columns)
+
+
+def _own_block(base: BaseParameters, names: tuple[Parameter, ...]) -> ColumnBlock:
+    """Build the block of parameters that appear only in their own channel's equations.
+
+    They are further friction of a drive, or friction and offset of a sensor, which use the columns of its joint.
+    """
+
+    def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
+        M = np.zeros((*above.shape, base.count + EXTRA, len(names)))
+        for k, kind in ((k, name.kind) for k, name in enumerate(names) if name.body == channel.name):
+            if kind in TERMS:
+                M[..., base.count + TERMS.index(kind), k] = 1.0
+            else:
+                row = base.standard.index(Parameter(TEMPERATURE_TERMS.get(kind, kind), channel.joint))
+                M[..., row, k] = above if kind in TEMPERATURE_TERMS else 1.0
+        return M
+
+    return ColumnBlock(names, columns)
+
+
+def unknown_names(blocks: Sequence[ColumnBlock]) -> tuple[Parameter, ...]:
+    """List the unknown parameters of the effects, the theta of the problem."""
+    return tuple(name for block in blocks for name in block.names if name not in block.stated)
+
+
+def column_map(
+    blocks: Sequence[ColumnBlock], run: int, channel: Channel, above: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Map the columns of a run's factors to the columns of the problem, for a channel: (..., p, n_theta + 4).
+
+    ``above`` (...,) are temperatures of the channel above the mean.
+    """
+    parts = [block.columns(run, channel, np.asarray(above)) for block in blocks]
+    unknown = [np.array([name not in block.stated for name in block.names], dtype=bool) for block in blocks]
+    shape = np.broadcast_shapes(*(part.shape[:-2] for part in parts))
+    fixed = np.zeros((*shape, parts[0].shape[-2], FIXED))
+    fixed[..., KNOWN, KNOWN], fixed[..., SIGNALS, SIGNALS] = 1.0, np.eye(3)
+    for block, part, free in zip(blocks, parts, unknown, strict=True):
+        if block.stated:
+            fixed[..., KNOWN] += part[..., ~free] @ list(block.stated.values())
+    columns = [part[..., free] for part, free in zip(parts, unknown, strict=True)]
+    return np.concatenate([np.broadcast_to(part, (*shape, *part.shape[-2:])) for part in (*columns, fixed)], axis=-1)
+
+
+def all_terms(joints: Sequence[str], terms: Iterable[str] = TERMS) -> tuple[Parameter, ...]:
+    """List every one of the ``terms`` of every joint, or torque sensor."""
+    return tuple(Parameter(term, joint) for joint in joints for term in terms)
+
+
+def is_transmitted(names: Sequence[Parameter]) -> np.ndarray:
+    """Mark the base parameters whose torque a joint transmits by 1, friction and offsets by 0, (n_b,)."""
+    return np.array([name.kind not in PLAIN_FRICTION for name in names], dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Temperatures:
+    """Mean temperatures of joints over all runs, in ``unit``, and differences from them.
+
+    ``reference`` are the means by joint, ``by_block`` the differences (blocks, n) in each run, zero for joints
+    without a temperature. ``prepared`` are the runs.
+    """
+
+    reference: dict[str, float]
+    by_block: tuple[np.ndarray, ...]
+    unit: str
+    prepared: tuple[PreparedRun, ...]
+
+    def between(self, run: int, begin: float, end: float) -> np.ndarray:
+        """Average the differences (n,) between two instants of a run."""
+        logged, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
+        temperature = logged.side["temperature"]  # all runs have one
+        means = {joint: temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
+        return np.array([means.get(joint, 0.0) for joint in logged.joints])
+
+
+def temperatures_of(prepared: PreparedRuns) -> Temperatures | None:
+    """Compute the differences in all runs; None without temperatures. Raises GtauError."""
+    logged = [run.run.side["temperature"] for run in prepared if "temperature" in run.run.side]
+    if not logged:
+        return None
+    if len(logged) < len(prepared):
+        lacking = next(run.run.name for run in prepared if "temperature" not in run.run.side)
+        raise GtauError(f"run '{lacking}' has no temperature, but other runs have; log it in all runs, or in none.")
+    joints, means = prepared[0].run.joints, []
+    known = [joint for joint in joints if all(joint in temperature.by_joint for temperature in logged)]
+    for run, temperature, cut in zip(prepared, logged, prepared.edges, strict=True):
+        share = np.interp(np.linspace(0, BLOCKS, BLOCKS * INSTANTS), np.arange(BLOCKS + 1), cut)
+        time = run.time[0] + share * (run.time[-1] - run.time[0])
+        along = [temperature.at(joint, time).reshape(BLOCKS, INSTANTS).mean(axis=1) for joint in known]
+        means.append(np.reshape(along, (len(known), BLOCKS)).T)
+    reference = np.mean(np.concatenate(means), axis=0)
+    differences = np.zeros((len(prepared), BLOCKS, len(joints)))
+    differences[..., [joints.index(joint) for joint in known]] = np.array(means) - reference
+    by_joint = dict(zip(known, map(float, reference), strict=True))
+    return Temperatures(by_joint, tuple(differences), logged[0].unit, tuple(prepared))
+
 
 RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
 ROUNDING = 1e-12  # of the size of a body's parameter: less is rounding of the file's frames
@@ -115,161 +344,3 @@ def unexcited(problem: Problem) -> tuple[Parameter, ...]:
     rows = (R[:, MODEL] / sigma for R, sigma in zip(problem.triangles, problem.own_sigma, strict=True))
     kept, _, _ = independent_columns(triangle(*rows, problem.known[:, :-1]))
     return tuple(name for k, name in enumerate(problem.parameters) if k not in kept)
-
-
-def stated_inertias(robot: Robot) -> dict[str, float]:
-    """Return the file's standard parameters of bodies and motors of the model, by name, SI units.
-
-    A body without inertia in a file that states other inertias has no mass there.
-    """
-    stated = dict(robot.inertias)
-    if not stated:
-        return {}
-    inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
-    rotors = {Parameter("ia", joint.name) for joint in robot.joints if joint.parameters in ("all", "drive")}
-    inertias = {name: stated.get(name, 0.0) for name in inertial}
-    return inertias | {name: value for name, value in stated.items() if name in rotors}
-
-
-def sizes_of(stated: dict[str, float], body: str) -> dict[str, float] | None:
-    """Return the size of each inertial parameter of a body (a change of 100 %), by kind: m, m r and m r^2.
-
-    The radius r is the root mean square distance of its mass from the frame's origin, ``m r^2 = tr(I) / 2``: so a
-    centre of mass that the file puts at the origin may move too. None for a body without mass or extent.
-    """
-    mass = stated[Parameter("m", body)]
-    second = sum(stated[Parameter(kind, body)] for kind in ("xx", "yy", "zz")) / 2
-    if mass <= 0 or second <= 0:
-        return None
-    return {
-        kind: mass if kind == "m" else second if len(kind) == 2 and kind[0] != "m" else np.sqrt(mass * second)
-        for kind in INERTIAL
-    }
-
-
-def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
-    """Take the file's inertias as priors with a relative standard deviation, each parameter by its own.
-
-    ``std`` is a share of m, m r and m r^2 of each body (see :func:`sizes_of`), and of the rotor inertias. Raises
-    GtauError where the file states no inertias, or the share is not positive.
-    """
-    if not 0 < std < np.inf:
-        raise GtauError(f"a relative standard deviation of {std:g} is impossible for inertias; write 0.3 for 30 %.")
-    stated = stated_inertias(robot)
-    if not stated:
-        where = f" ({robot.source})" if robot.source else ""
-        raise GtauError(
-            f"the file of robot '{robot.name}'{where} states no inertias, which 'prior_inertias' asks for; give a URDF "
-            "or MJCF file with <inertial> elements, or leave it out."
-        )
-    sizes: dict[str, float] = {}
-    for body in _heavy(robot):
-        sizes |= {Parameter(kind, body): size for kind, size in (sizes_of(stated, body) or {}).items()}
-    sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
-    exact = {name: 0.0 if abs(stated[name]) < ROUNDING * size else stated[name] for name, size in sizes.items()}
-    return {name: Prior(value=exact[name], std=std * size) for name, size in sizes.items()}
-
-
-def file_sums(model: InverseDynamics, base: BaseParameters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sum the inertias of the robot's file to base parameters, (n_b,), zero where these regroup none, with two masks.
-
-    The first of base parameters that regroup inertias alone, the second of the ones among them that regroup a rotor
-    inertia which the file does not state.
-    """
-    names, stated, regrouped = model.parameter_names, stated_inertias(model.robot), base.matrix != 0
-    regroups_inertia = regrouped[:, [name.kind in (*INERTIAL, "ia") for name in names]].any(axis=1)
-    regroups_friction = regrouped[:, [name.kind in PLAIN_FRICTION for name in names]].any(axis=1)
-    unstated = regrouped[:, [name.kind == "ia" and name not in stated for name in names]].any(axis=1)
-    inertial = regroups_inertia & ~regroups_friction
-    values = base.matrix @ [stated.get(name, 0.0) for name in names]
-    return np.where(inertial, values, 0.0), inertial, inertial & unstated
-
-
-def scale_of_file(model: InverseDynamics, base: BaseParameters, problem: Problem, std: float) -> np.ndarray:
-    """Write an equation (k, n_theta + 1) for each scale: on the whole the torques agree with the file's inertias.
-
-    ``<tau_file, tau(theta)> = <tau_file, tau_file>`` over the rows of all joints that share parameters, forces times
-    the robot's length, with relative standard deviation ``std``: errors of a file's masses are alike in all bodies, so
-    that they do not average out (docs/evidence/scale-without-payload.md). With a prior for each parameter instead,
-    gains near zero fit best where file and data differ.
-    """
-    values, inertial, unstated = file_sums(model, base)
-    theta = np.zeros(len(problem.parameters))
-    stated = np.append(inertial & ~unstated, np.zeros(len(theta) - base.count, dtype=bool))
-    theta[stated] = values[stated[: base.count]]
-    motors = [k for k, channel in enumerate(problem.channels) if channel.kind.unknown_gain]
-    W = [problem.triangles[k][:, MODEL] * stated * _leverage(model, problem.channels[k].joint) for k in motors]
-    shared = np.array([np.any(rows != 0, axis=0) for rows in W]).astype(int)
-    count, numbers = connected_components(shared @ shared.T, directed=False)
-    equations = []
-    for group in range(count):
-        A = np.concatenate([rows for rows, number in zip(W, numbers, strict=True) if number == group])
-        size = float(np.sum(np.square(A @ theta)))
-        if size > 0:
-            equations.append(np.append(A @ theta @ A / size, 1.0) / std)
-    return np.reshape(equations, (-1, len(theta) + 1))
-
-
-def _leverage(model: InverseDynamics, joint: str) -> float:
-    return 1.0 if model.robot.joint(joint).turns else float(model.layout.length)
-
-
-def _heavy(robot: Robot) -> list[str]:
-    """List the bodies that have a mass in the model."""
-    return [joint.name for joint in robot.joints if joint.has_mass] + [body.name for body in robot.platforms]
-
-
-def known_equations(
-    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
-) -> np.ndarray:
-    """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
-
-    A base parameter is a sum of ``standard`` ones, the columns of ``base.matrix``: ``chi = S x``. Some of these have
-    priors, with standard deviations, the others have none: so the equations hold for base-parameter combinations
-    free of the latter. ``parameters`` are theta, the base parameters first; bounds are not used here. Raises GtauError
-    where a prior names no parameter.
-    """
-    standard_rows = _standard_equations(base, standard, len(parameters), priors)
-    return np.vstack([standard_rows, theta_equations(base, standard, parameters, priors)])
-
-
-def theta_equations(
-    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
-) -> np.ndarray:
-    """Build the equations of priors that name one of theta, no standard parameter; see :func:`known_equations`."""
-    rows = []
-    for name, prior in priors.items():
-        if name in standard:
-            continue
-        if name not in parameters:
-            close = get_close_matches(name, [*standard, *base.names], n=1)
-            raise GtauError(
-                f"'priors' names '{name}', which is no parameter of the robot; "
-                + (f"did you mean '{close[0]}'?" if close else f"write kind and joint, such as '{standard[0]}'.")
-            )
-        if prior.value is not None and prior.std is not None:
-            row = np.zeros(len(parameters) + 1)
-            row[list(parameters).index(name)], row[-1] = 1 / prior.std, prior.value / prior.std
-            rows.append(row)
-    return np.reshape(rows, (-1, len(parameters) + 1))
-
-
-def _standard_equations(
-    base: BaseParameters, standard: Sequence[str], n_theta: int, priors: Mapping[str, Prior]
-) -> np.ndarray:
-    stated = {name: prior for name, prior in priors.items() if name in standard and prior.value is not None}
-    known = np.array([name in stated for name in standard])
-    if not known.any():
-        return np.zeros((0, n_theta + 1))
-    values = np.array([stated[name].value for name in standard if name in stated], dtype=float)
-    spread = np.array([stated[name].std for name in standard if name in stated], dtype=float)
-    lengths = np.linalg.norm(base.matrix, axis=0)
-    U = base.matrix[:, ~known & (lengths > 0)]
-    vectors, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
-    P = vectors[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
-    S = P @ base.matrix[:, known]  # P chi = S x of the known x
-    L = np.linalg.cholesky((S * spread) @ (S * spread).T) if len(P) else np.zeros((0, 0))
-    rows = np.zeros((len(P), n_theta + 1))
-    rows[:, : base.count] = np.linalg.solve(L, P)
-    rows[:, -1] = np.linalg.solve(L, S @ values)
-    return rows

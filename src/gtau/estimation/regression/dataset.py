@@ -5,32 +5,28 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.assembly import (
-    assemble_problem,
-    inertia_priors,
-    known_equations,
-    require_base_wrench,
-    require_rows,
-    scale_of_file,
-    unexcited,
-)
-from gtau.estimation.regression.column_blocks import (
     ColumnBlock,
     PayloadColumns,
     Temperatures,
+    assemble_problem,
     column_blocks,
     column_map,
     is_transmitted,
     payload_columns,
+    require_base_wrench,
+    require_rows,
     temperatures_of,
+    unexcited,
 )
 from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
 from gtau.estimation.regression.plausibility import best_of_trials, check_wrenches, prepare_runs, sensors_of
+from gtau.estimation.regression.priors import ReferenceModel, inertia_priors, known_equations, scale_of_file
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
@@ -45,9 +41,6 @@ from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
-
-if TYPE_CHECKING:
-    from gtau.estimation.regression.reference import ReferenceModel
 
 
 @dataclass(frozen=True, eq=False)

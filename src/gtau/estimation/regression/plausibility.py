@@ -1,4 +1,4 @@
-"""Runs that do not suit their robot: implausible motions, sensors and wrenches."""
+"""Preparation of the runs of a robot: implausible motions, sensors and wrenches, and trials of position filters."""
 
 from __future__ import annotations
 
@@ -226,7 +226,15 @@ FEWEST = 4  # rows of half the stretches for each column
 def best_of_trials(
     model: InverseDynamics, base: BaseParameters, runs: Sequence[Run], preparation: Preparation
 ) -> Preparation:
-    """Lower the cut-off and the bandwidth of a preparation where parameters found behind it predict clearly worse."""
+    """Lower the cut-off and the bandwidth of a preparation where parameters found behind it predict clearly worse.
+
+    Spectra show where noise takes over in the accelerations of a sample. What filters do to parameters is another
+    matter: noise averages out over a long log, and what a filter takes away does not; a small oscillation of the
+    controller may look like motion. So stretches spread over the logs are fitted behind some cut-offs, every channel by
+    its own equations alone, which needs no gains, and the parameters predict the stretches between. Parameters found
+    behind one cut-off are tested along the motions behind all, and the best counts: noise that biases them is then no
+    excuse for their errors.
+    """
     cutoffs = _cutoffs(runs, preparation)
     if len(cutoffs) == 1:
         return preparation

@@ -14,7 +14,7 @@ from gtau.estimation.diagnostics.verdict import GOOD, judge_parameter, parameter
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
 from gtau.estimation.friction.curves import FrictionCurve, friction_unit, reference_temperatures
-from gtau.estimation.regression.column_blocks import PayloadColumns, known_values
+from gtau.estimation.regression.assembly import PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Estimates, Problem

@@ -11,7 +11,7 @@ from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.effects.positions import STEP, with_positions
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.column_blocks import is_transmitted
+from gtau.estimation.regression.assembly import is_transmitted
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1.0  # mrad, or mm, at the rms torque: 50 N m on a strain-wave gear of 2e4 N m/rad are 2.5 mrad

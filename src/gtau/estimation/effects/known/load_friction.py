@@ -13,7 +13,7 @@ import numpy as np
 from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
 from gtau.estimation.effects.linearisation import FitWindow, Torques
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.column_blocks import is_transmitted
+from gtau.estimation.regression.assembly import is_transmitted
 from gtau.robots.parameter import Parameter
 
 PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave gears (UR10e pairs)

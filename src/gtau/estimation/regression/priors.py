@@ -1,0 +1,202 @@
+"""Known parameters as equations: priors, the inertias of the robot's file, and a model that was identified before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from gtau.errors import GtauError
+from gtau.estimation.regression.factors import MODEL
+from gtau.estimation.regression.problem import Problem
+from gtau.model.base_parameters import BaseParameters
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
+from gtau.signals.reading.statements import Prior
+
+RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
+ROUNDING = 1e-12  # of the size of a body's parameter: less is rounding of the file's frames
+LEAST = 1e-9  # of the largest eigenvalue of the correlations: smaller ones are rounding
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceModel:
+    """Parameters known from elsewhere: ``values`` (k,) of ``names`` with their ``covariance`` (k, k)."""
+
+    names: tuple[Parameter, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+
+    def among(self, parameters: Sequence[Parameter]) -> np.ndarray:
+        """Write those among ``parameters`` (n,) as equations ``[P | y]`` (k, n + 1) with errors of unit variance."""
+        places = {name: place for place, name in enumerate(parameters)}
+        at = [k for k, name in enumerate(self.names) if name in places]
+        std = np.sqrt(np.diag(self.covariance)[at])
+        sizes, vectors = np.linalg.eigh(self.covariance[np.ix_(at, at)] / np.outer(std, std))
+        whitened = (vectors / np.sqrt(np.maximum(sizes, LEAST * sizes.max(initial=0.0)))).T / std
+        rows = np.zeros((len(at), len(parameters) + 1))
+        rows[:, [places[self.names[k]] for k in at]] = whitened
+        rows[:, -1] = whitened @ self.values[at]
+        return rows
+
+
+def stated_inertias(robot: Robot) -> dict[str, float]:
+    """Return the file's standard parameters of bodies and motors of the model, by name, SI units.
+
+    A body without inertia in a file that states other inertias has no mass there.
+    """
+    stated = dict(robot.inertias)
+    if not stated:
+        return {}
+    inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
+    rotors = {Parameter("ia", joint.name) for joint in robot.joints if joint.parameters in ("all", "drive")}
+    inertias = {name: stated.get(name, 0.0) for name in inertial}
+    return inertias | {name: value for name, value in stated.items() if name in rotors}
+
+
+def sizes_of(stated: dict[str, float], body: str) -> dict[str, float] | None:
+    """Return the size of each inertial parameter of a body (a change of 100 %), by kind: m, m r and m r^2.
+
+    The radius r is the root mean square distance of its mass from the frame's origin, ``m r^2 = tr(I) / 2``: so a
+    centre of mass that the file puts at the origin may move too. None for a body without mass or extent.
+    """
+    mass = stated[Parameter("m", body)]
+    second = sum(stated[Parameter(kind, body)] for kind in ("xx", "yy", "zz")) / 2
+    if mass <= 0 or second <= 0:
+        return None
+    return {
+        kind: mass if kind == "m" else second if len(kind) == 2 and kind[0] != "m" else np.sqrt(mass * second)
+        for kind in INERTIAL
+    }
+
+
+def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
+    """Take the file's inertias as priors with a relative standard deviation, each parameter by its own.
+
+    ``std`` is a share of m, m r and m r^2 of each body (see :func:`sizes_of`), and of the rotor inertias. Raises
+    GtauError where the file states no inertias, or the share is not positive.
+    """
+    if not 0 < std < np.inf:
+        raise GtauError(f"a relative standard deviation of {std:g} is impossible for inertias; write 0.3 for 30 %.")
+    stated = stated_inertias(robot)
+    if not stated:
+        where = f" ({robot.source})" if robot.source else ""
+        raise GtauError(
+            f"the file of robot '{robot.name}'{where} states no inertias, which 'prior_inertias' asks for; give a URDF "
+            "or MJCF file with <inertial> elements, or leave it out."
+        )
+    sizes: dict[str, float] = {}
+    for body in _heavy(robot):
+        sizes |= {Parameter(kind, body): size for kind, size in (sizes_of(stated, body) or {}).items()}
+    sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
+    exact = {name: 0.0 if abs(stated[name]) < ROUNDING * size else stated[name] for name, size in sizes.items()}
+    return {name: Prior(value=exact[name], std=std * size) for name, size in sizes.items()}
+
+
+def file_sums(model: InverseDynamics, base: BaseParameters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sum the inertias of the robot's file to base parameters, (n_b,), zero where these regroup none, with two masks.
+
+    The first of base parameters that regroup inertias alone, the second of the ones among them that regroup a rotor
+    inertia which the file does not state.
+    """
+    names, stated, regrouped = model.parameter_names, stated_inertias(model.robot), base.matrix != 0
+    regroups_inertia = regrouped[:, [name.kind in (*INERTIAL, "ia") for name in names]].any(axis=1)
+    regroups_friction = regrouped[:, [name.kind in PLAIN_FRICTION for name in names]].any(axis=1)
+    unstated = regrouped[:, [name.kind == "ia" and name not in stated for name in names]].any(axis=1)
+    inertial = regroups_inertia & ~regroups_friction
+    values = base.matrix @ [stated.get(name, 0.0) for name in names]
+    return np.where(inertial, values, 0.0), inertial, inertial & unstated
+
+
+def scale_of_file(model: InverseDynamics, base: BaseParameters, problem: Problem, std: float) -> np.ndarray:
+    """Write an equation (k, n_theta + 1) for each scale: on the whole the torques agree with the file's inertias.
+
+    ``<tau_file, tau(theta)> = <tau_file, tau_file>`` over the rows of all joints that share parameters, forces times
+    the robot's length, with relative standard deviation ``std``: errors of a file's masses are alike in all bodies, so
+    that they do not average out (docs/evidence/scale-without-payload.md). With a prior for each parameter instead,
+    gains near zero fit best where file and data differ.
+    """
+    values, inertial, unstated = file_sums(model, base)
+    theta = np.zeros(len(problem.parameters))
+    stated = np.append(inertial & ~unstated, np.zeros(len(theta) - base.count, dtype=bool))
+    theta[stated] = values[stated[: base.count]]
+    motors = [k for k, channel in enumerate(problem.channels) if channel.kind.unknown_gain]
+    W = [problem.triangles[k][:, MODEL] * stated * _leverage(model, problem.channels[k].joint) for k in motors]
+    shared = np.array([np.any(rows != 0, axis=0) for rows in W]).astype(int)
+    count, numbers = connected_components(shared @ shared.T, directed=False)
+    equations = []
+    for group in range(count):
+        A = np.concatenate([rows for rows, number in zip(W, numbers, strict=True) if number == group])
+        size = float(np.sum(np.square(A @ theta)))
+        if size > 0:
+            equations.append(np.append(A @ theta @ A / size, 1.0) / std)
+    return np.reshape(equations, (-1, len(theta) + 1))
+
+
+def _leverage(model: InverseDynamics, joint: str) -> float:
+    return 1.0 if model.robot.joint(joint).turns else float(model.layout.length)
+
+
+def _heavy(robot: Robot) -> list[str]:
+    """List the bodies that have a mass in the model."""
+    return [joint.name for joint in robot.joints if joint.has_mass] + [body.name for body in robot.platforms]
+
+
+def known_equations(
+    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
+) -> np.ndarray:
+    """Write normal priors as equations ``[P | y]`` (k, n_theta + 1) for ``P theta = y`` with errors of unit variance.
+
+    A base parameter is a sum of ``standard`` ones, the columns of ``base.matrix``: ``chi = S x``. Some of these have
+    priors, with standard deviations, the others have none: so the equations hold for base-parameter combinations
+    free of the latter. ``parameters`` are theta, the base parameters first; bounds are not used here. Raises GtauError
+    where a prior names no parameter.
+    """
+    standard_rows = _standard_equations(base, standard, len(parameters), priors)
+    return np.vstack([standard_rows, theta_equations(base, standard, parameters, priors)])
+
+
+def theta_equations(
+    base: BaseParameters, standard: Sequence[str], parameters: Sequence[str], priors: Mapping[str, Prior]
+) -> np.ndarray:
+    """Build the equations of priors that name one of theta, no standard parameter; see :func:`known_equations`."""
+    rows = []
+    for name, prior in priors.items():
+        if name in standard:
+            continue
+        if name not in parameters:
+            close = get_close_matches(name, [*standard, *base.names], n=1)
+            raise GtauError(
+                f"'priors' names '{name}', which is no parameter of the robot; "
+                + (f"did you mean '{close[0]}'?" if close else f"write kind and joint, such as '{standard[0]}'.")
+            )
+        if prior.value is not None and prior.std is not None:
+            row = np.zeros(len(parameters) + 1)
+            row[list(parameters).index(name)], row[-1] = 1 / prior.std, prior.value / prior.std
+            rows.append(row)
+    return np.reshape(rows, (-1, len(parameters) + 1))
+
+
+def _standard_equations(
+    base: BaseParameters, standard: Sequence[str], n_theta: int, priors: Mapping[str, Prior]
+) -> np.ndarray:
+    stated = {name: prior for name, prior in priors.items() if name in standard and prior.value is not None}
+    known = np.array([name in stated for name in standard])
+    if not known.any():
+        return np.zeros((0, n_theta + 1))
+    values = np.array([stated[name].value for name in standard if name in stated], dtype=float)
+    spread = np.array([stated[name].std for name in standard if name in stated], dtype=float)
+    lengths = np.linalg.norm(base.matrix, axis=0)
+    U = base.matrix[:, ~known & (lengths > 0)]
+    vectors, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
+    P = vectors[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
+    S = P @ base.matrix[:, known]  # P chi = S x of the known x
+    L = np.linalg.cholesky((S * spread) @ (S * spread).T) if len(P) else np.zeros((0, 0))
+    rows = np.zeros((len(P), n_theta + 1))
+    rows[:, : base.count] = np.linalg.solve(L, P)
+    rows[:, -1] = np.linalg.solve(L, S @ values)
+    return rows
