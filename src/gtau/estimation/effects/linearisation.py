@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, to_gains, whitening
-from gtau.estimation.regression.factors import EXTRA, equations, triangle
+from gtau.estimation.regression.factors import EXTRA, channel_rows, triangle
 from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.estimation.regression.run_blocks import Windows, window_clusters
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
@@ -87,7 +87,7 @@ class FitWindow:
         load = system.load(self.run, self.fit.solution.theta) if loaded else None
         rows, keep = [], []
         for part in stream_rows(self.fit.dataset.model, self.regressor, self.window, self.decimator, load):
-            A = equations(self.regressor, system.problem.channels, part)
+            A = channel_rows(self.regressor, system.problem.channels, part)
             rows.append(np.concatenate([A, added(part)], axis=-1) if added else A)
             keep.append(part.keep)
         return np.concatenate(rows, axis=1), np.concatenate(keep, axis=1)

@@ -83,7 +83,7 @@ class Dataset:
 
     @property
     def scaled_by_file(self) -> bool:
-        """Whether the inertias of the robot's file act as a prior on the scale only."""
+        """Whether the inertias of the robot's file give the scale alone."""
         return self.prior_inertias > 0 and len(self.priors) == len(self.stated_priors)
 
     @property
@@ -103,13 +103,10 @@ class Dataset:
     @property
     def notes(self) -> tuple[Finding, ...]:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""
-        runs = (
-            note.from_source(prepared.run.name)
-            for prepared in self.prepared
-            for note in (*prepared.run.notes, *prepared.notes)
-        )
-        robot_findings = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
-        return (*robot_findings, *runs)
+        notes = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
+        for prepared in self.prepared:
+            notes += [note.from_source(prepared.run.name) for note in (*prepared.run.notes, *prepared.notes)]
+        return tuple(notes)
 
     def system(
         self,
@@ -124,25 +121,25 @@ class Dataset:
         drift between runs if ``per_run``. ``delays`` marks the channels (c,) whose delay is estimated, or all or none.
         ``payloads`` replace the payloads of the runs.
         """
-        measured = self.runs[0].channels
+        model, base, measured = self.model, self.base, self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
-        given = {channel.joint: None for channel in measured if not channel.kind.modelled}
+        given = dict.fromkeys(channel.joint for channel in measured if not channel.kind.modelled)
         given.pop(self.robot.floating, None)
         payloads = [run.payload for run in self.runs] if payloads is None else payloads
-        payload_blocks = payload_columns(self.model, self.base, payloads)
-        effects = column_blocks(self.base, channels, payload_blocks, terms, len(self.runs) if per_run else 1)
-        require_base_wrench(self.model, self.factors)
+        payload_blocks = payload_columns(model, base, payloads)
+        effects = column_blocks(base, channels, payload_blocks, terms, len(self.runs) if per_run else 1)
+        require_base_wrench(model, self.factors)
         longest = 0.5 / (2 * np.pi * self.preparation.bandwidth) * np.asarray(delays)
         warm = None if self.temperatures is None else self.temperatures.by_block
         plain = assemble_problem(effects, channels, self.factors, longest, warm, self.prepared.places[0].tolist())
         if self.reference is None:  # which says what a joint at rest does not
             require_rows(plain)
-        known = known_equations(self.base, self.model.parameter_names, plain.parameters, self.priors)
+        known = [known_equations(base, model.parameter_names, plain.parameters, self.priors)]
         if self.scaled_by_file:
-            known = np.vstack([known, scale_of_file(self.model, self.base, plain, self.prior_inertias)])
+            known.append(scale_of_file(model, base, plain, self.prior_inertias))
         if self.reference is not None:
-            known = np.vstack([known, self.reference.among(plain.parameters)])
-        problem = replace(plain, known=known, wrenches=tuple(given), factored=plain.triangles)
+            known.append(self.reference.among(plain.parameters))
+        problem = replace(plain, known=np.vstack(known), wrenches=tuple(given), factored=plain.triangles)
         return System(self, problem.without(unexcited(problem)), problem, effects, payload_blocks, terms)
 
     def reduced(
@@ -160,6 +157,7 @@ class Dataset:
         factors: list[Factors] = []
         begun, total, columns = 0, sum(map(len, self.prepared)), self.base.standard
         runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
+        regressor = self.model.columns(columns)
 
         def counted(rows: Iterator[Rows], blocks: np.ndarray, samples: int) -> Iterator[Rows]:
             now = -1
@@ -172,9 +170,9 @@ class Dataset:
         for k, run in enumerate(runs):
             decimator = self.preparation.at(run.run.rate).decimator
             blocks = block_of(self.prepared.edges[k], decimator.outputs(len(run)))
-            regressor, load = self.model.columns(columns), None if loads is None else loads[k]
-            rows = counted(stream_rows(self.model, regressor, run, decimator, load), blocks, len(run))
-            weights = None if weigh is None else weigh[k]
+            rows = stream_rows(self.model, regressor, run, decimator, loads[k] if loads else None)
+            weights = weigh[k] if weigh else None
+            rows = counted(rows, blocks, len(run))
             factor = reduce_rows(self.model, columns, run.run.channels, rows, blocks, weights)
             factors.append(factor if along is None else replace(factor, distances=self.factors[k].distances))
             begun += len(run)
@@ -186,8 +184,7 @@ class Dataset:
 class System:
     """The problem of a dataset, and the meaning of its parameters.
 
-    ``unreduced`` has also the parameters that these motions cannot separate from those before them. ``effects`` are the
-    column blocks, ``terms`` the friction terms taken.
+    ``unreduced`` has also the parameters that these motions cannot separate from others.
     """
 
     dataset: Dataset
@@ -210,7 +207,6 @@ class System:
 
     @cached_property
     def _filled(self) -> np.ndarray:
-        """Mask of the blocks of all runs that have rows."""
         return np.concatenate([factor.rows for factor in self.dataset.factors]).sum(axis=1) > 0
 
     @property
@@ -290,13 +286,12 @@ def preparation_of(
     """Choose the preparation of runs by their spectra, and by trials along the robot's equations; raises GtauError."""
     if decimator == "chebyshev":
         return choose_preparation(runs, decimator)
-    model, base = equations.model, equations.base
-    runs = [run.ordered(model.actuated) for run in runs]
-    return choose_preparation(runs, decimator, lambda chosen: best_of_trials(model, base, runs, chosen))
+    runs = [run.ordered(equations.model.actuated) for run in runs]
+    return choose_preparation(runs, decimator, lambda chosen: best_of_trials(equations, runs, chosen))
 
 
 def at_rate_of(runs: Sequence[Run], preparation: Preparation) -> Preparation:
-    """Adapt a preparation chosen for other runs to the sampling rate of these."""
+    """Adapt a preparation to the lowest sampling rate of runs."""
     return preparation.at(min(run.rate for run in runs))
 
 

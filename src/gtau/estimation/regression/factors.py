@@ -113,7 +113,7 @@ class Factors:
         return tuple(triangle(*self.R[:, j]) for j in range(self.R.shape[1]))
 
 
-def equations(regressor: Regressor, channels: Sequence[Channel], part: Rows) -> np.ndarray:
+def channel_rows(regressor: Regressor, channels: Sequence[Channel], part: Rows) -> np.ndarray:
     """Build the rows ``[W_j terms_j known_j v_j v_j' v_j'']`` (c, K, p) of ``channels``."""
     joints = [channel.row for channel in channels]
     n, width = part.terms.shape[1], len(regressor.names)
@@ -198,7 +198,7 @@ def reduce_rows(
     for part in rows:
         distances.append(near(part.motion).T)
         block = blocks[part.outputs]
-        A = equations(regressor, channels, part)
+        A = channel_rows(regressor, channels, part)
         if weigh is not None:
             coefficients, limit = weigh
             e = np.einsum("jkp,jp->jk", A, coefficients)

@@ -9,12 +9,12 @@ from difflib import get_close_matches
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.regression.factors import EXTRA, KNOWN, SIGNAL, equations
+from gtau.estimation.regression.factors import EXTRA, KNOWN, SIGNAL, channel_rows
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding, Grade
 from gtau.findings.words import clock_advice, write_limits
-from gtau.model.base_parameters import BaseParameters
+from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
@@ -223,9 +223,7 @@ SMALLEST = 1e-3  # singular value of normed columns
 FEWEST = 4  # rows of half the stretches for each column
 
 
-def best_of_trials(
-    model: InverseDynamics, base: BaseParameters, runs: Sequence[Run], preparation: Preparation
-) -> Preparation:
+def best_of_trials(equations: Equations, runs: Sequence[Run], preparation: Preparation) -> Preparation:
     """Lower the cut-off and the bandwidth of a preparation where parameters found behind it predict clearly worse.
 
     Spectra show where noise takes over in the accelerations of a sample. What filters do to parameters is another
@@ -239,7 +237,7 @@ def best_of_trials(
     if len(cutoffs) == 1:
         return preparation
     try:
-        errors = _errors(model, base, runs, preparation, cutoffs)
+        errors = _errors(equations, runs, preparation, cutoffs)
     except GtauError:  # positions that the robot cannot have: the checks of the runs say why
         return preparation
     good = errors <= (1 + MARGIN) * np.min(errors)
@@ -262,16 +260,12 @@ def _cutoffs(runs: Sequence[Run], preparation: Preparation) -> list[float | None
 
 
 def _errors(
-    model: InverseDynamics,
-    base: BaseParameters,
-    runs: Sequence[Run],
-    preparation: Preparation,
-    cutoffs: Sequence[float | None],
+    equations: Equations, runs: Sequence[Run], preparation: Preparation, cutoffs: Sequence[float | None]
 ) -> np.ndarray:
     """Compute the relative errors behind each cut-off (C,), the geometric mean of the channels; NaN with few rows."""
     loads = [run.payload for run in runs]
     alike = [run for run in runs if run.payload == max(loads, key=loads.count)]
-    run_rows = [_rows(model, base, run, preparation, cutoffs, len(alike)) for run in alike]
+    run_rows = [_rows(equations, run, preparation, cutoffs, len(alike)) for run in alike]
     A, keep, odd = (np.concatenate(parts, axis=-1) for parts in zip(*run_rows, strict=True))
     channels = [_log_errors(A[:, j, :, kept], odd[kept]) for j, kept in enumerate(keep)]
     known = [errors for errors in channels if np.isfinite(errors).all()]
@@ -294,24 +288,20 @@ def _log_errors(rows: np.ndarray, odd: np.ndarray) -> np.ndarray:
 
 
 def _rows(
-    model: InverseDynamics,
-    base: BaseParameters,
-    run: Run,
-    preparation: Preparation,
-    cutoffs: Sequence[float | None],
-    runs: int,
+    equations: Equations, run: Run, preparation: Preparation, cutoffs: Sequence[float | None], runs: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute rows ``[W known | v]`` of stretches behind each cut-off (C, c, p, K).
 
     With them come masks: of those usable behind all cut-offs (c, K), and of odd stretches (K,).
     """
+    model, standard = equations.model, equations.base.standard
     prepared = prepare(run, preparation.at(run.rate), motor_to_joint_speed(model))
     stride = max(1, int(run.rate / (FINE * max(cutoff or run.rate for cutoff in cutoffs))))
     band = float(np.clip(preparation.decimator.cutoff(preparation.rate), *BANDS))
     decimator = Decimator(max(1, int(PASSED / 2 * run.rate / stride / band)))
     pieces = max(STRETCHES // runs, 4)
     length = min(min(ROWS * decimator.factor, SAMPLES) // runs // pieces * stride, len(prepared) // pieces)
-    regressor, p = model.columns(base.standard), len(base.standard) + EXTRA
+    regressor, p = model.columns(standard), len(standard) + EXTRA
     channels = [channel for channel in run.channels if channel.kind.modelled]
     used = [*range(p - EXTRA), p + KNOWN, p + SIGNAL]
     A: list[list[np.ndarray]] = [[] for _ in cutoffs]
@@ -324,7 +314,7 @@ def _rows(
             behind = replace(prepared, preparation=replace(prepared.preparation, cutoff=cutoff))
             window = behind.samples(start, start + length)[::stride]
             parts = list(stream_rows(model, regressor, window, decimator))
-            rows += [equations(regressor, channels, part)[..., used].swapaxes(1, 2) for part in parts]
+            rows += [channel_rows(regressor, channels, part)[..., used].swapaxes(1, 2) for part in parts]
             usable.append(np.concatenate([keep[0], *(part.keep for part in parts)], axis=1))
         keep.append(np.all(usable, axis=0))
         odd.append(np.full(keep[-1].shape[1], number % 2 == 1))

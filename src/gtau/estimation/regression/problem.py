@@ -3,9 +3,8 @@
 Row block (u, j) holds the equations of channel j in unit u, a block of a run, with the columns of
 :mod:`gtau.estimation.regression.factors`: the columns of the model act on the unknown parameters ``theta`` (base
 parameters, then what every other effect adds), ``known`` is ``W_kl chi_kl`` minus the torques of measured wrenches, and
-v is a current reference, or the torque of a channel with the gain 1. The rows may be the rows of the decimated system,
-or their triangular factor: within one solve, all estimators depend on them only through ``A^T A`` and give the same for
-both. An estimator that reweights rows streams the logs again (``Dataset.reduced``).
+v is a current reference, or the torque of a channel with the gain 1. The rows may be those of the decimated system or
+their triangular factor: all estimators depend on them only through ``A^T A``.
 """
 
 from __future__ import annotations
@@ -39,19 +38,19 @@ class Unknowns(tuple[Parameter, ...]):
         """Find the places of some unknowns, in their order."""
         return [self.places[name] for name in names]
 
-    @cached_property
+    @property
     def theta(self) -> slice:
-        """Positions of the model parameters."""
+        """Places of the model parameters."""
         return slice(0, self.gains.start)
 
     @cached_property
     def gains(self) -> slice:
-        """Gains of the channels."""
+        """Places of the channels' gains."""
         return self._of("gain")
 
     @cached_property
     def delays(self) -> slice:
-        """Delays of the channels."""
+        """Places of the channels' delays."""
         return self._of("delay")
 
     def _of(self, kind: str) -> slice:
@@ -130,27 +129,13 @@ class Estimates:
 class Problem:
     """Equations ``v(t - d_j) g_j = W_theta theta + known`` of all channels.
 
-    Attributes
-    ----------
-    parameters : tuple of Parameter
-        Unknown parameters theta, (n_theta,).
-    channels : tuple of Channel
-        The signals explained, (c,): of the n actuated joints, then of torque sensors.
-    blocks : ndarray
-        (U, c, p, n_theta + 4), rows or triangular factors.
-    rows : ndarray
-        (U, c) number of equations behind each block.
-    longest_delays : ndarray
-        Longest delays (s) that the expansion in derivatives can describe, (c,); 0 where none is estimated.
-    known : ndarray
-        (k, n_theta + 1) further equations ``[P | y]``, of known parameters: ``P theta = y`` with errors of unit
-        variance.
-    wrenches : tuple of str
-        Bodies on which measured wrenches act; the column ``known`` holds minus their joint torques.
-    clusters : ndarray, optional
-        (U,) the same number for blocks that the jackknife leaves out together, of runs that repeat a motion.
-    factored, independent : tuple, optional
-        ``triangles`` and ``own_columns`` where they are known already.
+    ``parameters`` are theta (n_theta,), ``channels`` the signals explained (c,), of the n actuated joints and then of
+    torque sensors. ``blocks`` (U, c, p, n_theta + 4) are rows or triangular factors, ``rows`` (U, c) count the
+    equations behind each. ``longest_delays`` (c,), s, are the longest that the expansion in derivatives can describe, 0
+    where none is estimated. ``known`` (k, n_theta + 1) are further equations ``[P | y]``: ``P theta = y`` with errors
+    of unit variance. ``wrenches`` are the bodies with measured wrenches, minus whose joint torques are in the column
+    ``known``. ``clusters`` (U,) number the blocks, those alike that the jackknife leaves out together, of runs that
+    repeat a motion. ``factored`` and ``independent`` are ``triangles`` and ``own_columns`` where known already.
     """
 
     parameters: tuple[Parameter, ...]
@@ -197,15 +182,11 @@ class Problem:
         """Decide whether torque sensors, measured wrenches or known parameters fix the scale of the gains."""
         return not self.unknown_gains.all() or bool(self.wrenches) or len(self.known) > 0
 
-    @property
-    def block_numbers(self) -> np.ndarray:
-        """Number the blocks by the units that the jackknife leaves out, (U,)."""
-        return np.arange(len(self.blocks)) if self.clusters is None else self.clusters
-
     @cached_property
     def units(self) -> tuple[np.ndarray, ...]:
-        """Return the units of the jackknife in turn, (c, ., n_theta + 4): a block, or all blocks in step."""
-        together = (self.blocks[self.block_numbers == number] for number in np.unique(self.block_numbers))
+        """Units of the jackknife in turn, (c, ., n_theta + 4): a block, or all blocks in step."""
+        numbers = np.arange(len(self.blocks)) if self.clusters is None else self.clusters
+        together = (self.blocks[numbers == number] for number in np.unique(numbers))
         return tuple(np.concatenate(blocks, axis=1) for blocks in together)
 
     @cached_property
@@ -232,7 +213,7 @@ class Problem:
     @cached_property
     def own_columns(self) -> tuple[list[int], ...]:
         """For each channel, the columns of [W_theta | known] that are independent in its own equations."""
-        return tuple(_independent(R) for R in self.triangles)
+        return tuple(independent_columns(R[:, : KNOWN + 1])[0] for R in self.triangles)
 
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
@@ -250,11 +231,7 @@ class Problem:
 
     @cached_property
     def own_delays(self) -> np.ndarray:
-        """Delay of each channel (s), (c,), with the best fit of its own model.
-
-        Minimises the residual of ``v - d v' + d^2/2 v''`` outside the joint's regressor, from the
-        (3, 3) triangles alone. Zero where the minimum lies outside +-``longest_delays``.
-        """
+        """Delay of each channel (s), (c,), with the best fit of its own model; zero if beyond ``longest_delays``."""
         delays = np.zeros(len(self.channels))
         for j, T in enumerate(self.own_currents):
             if T.shape[0] < 2:
@@ -287,7 +264,7 @@ class Problem:
 
     @cached_property
     def silent(self) -> np.ndarray:
-        """Mask of the channels without a signal, (c,), such as a direction without external forces on a base."""
+        """Mask of the channels without a signal, (c,), such as a direction without forces on a base."""
         return self.signal == 0.0
 
     def balance(self, theta: np.ndarray) -> np.ndarray:
@@ -302,7 +279,7 @@ class Problem:
 
     @property
     def smallest_sigma(self) -> np.ndarray:
-        """Rounding error of each channel, (c,): the lower limit of its error level, above zero without a signal."""
+        """Rounding error of each channel, (c,): the lower limit of its error level."""
         return np.maximum(1e-10 * self.signal, 1e-150)
 
     def weights(self, squares: np.ndarray) -> np.ndarray:
@@ -314,10 +291,10 @@ class Problem:
 
         ``signal`` (.,) is its current, delayed if left out; the current of a channel with a known gain is known, too.
         """
-        rows = np.zeros((len(block), self.n_theta + len(self.channels) + 1))
-        rows[:, : self.n_theta], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
+        n, rows = self.n_theta, np.zeros((len(block), self.n_theta + len(self.channels) + 1))
+        rows[:, :n], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
         signal = delayed_signal(block, self.own_delays[j]) if signal is None else signal
-        rows[:, self.n_theta + j if self.unknown_gains[j] else -1] += signal
+        rows[:, n + j if self.unknown_gains[j] else -1] += signal
         return rows
 
     @property
@@ -343,13 +320,8 @@ class Problem:
         independent = tuple(
             [now[k] for k in chosen if k in now]
             if now.keys() >= set(chosen) or len(chosen) == np.count_nonzero(R[:, : KNOWN + 1].any(axis=0))
-            else _independent(T)
+            else independent_columns(T[:, : KNOWN + 1])[0]
             for chosen, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
         )
         blocks = self.blocks[..., columns]
         return replace(self, parameters=kept, blocks=blocks, known=known, factored=triangles, independent=independent)
-
-
-def _independent(R: np.ndarray) -> list[int]:
-    """Find columns of [W_theta | known] that are linearly independent in the equations with the triangle R."""
-    return independent_columns(R[:, : KNOWN + 1])[0]

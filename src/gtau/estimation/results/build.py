@@ -49,19 +49,24 @@ def model_estimates(
     ``equations`` are the estimates of the fit, ``predicting`` the same after the friction step; ``verdicts`` are on
     gains and delays, ``payloads`` those on known payloads by name.
     """
-    dataset, channels = fit.dataset, fit.system.problem.channels
-    temperatures = reference_temperatures(fit)
-    sensors = {channel.name for channel in channels if channel.kind.link_side}
-    given = {Parameter("gain", sensor) for sensor in sensors}
-    listed = [name for name in predicting.unknowns if name not in given]
+    robot, kind, temperatures = fit.dataset.robot, fit.dataset.runs[0].kind, reference_temperatures(fit)
+    sensors = _link_side(fit)
+    listed = [name for name in predicting.unknowns if name.kind != "gain" or name.body not in sensors]
     order = {"gain": 1, "delay": 2}  # behind the parameters
     listed.sort(key=lambda name: order.get(name.kind, 0))
+    gains = {joint: Parameter("gain", joint) for joint in robot.motors}
+    delays = {joint: Parameter("delay", joint) for joint in robot.actuated}
     return ModelEstimates(
-        drive_gains=Named(_gains(fit, predicting, verdicts)),
-        delays=Named((joint, _delay(predicting, joint, joint, verdicts)) for joint in dataset.model.actuated),
+        drive_gains=Named(
+            (joint, _estimate(predicting, gain, gain_unit(robot, joint, kind), joint, verdicts[gain]))
+            for joint, gain in gains.items()
+        ),
+        delays=Named(
+            (joint, _estimate(predicting, delay, "s", joint, verdicts[delay])) for joint, delay in delays.items()
+        ),
         parameters=Named(_parameters(fit, predicting, essential)),
         friction=Named(
-            (name, _estimate(predicting, name, friction_unit(name, dataset.robot, temperatures)))
+            (name, _estimate(predicting, name, friction_unit(name, robot, temperatures)))
             for name in predicting.unknowns
             if name.kind in FURTHER_FRICTION and name.body not in sensors
         ),
@@ -76,40 +81,35 @@ def fit_record(
     fit: Fit, method: str, errors: Mapping[str, tuple[float, float]], statistics: Mapping[str, float]
 ) -> FitRecord:
     """Record how the estimates were fitted, with ``errors`` over all samples by motor and further ``statistics``."""
-    dataset, solution = fit.dataset, fit.solution
-    total, (sigma, signal) = _total(fit.system.problem, solution.sigma), _levels(fit)
-    estimated, gains = _scaled(total[:, :-1]), np.abs(solution.gains)
+    dataset, problem, solution = fit.dataset, fit.system.problem, fit.solution
+    robot, joints = dataset.robot, dataset.model.actuated
+    weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
+    rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
+    W_tot = triangle(*rows, problem.total_known)  # eq. (33)
+    estimated = _unit_columns(W_tot[:, :-1])
     condition = float(np.linalg.cond(estimated)) if estimated.size else 1.0
+    sizes = np.abs(solution.gains) * _levels(fit)
+    speeds = [factors.speeds.max(axis=0) for factors in dataset.factors if factors.speeds is not None]
+    fastest = np.max(speeds, axis=0) if speeds else np.zeros(len(joints))
+    shares = scale_shares(fit) if fit.free_gains else {}
     return FitRecord(
         method=method,
         kind=dataset.runs[0].kind,
         runs=tuple(run.name for run in dataset.runs),
         preparation=dataset.preparation,
         residuals=tuple(
-            TorqueError(
-                joint,
-                float(gains[k] * sigma[k]),
-                float(gains[k] * signal[k]),
-                torque_unit(dataset.robot, joint),
-                *errors.get(joint, ()),
-            )
-            for k, joint in enumerate(dataset.model.actuated)
+            TorqueError(joint, float(rms), float(signal), torque_unit(robot, joint), *errors.get(joint, ()))
+            for joint, rms, signal in zip(joints, *sizes[:, : len(joints)], strict=True)
         ),
-        logged_speeds=_logged_speeds(fit),
-        scale=_scale(fit) if fit.free_gains else {},
+        logged_speeds=dict(zip(joints, map(float, fastest), strict=True)),
+        scale={
+            joint: {source: float(share[joints.index(joint)]) for source, share in shares.items()}
+            for joint in (robot.motors if fit.free_gains else ())
+        },
         statistics={**solution.statistics, **statistics, "condition_number": condition},
-        singular_values=tuple(np.linalg.svd(_scaled(total), compute_uv=False).tolist()) if fit.free_gains else (),
+        singular_values=_singular_values(W_tot) if fit.free_gains else (),
         data=dataset.runs,
     )
-
-
-def _scale(fit: Fit) -> dict[str, dict[str, float]]:
-    """List what the scale of each motor's gain rests on, in shares."""
-    actuated, shares = fit.dataset.model.actuated, scale_shares(fit)
-    return {
-        joint: {source: float(share[actuated.index(joint)]) for source, share in shares.items()}
-        for joint in fit.dataset.robot.motors
-    }
 
 
 def evidence(
@@ -120,9 +120,8 @@ def evidence(
     curves: Mapping[str, FrictionCurve],
 ) -> Evidence:
     """Collect what speaks for and against the estimates, including the estimates of the equations."""
-    dataset, temperatures = fit.dataset, reference_temperatures(fit)
+    dataset, temperatures, sensors = fit.dataset, reference_temperatures(fit), _link_side(fit)
     replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
-    sensors = {channel.name for channel in fit.system.problem.channels if channel.kind.link_side}
     replaced |= {term for term in fit.system.terms if curves and term.body not in sensors}
     along = [
         (prepared, dataset.preparation.at(prepared.run.rate).decimator, factors.distances)
@@ -143,6 +142,10 @@ def evidence(
     )
 
 
+def _link_side(fit: Fit) -> set[str]:
+    return {channel.name for channel in fit.system.problem.channels if channel.kind.link_side}
+
+
 def _estimate(
     vector: Estimates, name: Parameter, unit: str, called: str = "", verdict: Finding | None = None
 ) -> Estimate:
@@ -151,28 +154,21 @@ def _estimate(
     One that is given, or whose value the data do not determine, has no standard deviation.
     """
     k = vector.unknowns.places[name]
-    value, std = float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])) or None
-    freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
-    judged = verdict or parameter_verdict(value, std)
-    if name.kind == "delay" and judged.outcome == Grade.NOT_IDENTIFIABLE:
-        std = None
-    model_std = None if std is None else min(float(np.sqrt(max(vector.model[k, k], 0.0))), std)  # but for rounding
+    value, std, freedom = _numbers(vector, name)
+    judged = verdict or parameter_verdict(value, std or None)
+    if not std or (name.kind == "delay" and judged.outcome == Grade.NOT_IDENTIFIABLE):
+        return Estimate(called or name, value, None, unit, verdict=judged, freedom=freedom)
+    model_std = min(float(np.sqrt(max(vector.model[k, k], 0.0))), std)  # but for rounding
     return Estimate(called or name, value, std, unit, verdict=judged, freedom=freedom, model_std=model_std)
 
 
-def _gains(fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Finding]) -> dict[str, Estimate]:
-    """Collect the drive gains of the motors."""
-    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
-    return {
-        joint: _estimate(vector, gain, gain_unit(robot, joint, kind), joint, verdicts[gain])
-        for joint in robot.motors
-        for gain in (Parameter("gain", joint),)
-    }
-
-
-def _delay(vector: Estimates, channel: str, joint: str, verdicts: Mapping[Parameter, Finding]) -> Estimate:
-    delay = Parameter("delay", channel)
-    return _estimate(vector, delay, "s", joint, verdicts[delay])
+def _numbers(vector: Estimates, name: Parameter) -> tuple[float | None, float | None, float | None]:
+    """Return value, standard deviation and degrees of freedom of an unknown, None where it is not identifiable."""
+    if name not in vector.unknowns.places:
+        return None, None, None
+    k = vector.unknowns.places[name]
+    freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
+    return float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])), freedom
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
@@ -192,65 +188,54 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     return parameters
 
 
-def _scaled(W: np.ndarray) -> np.ndarray:
-    """Scale the columns of ``W_tot`` to unit length."""
+def _unit_columns(W: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(W, axis=0)
     return np.asarray(W[:, length > 0] / length[length > 0])
 
 
-def _total(problem: Problem, sigma: np.ndarray) -> np.ndarray:
-    """Build the triangular factor of ``W_tot`` (eq. 33), rows weighted by ``sigma`` (n,)."""
-    weights = 1 / np.maximum(sigma, problem.smallest_sigma)
-    rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
-    return triangle(*rows, problem.total_known)
+def _singular_values(W: np.ndarray) -> tuple[float, ...]:
+    return tuple(np.linalg.svd(_unit_columns(W), compute_uv=False).tolist())
 
 
-def _logged_speeds(fit: Fit) -> dict[str, float]:
-    """Find the largest speed of each actuated joint among the rows of all runs."""
-    speeds = [factors.speeds.max(axis=0) for factors in fit.dataset.factors if factors.speeds is not None]
-    largest = np.max(speeds, axis=0) if speeds else np.zeros(len(fit.dataset.model.actuated))
-    return dict(zip(fit.dataset.model.actuated, map(float, largest), strict=True))
-
-
-def _levels(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Compute rms residual and rms signal of each channel, (c,), over rows that all count alike."""
+def _levels(fit: Fit) -> np.ndarray:
+    """Compute rms residual and rms signal of each channel, (2, c), over rows that all count alike."""
     problem, solution = fit.system.problem, fit.solution
     if fit.unweighted is None:
-        return solution.sigma, problem.balance(solution.theta)
+        return np.stack([solution.sigma, problem.balance(solution.theta)])
     weighted, unweighted = (squared(stacked(rows), solution.values) for rows in (problem, fit.unweighted))
     ratio = np.sqrt(unweighted / np.maximum(weighted, 1e-300))
-    return solution.sigma * ratio, fit.unweighted.balance(solution.theta)
+    return np.stack([solution.sigma * ratio, fit.unweighted.balance(solution.theta)])
 
 
 def sensor_estimates(
     fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Finding], accuracy: float
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
-    robot, problem, sensors, (sigma, signal) = fit.dataset.robot, fit.system.problem, [], _levels(fit)
-    scales = sensor_scales(fit) if fit.free_gains else ()
+    robot, problem, sensors = fit.dataset.robot, fit.system.problem, []
+    scales = {scale.channel: scale for scale in (sensor_scales(fit) if fit.free_gains else ())}
+    sigma, signal = _levels(fit).tolist()
     for k in problem.sensor_channels:
-        channel, joint = problem.channels[k], problem.channels[k].joint
+        channel, joint, ratio = problem.channels[k], problem.channels[k].joint, None
         parameters = {
             name: _estimate(vector, name, unit_of(kind, robot, joint))
             for kind in ("off", *DRIFTING)
             if (name := Parameter(kind, channel.name)) in vector.unknowns.places
         }
-        residual = TorqueError(joint, float(sigma[k]), float(signal[k]), torque_unit(robot, joint))
-        scale = next((sensor for sensor in scales if sensor.channel == channel), None)
-        ratio = None
-        if scale is not None:
+        if scale := scales.get(channel):
             ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, accuracy))
-        delay = _delay(vector, channel.name, joint, verdicts)
-        sensors.append(SensorEstimate(joint, parameters, delay, residual, ratio, channel.kind))
+        delay = Parameter("delay", channel.name)
+        delay_estimate = _estimate(vector, delay, "s", joint, verdicts[delay])
+        residual = TorqueError(joint, sigma[k], signal[k], torque_unit(robot, joint))
+        sensors.append(SensorEstimate(joint, parameters, delay_estimate, residual, ratio, channel.kind))
     return tuple(sensors)
 
 
 def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
     """Compute the standard deviation between runs of each friction parameter that may drift."""
     differences: dict[str, list[float]] = {}
-    for name, value in zip(system.problem.parameters, theta, strict=True):
+    for name, value in zip(system.problem.parameters, theta.tolist(), strict=True):
         if name.run is not None:
-            differences.setdefault(Parameter(name.kind, name.body), []).append(float(value))
+            differences.setdefault(Parameter(name.kind, name.body), []).append(value)
     # the differences of all runs add up to zero, and the last is not listed
     return {name: float(np.std([*values, -sum(values)], ddof=1)) for name, values in differences.items()}
 
@@ -260,19 +245,19 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
 
     ``vector`` are the estimates by the equations, ``masses`` verdicts on known payloads, by name.
     """
-    dataset, payloads = system.dataset, []
+    robot, runs, payloads = system.dataset.robot, system.dataset.runs, []
     for carried in system.payloads:
-        known, name = known_values(carried.payload), carried.payload.name
-        sums = _sums(carried, vector, dataset.robot)
+        payload, known = carried.payload, known_values(carried.payload)
+        sums = _sums(carried, vector, robot)
         estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
-        if "m" in estimates and carried.payload.center is not None:
-            unit = unit_of("mx", dataset.robot, dataset.robot.tool)
-            moments = zip(FIRST_MOMENTS, carried.payload.center, strict=True)
-            estimates |= {kind: _first_moment(kind, estimates["m"], at, unit) for kind, at in moments}
-        weighed = None if "m" in known else _weighed(dataset.robot, carried, vector)
-        verdict = masses.get(name) or _possible(estimates.get("m"))
-        run = dataset.runs[carried.run].name
-        payloads.append(PayloadEstimate(name, run, estimates, frozenset(known), verdict, weighed))
+        if (mass := estimates.get("m")) and payload.center is not None:
+            unit = unit_of("mx", robot, robot.tool)
+            moments = zip(FIRST_MOMENTS, payload.center, strict=True)
+            estimates |= {kind: _first_moment(kind, mass, at, unit) for kind, at in moments}
+        weighed = None if "m" in known else _weighed(robot, carried, vector)
+        verdict = masses.get(payload.name) or _possible(mass)
+        run = runs[carried.run].name
+        payloads.append(PayloadEstimate(payload.name, run, estimates, frozenset(known), verdict, weighed))
     return tuple(payloads)
 
 
@@ -284,21 +269,11 @@ def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str,
         estimates[kind] = Estimate(kind, known, stated, unit_of(kind, robot, robot.tool), kind)
     for name in carried.unknown:
         if (kind := name.kind) not in estimates:
-            value, std, freedom = _estimated(vector, name)
+            value, std, freedom = _numbers(vector, name)
             verdict, unit = parameter_verdict(value, std), unit_of(kind, robot, robot.tool)
-            estimates[kind] = Estimate(
-                kind, value, std, unit, carried.regrouping(name), verdict=verdict, freedom=freedom
-            )
+            regrouping = carried.regrouping(name)
+            estimates[kind] = Estimate(kind, value, std, unit, regrouping, verdict=verdict, freedom=freedom)
     return estimates
-
-
-def _estimated(vector: Estimates, name: Parameter) -> tuple[float | None, float | None, float | None]:
-    """Return value, standard deviation and degrees of freedom of a sum, None where it is not identifiable."""
-    if name not in vector.unknowns.places:
-        return None, None, None
-    k = vector.unknowns.places[name]
-    freedom = None if vector.effective_freedom is None else float(vector.effective_freedom[k])
-    return float(vector.values[k]), float(np.sqrt(vector.covariance[k, k])), freedom
 
 
 def _possible(mass: Estimate | None) -> Finding:
@@ -323,20 +298,16 @@ def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighe
     rows = [carried.unknown.index(name) for name in seen]
     sums[:, [INERTIAL.index(kind) for kind in carried.summed]] = carried.sums[rows]
     estimates = vector.select(seen)
+    freedom = estimates.effective_freedom
+    least = None if freedom is None or not seen else float(freedom.min())
     unit = dict(zip(INERTIAL, np.eye(len(INERTIAL)), strict=True))
     stated = [(unit[kind], value) for kind, value in known_values(carried.payload).items()]
     center = zip(FIRST_MOMENTS, carried.payload.center or (), strict=False)
     stated += [(unit[kind] - at * unit["m"], 0.0) for kind, at in center]
-    return Weighed(
-        robot.tool,
-        sums,
-        estimates.values,
-        estimates.covariance,
-        np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL))),
-        np.array([value for _, value in stated]),
-        None if estimates.effective_freedom is None or not seen else float(estimates.effective_freedom.min()),
-        longest_placement(robot),
-    )
+    exact = np.reshape([row for row, _ in stated], (len(stated), len(INERTIAL)))
+    values = np.array([value for _, value in stated])
+    reach = longest_placement(robot)
+    return Weighed(robot.tool, sums, estimates.values, estimates.covariance, exact, values, least, reach)
 
 
 def _first_moment(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
