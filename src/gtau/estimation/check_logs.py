@@ -58,10 +58,7 @@ WEIGHING = "weighing"  # kind of the note on logs without a payload of known mas
 
 @dataclass(frozen=True, eq=False)
 class JointCheck:
-    """One joint in a log, while the robot moves: positions in rad or m, commands in A or N m (N).
-
-    ``usable`` is the share of the decimated rows that an identification uses.
-    """
+    """One joint of a log in motion, SI units; ``usable`` is the share of rows that identification uses."""
 
     joint: str
     position: tuple[float, float]
@@ -80,10 +77,7 @@ class JointCheck:
 
 @dataclass(frozen=True, eq=False)
 class WrenchCheck:
-    """The wrench on one body in a log, while the robot moves: force (N) and moment (N m), root mean squares.
-
-    The moment is about the origin of the axes, which are fixed in the world or in the body.
-    """
+    """Wrench on a body of a log in motion: rms force (N), and rms moment (N m) about the origin of the axes."""
 
     body: str
     axes: Literal["world", "body"]
@@ -93,10 +87,7 @@ class WrenchCheck:
 
 @dataclass(frozen=True, eq=False)
 class LogCheck:
-    """One log: its joints, and positions (K, n), usable samples and distances (K,) at the decimated instants.
-
-    ``validation`` says whether the file lists the run under that key.
-    """
+    """One log: its joints, and positions (K, n), usable samples and distances (K,) at the decimated instants."""
 
     run: Run
     validation: bool
@@ -251,7 +242,7 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
 
 
 def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[Finding]:
-    """List findings that need all runs: the scale of the gains, units, the payload's effect, inseparable parameters."""
+    """List findings that need all runs together."""
     system = dataset.system()
     notes, planned = [*command_lag(dataset, system), *not_separated(system.unexcited)], None
     payloads = [run.payload for run in dataset.runs if run.payload is not None]

@@ -32,10 +32,7 @@ OF_RUNS = "the runs of a robot are a list of runs; read each log with gtau.read_
 
 @dataclass(frozen=True, eq=False)
 class Options:
-    """What is asked of an identification; see :func:`gtau.identify`.
-
-    None stands for the experiment file's own gains and priors until :func:`describe` has read them.
-    """
+    """What is asked of an identification; None stands for the experiment file's own gains and priors."""
 
     method: str | None = None
     as_paper: bool = False
@@ -76,10 +73,7 @@ def options_of(
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A robot with its runs, and what is asked, with all prior knowledge: of the inertias of its file too, if asked.
-
-    ``experiment`` is None where robot and runs were given in Python.
-    """
+    """A robot with its runs, what is asked, and its ``experiment`` if it comes from a file."""
 
     robot: Robot
     runs: Sequence[Run]
@@ -142,14 +136,12 @@ def describe(
 
 
 def _with_inertias(options: Options, robot: Robot) -> Options:
-    """Take the inertias of the robot's file as priors, if asked, where none are stated; raises GtauError."""
     if options.prior_inertias is None:
         return options
     return replace(options, priors={**inertia_priors(robot, options.prior_inertias), **(options.priors or {})})
 
 
 def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> dict[str, StatedGain]:
-    """Read gains by joint, with the standard deviations of those that have one."""
     expect("'prior_gains'", gains, MAPPING)
     stated = {}
     for joint, gain in gains.items():

@@ -188,16 +188,12 @@ def reduced(
 
 
 def _has_scale(run: Run) -> bool:
-    """Whether a payload of known mass, torque sensors or wrenches give the scale."""
     loaded = run.payload is not None and run.payload.mass is not None
     return loaded or any(not channel.kind.unknown_gain for channel in run.channels)
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float], method: str) -> np.ndarray:
-    """Return gains for least squares: the prior ones, 1 for torques without, (n,).
-
-    Raises GtauError where currents are logged and some joint has no prior gain.
-    """
+    """Return gains (n,): the prior ones, 1 for torques without; raises GtauError where currents have none."""
     exact = robot.actuated if runs[0].kind == "torque" else robot.base
     known = dict.fromkeys(exact, 1.0) | dict(prior_gains)
     missing = [joint for joint in robot.actuated if joint not in known]

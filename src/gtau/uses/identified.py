@@ -203,7 +203,6 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
 def _friction(
     model: Identified, p: ca.SX, yd: ca.SX, J: ca.SX, z: ca.SX
 ) -> tuple[Callable[[ca.SX], ca.SX], Callable[[ca.SX], ca.SX]]:
-    """Make the torque of friction and offsets, by the friction law with parameters p, and the regressor of a load."""
     law, joints = model.result.friction_law, model.result.robot.joints
     names = (*model.result.base.standard, *model.terms)
     values: dict[str, ca.SX] = dict(zip(names, ca.vertsplit(p), strict=True))

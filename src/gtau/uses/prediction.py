@@ -40,13 +40,12 @@ if TYPE_CHECKING:
 class Prediction:
     """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
 
-    ``friction`` (N, n) is the part of what is predicted that friction and offsets take.
-
-    Measured torques are raw. Predicted torques are at the instants of the commands, and behind no low-pass but the one
-    of the positions, up to where their noise takes over; :attr:`in_band` has both behind the low-pass of
-    identification, ``decimator``, and :attr:`rows` one sample in its factor. ``keep`` (N, n) is False near a joint's
-    reversals and rests, which identification of gains and inertia leaves out, and near gaps; ``valid`` (N, n) is False
-    near gaps and repaired samples, and at the ends of the log up to where the motion begins.
+    ``friction`` (N, n) is the part of what is predicted that friction and offsets take. Measured torques are raw.
+    Predicted torques are at the instants of the commands, and behind no low-pass but the one of the positions, up to
+    where their noise takes over; :attr:`in_band` has both behind the low-pass of identification, ``decimator``, and
+    :attr:`rows` one sample in its factor. ``keep`` (N, n) is False near a joint's reversals and rests, which
+    identification of gains and inertia leaves out, and near gaps; ``valid`` (N, n) is False near gaps and repaired
+    samples, and at the ends of the log up to where the motion begins.
     """
 
     joints: tuple[str, ...]
@@ -61,11 +60,11 @@ class Prediction:
     @property
     def in_band(self) -> Prediction:
         """Predicted and measured torques behind the low-pass of identification, as its residuals are."""
-        predicted, measured, friction = (
-            self.decimator.smooth(torque.T, 0, len(self.time)).T
-            for torque in (self.predicted, self.measured, self.friction)
-        )
-        return replace(self, predicted=predicted, measured=measured, friction=friction, decimator=Decimator(1))
+        smoothed = {
+            name: self.decimator.smooth(getattr(self, name).T, 0, len(self.time)).T
+            for name in ("predicted", "measured", "friction")
+        }
+        return replace(self, **smoothed, decimator=Decimator(1))
 
     @property
     def rows(self) -> Prediction:
@@ -75,14 +74,12 @@ class Prediction:
 
     def part(self, samples: slice | np.ndarray) -> Prediction:
         """Take some of the samples."""
-        names = ("time", "predicted", "measured", "friction", "keep", "valid")
-        return replace(self, **{name: getattr(self, name)[samples] for name in names})
+        return replace(self, **{name: getattr(self, name)[samples] for name in ("time", *OF_JOINTS)})
 
     def of(self, joints: Sequence[str]) -> Prediction:
         """Take some of the joints."""
         chosen = [self.joints.index(joint) for joint in joints]
-        names = ("predicted", "measured", "friction", "keep", "valid")
-        return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in names})
+        return replace(self, joints=tuple(joints), **{name: getattr(self, name)[:, chosen] for name in OF_JOINTS})
 
     def __repr__(self) -> str:
         return (
@@ -143,13 +140,12 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
             np.stack([torques.measured[:, j] - torques.predicted[:, j], torques.measured[:, j]])
             for torques in (behind, prediction)
         )
-        (rms, signal), (rms_all, signal_all), (rms_raw, signal_raw) = (
+        used, *rest = (
             np.sqrt(np.mean(pair[:, rows] ** 2, axis=1)).tolist()
             for pair, rows in ((smooth, kept), (smooth, valid), (raw, valid))
         )
         bands = _bands(prediction.time, raw, valid, bandwidth)
-        unit = torque_unit(robot, joint)
-        errors.append(TorqueError(joint, rms, signal, unit, rms_all, signal_all, rms_raw, signal_raw, bands))
+        errors.append(TorqueError(joint, *used, torque_unit(robot, joint), *rest[0], *rest[1], bands))
     return tuple(errors)
 
 
@@ -181,11 +177,12 @@ STEP = np.sqrt(2.0)  # between the cut-offs tried
 # Share by which position noise may raise the error. The error hardly depends on a cut-off below the noise (the
 # Panda's from 7 to 50 Hz by 1 %), so the highest one is taken: other motions may be faster than the logs.
 RAISED = 0.01
+OF_JOINTS = ("predicted", "measured", "friction", "keep", "valid")
 NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
 
 
 def suited(result: IdentifiedModel, run: Run) -> Run:
-    """Order the columns of a run as the model's joints; raises GtauError if it holds another kind of commands."""
+    """Order the columns of a run as the model's joints; raises GtauError if it has other commands."""
     if not isinstance(run, Run):
         raise GtauError(
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
@@ -267,35 +264,29 @@ def friction_along(
 
 def check_temperature_unit(result: IdentifiedModel, run: Run) -> None:
     """Check that the temperatures of a run are in the model's unit; raises GtauError."""
-    temperature = run.side.get("temperature")
-    if result.temperatures is None or temperature is None:
-        return
-    if temperature.unit != result.temperatures.unit:
+    known, logged = result.temperatures, run.side.get("temperature")
+    if known and logged and logged.unit != known.unit:
         raise GtauError(
-            f"the temperatures of run '{run.name}' are in {temperature.unit}, but the model has "
-            f"{result.temperatures.unit}; give the same unit."
+            f"the temperatures of run '{run.name}' are in {logged.unit}, but the model has {known.unit}; give the same "
+            "unit."
         )
 
 
 def friction_values(
     result: IdentifiedModel, chi: np.ndarray, run: Run | None = None, time: np.ndarray | None = None
 ) -> dict[str, Any]:
-    """Collect the friction parameters by name, numbers or (N,), for base parameters ``chi`` (n_b,).
-
-    They apply at the temperatures of a run at ``time`` (N,), or at the reference temperatures.
-    """
+    """Collect friction by name for base parameters ``chi`` (n_b,), at a run's temperatures at ``time`` (N,)."""
     values: dict[str, Any] = dict(zip(result.base.standard, chi, strict=True))
-    terms = {name: estimate.value or 0.0 for name, estimate in result.friction.items() if name.kind not in SHAPES}
+    terms = {name: term.value or 0.0 for name, term in result.friction.items() if name.kind not in SHAPES}
     values |= {name: value for name, value in terms.items() if name.kind not in TEMPERATURE_TERMS}
-    warm = None if run is None else run.side.get("temperature")
+    warm = run.side.get("temperature") if run else None
     if result.temperatures is None or warm is None or time is None:
         return values
     for name, slope in terms.items():
         joint = result.friction_law.motor_of(name.body)
         if name.kind in TEMPERATURE_TERMS and joint is not None and joint in warm.by_joint:
             above = warm.at(joint, time) - result.temperatures.of_joint[joint]
-            kind = Parameter(TEMPERATURE_TERMS[name.kind], name.body)
-            values[kind] = values[kind] + slope * above
+            values[Parameter(TEMPERATURE_TERMS[name.kind], name.body)] += slope * above
     return values
 
 
@@ -306,15 +297,10 @@ def torques_along(
     terms: Mapping[Parameter, float] | None = None,
     z: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Compute torques (n, N) along a motion for base parameters ``chi`` (n_b,), all friction included.
-
-    ``terms`` replace identified values of friction; ``z`` (s, N) are states of presliding, without which all joints
-    slide.
-    """
-    model, base = result.idm, result.base
-    load = model.columns(base.standard).torques_along(
-        model.layout, motion, np.array(transmitted(np, base.standard, chi))
-    )
+    """Compute torques (n, N) for base parameters ``chi`` (n_b,), friction ``terms`` and states ``z`` (s, N)."""
+    model, standard = result.idm, result.base.standard
+    values = np.array(transmitted(np, standard, chi))
+    load = model.columns(standard).torques_along(model.layout, motion, values)
     return load + result.friction_law.torques(motion, friction_values(result, chi) | dict(terms or {}), load, z)
 
 
@@ -341,10 +327,7 @@ def require_all_parameters(result: IdentifiedModel) -> None:
 
 
 def loaded_parameters(result: IdentifiedModel, payload: Payload | None, carrier: str) -> np.ndarray:
-    """Add a ``payload`` to base parameters (n_b,), with the identified values where it states none.
-
-    Raises GtauError if the model lacks a parameter, or the mass of the payload of the ``carrier`` is unknown.
-    """
+    """Add a ``payload`` to base parameters (n_b,); raises GtauError if its mass is unknown."""
     require_all_parameters(result)
     chi = np.array([result.parameters[name].value or 0.0 for name in result.base.names])
     if payload is None:
@@ -369,7 +352,7 @@ def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> Ide
 
     A lower cut-off loses the torque of fast motion; a higher one passes position noise, which inertia and friction turn
     into torque. Each joint gets the highest cut-off whose error against the raw torque exceeds the least by at most
-    1 %. Runs with faster motion are filtered less, see :func:`gtau.signals.preparation.bandwidth.widened`. A position
+    1 %. Runs with faster motion are filtered less (:func:`gtau.signals.preparation.bandwidth.widened`). A position
     filter set by hand is kept.
     """
     preparation, blocks = result.preparation, []

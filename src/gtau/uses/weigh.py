@@ -178,10 +178,7 @@ def _slopes(
 
 
 def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
-    """Estimate the gains too, from the weight of the reference model, and combine them with the model's (n,).
-
-    The model's gains are known to ``GAIN_CHANGE``; both estimates are weighted by their covariances.
-    """
+    """Estimate the gains too, and combine them with the model's (n,), which are known to ``GAIN_CHANGE``."""
     solution = newton(problem, wls(problem, gains).values, problem.weights, True)
     at = np.arange(len(solution.values))[solution.unknowns.gains][: len(gains)]
     prior = GAIN_CHANGE**2 * np.outer(gains, gains) * (1 + np.eye(len(gains)))
@@ -200,7 +197,7 @@ def _with_gains_of_today(problem: Problem, gains: np.ndarray) -> Solution:
 def _separating(
     model: IdentifiedModel, dataset: Dataset, gains: np.ndarray, may_refer: bool, where: str, progress: Progress
 ) -> System:
-    """Select the friction; refer to the model if the runs do not separate payload and robot; raises GtauError."""
+    """Select friction; refer to the model if the runs do not separate the payload; raises GtauError."""
     solve = partial(wls, gains=gains)
     system = select_friction(dataset, solve, progress)
     if _lost(system) and may_refer:
@@ -244,10 +241,7 @@ currents as logged or 3 % more or less. Gains: 10 after a fall of 10 % (a five-b
 
 
 def reference_of(model: IdentifiedModel, step: np.ndarray | float = 0.0) -> ReferenceModel:
-    """Take the parameters of a model as known at its gains, or at gains moved by a ``step`` (n,).
-
-    The covariance is conditional on the gains. Friction may have changed since.
-    """
+    """Take a model's parameters as known at its gains, moved by a ``step`` (n,); friction may have changed."""
     known, at = {**model.parameters, **model.friction}, model.covariance_names.index
     names = tuple(name for name in model.covariance_names if name in known and known[name].value is not None)
     rows, gains = (
@@ -273,10 +267,7 @@ It is 1.13 to 2.4 on five UR10e logs, 21 with 2.8 kg undeclared.
 def undeclared_load(
     model: IdentifiedModel, run: Run, errors: Sequence[TorqueError], progress: Progress
 ) -> Finding | None:
-    """Find an undeclared body at the tool of a run, by the parameters of the model; None without one.
-
-    It is searched for if the ``errors`` of the run are ``WORSE`` than in the identification (geometric mean).
-    """
+    """Find an undeclared body at the tool if the ``errors`` of a run are ``WORSE`` than in identification."""
     usual = {residual.joint: residual.rms for residual in model.residuals if residual.rms}
     ratios = [error.rms / usual[error.joint] for error in errors if error.joint in usual and error.rms]
     if not ratios or np.mean(np.log(ratios)) < np.log(WORSE):
@@ -297,10 +288,7 @@ def undeclared_load(
 
 
 def exact_gains(model: IdentifiedModel, experiment: Experiment, gains: str) -> tuple[str, ...]:
-    """List the joints whose gain is treated as exact, because its standard deviation is unknown.
-
-    A model has such gains if it was identified from logged torques whose scale was not tested.
-    """
+    """List the joints whose gain counts as exact, as its standard deviation is unknown."""
     if gains != "prior":
         return tuple(joint for joint, gain in model.drive_gains.items() if gain.std is None)
     known = {joint for joint, gain in experiment.stated_gains.items() if gain.std is not None}

@@ -74,10 +74,7 @@ def resimulated_runs(system: System, solution: Solution) -> tuple[SampleWindow, 
 def resimulated(
     idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
 ) -> SampleWindow:
-    """Replace a run's motion by the motion of the simulated loop; rows in the reference's ends are left out too.
-
-    ``values`` (columns,) of the regressor are inertia, payload and friction of the run. Raises GtauError.
-    """
+    """Replace a run's motion by the loop's, for ``values`` (columns,) of the run; raises GtauError."""
     run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
     rate = run.rate
     cutoff = reference_cutoff(preparation.at(rate), run)
@@ -133,9 +130,8 @@ def _disturbance(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute ``M^-1 h`` (M, n) along samples of a motion, three arrays (M, n), and the last configuration.
 
-    Coulomb friction opposes the speeds of ``direction`` (M, n), the reference, so that a joint needs no
-    stiction; rows where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration
-    ahead of them.
+    Coulomb friction opposes the speeds of ``direction`` (M, n), the reference, so that a joint needs no stiction; rows
+    where the two differ in sign are next to a reversal, and masked. ``before`` is the configuration ahead of them.
     """
     q, qd, directed = (np.ascontiguousarray(rows.T) for rows in (*motion[:2], direction))
     dry = np.array([parameter_of(name).kind in DRY for name in regressor.names])
@@ -163,10 +159,7 @@ def _disturbance(
 
 
 class Loop:
-    """The loop's error and its first two derivatives under a disturbance, block by block.
-
-    It starts in the steady state under the first disturbance.
-    """
+    """The loop's error and two derivatives under a disturbance in blocks, from the steady state."""
 
     def __init__(self, rate: float, pole: float):
         from scipy.signal import bilinear

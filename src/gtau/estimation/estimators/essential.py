@@ -143,11 +143,7 @@ def essential_parameters(
 
 
 def essential_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> tuple[Problem, Solution, float]:
-    """Cancel base parameters until the essential ones are left; see :func:`essential_parameters`.
-
-    ``joint``: estimate the gains again at each step. Returns the problem and its solution, and by how much the
-    residual of the worst joint grows without the cancelled ones, per cent.
-    """
+    """Cancel base parameters; return problem, solution, and growth of the worst joint's residual (per cent)."""
     problem = fit.system.problem
     candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)
     solve = fit.solve if joint else fit.solve_fixed

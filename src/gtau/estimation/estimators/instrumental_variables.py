@@ -42,10 +42,7 @@ CONVERGED = 1e-8  # of a standard deviation
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """The same equations along the motion ``measured`` and along the one ``simulated``, row by row the same instants.
-
-    ``merged`` are both (n, p, n_theta + 4) with the units merged.
-    """
+    """The same equations along the motion ``measured`` and the one ``simulated``; ``merged`` has all units."""
 
     measured: Problem
     simulated: Problem
@@ -60,10 +57,7 @@ class Pair:
 
 
 def instrumental(system: System, solution: Solution, free_gains: bool, progress: Progress) -> tuple[Pair, Solution]:
-    """Estimate by instrumental variables from a ``solution`` without; return the equations with their instruments too.
-
-    Without ``free_gains`` the gains of ``solution`` stay. Raises GtauError.
-    """
+    """Estimate by instrumental variables from a ``solution`` without; return equations too. Raises GtauError."""
     for k in range(PASSES):
         progress("simulation", k, PASSES)
         pair = paired(system, solution)
@@ -76,10 +70,7 @@ def instrumental(system: System, solution: Solution, free_gains: bool, progress:
 
 
 def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
-    """Solve the measured equations with the Jacobian of the simulated ones, from the gains and delays of ``start``.
-
-    Raises GtauError.
-    """
+    """Solve measured equations by the Jacobian of simulated ones, from gains and delays; raises GtauError."""
     problem, n = pair.measured, len(pair.measured.joints)
     values = np.concatenate([np.zeros(problem.n_theta), start.gains, start.delays])
 

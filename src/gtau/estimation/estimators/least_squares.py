@@ -29,10 +29,7 @@ def ols(problem: Problem, gains: np.ndarray) -> Solution:
 
 
 def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -> Solution:
-    """Solve weighted least squares with given ``gains`` (n,): joints weighted by their own error level (eq. 28).
-
-    The iteration starts from ``delays`` (c,), if given.
-    """
+    """Solve weighted least squares (eq. 28) with ``gains`` (n,), from ``delays`` (c,) if given."""
 
     def weights(squares: np.ndarray) -> np.ndarray:
         # a silent channel by its residuals, as with maximum likelihood: it has no error level of its own

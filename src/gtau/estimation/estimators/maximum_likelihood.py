@@ -70,10 +70,7 @@ def ml(problem: Problem) -> Solution:
 
 
 def own_share(problem: Problem) -> float:
-    """Compute the share of the known parameters' torque that no unknown parameters can reproduce.
-
-    With a share near zero the motions do not excite the known parameters, and any scale of the gains fits them.
-    """
+    """Compute the share of known parameters' torque that no unknown ones reproduce: near zero, any scale fits."""
     from scipy.linalg import null_space
 
     W = np.concatenate([R[:, MODEL] for R in problem.triangles])

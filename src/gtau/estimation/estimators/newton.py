@@ -96,10 +96,7 @@ def solve(
     free_gains: bool,
     steps: int = STEPS,
 ) -> Solution:
-    """Iterate Newton's method from ``values`` (k,) with re-estimated weights, then compute the covariances.
-
-    ``weigh`` makes weights (c,) from the squared residuals (c,) of the channels.
-    """
+    """Iterate Newton's method from ``values`` (k,); ``weigh`` makes weights (c,) from squared residuals (c,)."""
     triangles, n, end = stacked(problem), len(problem.channels), problem.n_theta
     sizes, J_known = np.abs(triangles), jacobian_of_known(problem, free_gains)
     P, y = problem.known[:, :-1], problem.known[:, -1]

@@ -123,10 +123,7 @@ def unbounded(bodies: Sequence[Body], unit: np.ndarray, mass: float, length: flo
 
 
 def constrained_least_squares(R: np.ndarray, y: np.ndarray, rigid: RigidBodies) -> np.ndarray:
-    """Minimise ``|R x - y|``, R (r, c), over unknowns (c,) that are consistent with rigid bodies; all must enter R.
-
-    Raises GtauError.
-    """
+    """Minimise ``|R x - y|``, R (r, c), over unknowns that rigid bodies can have; raises GtauError."""
     try:
         import clarabel
     except ModuleNotFoundError:
@@ -187,10 +184,7 @@ def _pseudo_inertias(rigid: RigidBodies) -> Iterator[tuple[np.ndarray, np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class StandardUnknowns:
-    """Unknowns x (c,) of the consistent fit, ``theta = S x`` of the problem, and what they may be.
-
-    Their priors have the means ``centre`` and the standard deviations ``std``.
-    """
+    """Unknowns x (c,) of the consistent fit, ``theta = S x``, with means ``centre`` and ``std`` of their priors."""
 
     names: tuple[Parameter, ...]
     S: np.ndarray
@@ -274,10 +268,7 @@ def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: floa
 
 
 def natural_size(name: Parameter, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:
-    """Return a size of a standard parameter that a robot of this ``mass`` (kg) and ``length`` (m) might have.
-
-    The parameter may be one of the ``channels``' own.
-    """
+    """Return a likely size of a standard parameter in a robot of this ``mass`` (kg) and ``length`` (m)."""
     kind, body = name.kind, name.body
     if kind in INERTIAL:
         return mass if kind == "m" else mass * length if kind.startswith("m") else mass * length**2
@@ -383,7 +374,7 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
 
 
 def _moves(system: System, solution: Solution, values: np.ndarray, free_gains: bool) -> tuple[Move, ...]:
-    """List how far each parameter, and each gain that is free, is moved from its ``solution``, the most moved first."""
+    """List the shifts of parameters, and of free gains, from their ``solution``, the largest first."""
     consistent = dict(zip(system.unreduced.unknowns, values, strict=True))
     names = [name for name in system.problem.parameters if name.run is None]
     names += system.problem.unknowns[system.problem.gain_rows] if free_gains else ()
@@ -407,7 +398,6 @@ def _linear(
 
 
 def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, np.ndarray]:
-    """Solve one convex programme for unknowns x, and steps of 1/g and of the delays."""
     parameters, c = unknowns.S.shape
     R, y = R[:-1, :-1], R[:-1, -1]  # the last row is the residual of the unconstrained fit
     rest = R[:, parameters:]

@@ -19,10 +19,7 @@ from gtau.estimation.regression.problem import Problem
 
 
 def tls(problem: Problem) -> Solution:
-    """Solve by the paper's total least squares (eqs. 33 to 39), rows weighted by each joint's sigma_W.
-
-    Raises GtauError.
-    """
+    """Solve by the paper's total least squares (eqs. 33 to 39), joints weighted by sigma_W; raises GtauError."""
     r, joints = problem.total_rows.sum(), range(len(problem.joints))
     own_sigma_W = [_own_sigma_W(problem, j) for j in joints]
     units = [triangle(*(problem.total_rows_of(unit[j], j) / own_sigma_W[j] for j in joints)) for unit in problem.units]

@@ -58,10 +58,7 @@ class FrictionCurve:
 
 @dataclass(frozen=True)
 class ReferenceTemperatures:
-    """Mean temperatures over the runs, by joint, at which friction has the values of the parameters.
-
-    ``unit`` is the unit of the log's columns, of a temperature or of the time since start.
-    """
+    """Mean temperatures over the runs, by joint, at which friction has its values; ``unit`` of the log."""
 
     unit: str
     of_joint: Mapping[str, float]
@@ -141,7 +138,6 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
 
 
 def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, float]]:
-    """Compute the rms of error and torque of each motor over all its rows."""
     error = _error(candidate)
     squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
@@ -150,10 +146,7 @@ def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, f
 
 
 def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarray:
-    """Select gains and base parameters (n + n_b, k) of all estimates; 0 where they are known.
-
-    Friction of the ``joints`` in the equations is not subtracted from the torque, so that its errors do not count.
-    """
+    """Select gains and base parameters (n + n_b, k) of all estimates, but for friction of the ``joints``."""
     dataset = fit.dataset
     gains = (Parameter("gain", joint) for joint in dataset.model.actuated)
     subtracted = (name.kind not in PLAIN_FRICTION or name.body not in joints for name in dataset.base.names)
@@ -162,15 +155,11 @@ def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarra
 
 
 def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
-    """Append columns of zeros to slopes (m, .) for the estimates that were appended since."""
     return np.pad(slopes, ((0, 0), (0, len(estimates.unknowns) - slopes.shape[1])))
 
 
 def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) -> np.ndarray:
-    """Compute the covariance (k, k) due to the grid of widths and speeds, to which other parameters adapt.
-
-    A tried value stands for all values up to half the way to the next.
-    """
+    """Compute the covariance (k, k) due to the grid: a tried value stands for half the way to the next."""
     covariance = np.zeros_like(A)
     for k, (s, term) in enumerate(shaped.names):
         if term in BETWEEN:
@@ -230,7 +219,6 @@ def group_estimates(
 def _curves(
     group: FrictionGroup, candidate: FrictionFit, plain: FrictionFit, evidence: Mapping[tuple[int, str], float]
 ) -> dict[str, FrictionCurve]:
-    """Collect what the data say of the friction of each joint of a group, by its name."""
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
     error, plain_error = (100 * float(np.sqrt(max(law.errors.sum(), 0.0) / signal)) for law in (candidate, plain))
     return {

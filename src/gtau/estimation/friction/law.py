@@ -191,7 +191,6 @@ class FrictionLaw:
         return forces, speeds
 
     def _falling(self, math: ModuleType, speed: Any, joint: str) -> Any:
-        """Compute the share of friction at rest that a speed leaves, 0 for a joint without v_s."""
         v_s = self.shapes.get(Parameter("vs", joint))
         return math.exp(-math.fabs(speed) / v_s) if v_s else 0.0
 
@@ -224,10 +223,7 @@ class FrictionLaw:
         )
 
     def straight(self, values: Mapping[str, float], joint: str) -> tuple[float, float]:
-        """Fit ``viscous qd + coulomb sign(qd)``, neither negative, to the friction of a joint that slides, up to V.
-
-        For engines with no other friction. ``values`` are the parameters of the law; friction by load is left out.
-        """
+        """Fit viscous and Coulomb friction, neither negative, to a joint that slides up to V, for engines."""
         from scipy.optimize import nnls
 
         speed = np.linspace(0.0, self.fastest(joint), SPEEDS)[1:]
@@ -280,10 +276,7 @@ def _summed(values: Mapping[str, Any], joint: str, at: Sliding, kinds: Iterable[
 
 
 def transmitted(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:
-    """Return the base parameters (n_b) of the torques that joints transmit: 0 for friction and offsets.
-
-    Dampers of springs that propel do not count.
-    """
+    """Return the base parameters (n_b) of the torques that joints transmit: no friction, no propelling damper."""
     kinds = [name.kind for name in standard]
     return [
         0.0 * chi[k] if kind in PLAIN_FRICTION else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]

@@ -257,10 +257,7 @@ def _rows_along(
 
 
 def _add(group: FrictionGroup, m: int, rows: np.ndarray, base: np.ndarray, blocks: np.ndarray) -> None:
-    """Add the rows (p + 2, K) of a motor in ``blocks`` (K,): columns, torque left, and measured torque.
-
-    ``base`` (1 + n_b, K) is what its gain and the base parameters add to the torque left.
-    """
+    """Add a motor's rows (columns, torque left, torque); ``base`` is what gain and base parameters add."""
     A, measured = group.weights[m] * rows[:-1], rows[-1]
     products = group.weights[m] * A[:-1] @ base.T
     group.cross[:, group.motors[m]] += products[:, 0]

@@ -59,10 +59,7 @@ def with_term(structure: Structure, joint: FrictionJoint, term: str) -> list[Str
 
 
 def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, np.ndarray]:
-    """Combine a joint's columns to a column (p,) for each parameter of a structure; most cannot be negative.
-
-    ``fr`` is friction at rest, ``fs + fb``.
-    """
+    """Combine a joint's columns (p,) for each parameter of a structure; ``fr`` is friction at rest, ``fs + fb``."""
     z, weights = np.eye(1 + len(WIDTHS))[0], dict(zip(WEIGHTS, np.eye(len(WEIGHTS)), strict=True))
     if structure.width is not None:
         z = np.append(0.0, shares(structure.width, joint.widths))
@@ -96,10 +93,7 @@ def place(value: float, tried: np.ndarray) -> float:
 
 
 def shares(value: float, tried: np.ndarray) -> np.ndarray:
-    """Interpolate between the columns of the values ``tried`` by a cubic through four: the share of each column.
-
-    With half a decade between two speeds ``exp(-|v| / v_s)`` is off by at most 0.02.
-    """
+    """Interpolate between tried values by a cubic through four (``exp(-|v| / v_s)``: off by at most 0.02)."""
     number, made = place(value, tried), np.zeros(len(tried))
     if number == round(number):
         made[int(number)] = 1.0
@@ -274,7 +268,6 @@ def _with(group: FrictionGroup, candidate: FrictionFit, s: int, term: str) -> li
 
 
 def _changed(candidate: FrictionFit, s: int, structure: Structure) -> tuple[Structure, ...]:
-    """Return the structures of a candidate, with another one of joint ``s``."""
     return (*candidate.structures[:s], structure, *candidate.structures[s + 1 :])
 
 
@@ -289,9 +282,8 @@ def _refined(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
 def refine(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Refine widths and speeds between those tried by Gauss-Newton steps, where errors on left-out blocks decrease.
 
-    Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond the
-    log than of logged speeds, and refining it made other days of a UR10e worse (3.35 to 3.40, 4.57 to 4.74 % of
-    torque).
+    Better by as much as for a term. The speed of friction that saturates stays: it says more of speeds beyond the log
+    than of logged speeds, and refining it made other days of a UR10e worse (3.35 to 3.40, 4.57 to 4.74 % of torque).
     """
     best = candidate
     for _ in range(STEPS):
@@ -335,6 +327,5 @@ def _moved(structure: Structure, term: str, tried: np.ndarray, step: float) -> S
 
 
 def _columns_with(group: FrictionGroup, candidate: FrictionFit, s: int, structure: Structure) -> np.ndarray:
-    """Build M (p, k) of a candidate's parameters with another structure of a joint."""
     listed, M = columns_of(group, _changed(candidate, s, structure))
     return M[:, [listed.index(name) for name in candidate.names]]

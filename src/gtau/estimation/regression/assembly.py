@@ -114,11 +114,7 @@ def column_blocks(
     terms: tuple[Parameter, ...],
     drifting: int,
 ) -> tuple[ColumnBlock, ...]:
-    """List the effects of the model, in the order of their parameters in the problem.
-
-    ``base`` are the base parameters, whose standard columns the factors have, ``terms`` the further friction terms to
-    take. Friction differs between the ``drifting`` runs; 1 if it is the same in all.
-    """
+    """List the effects in order, with friction ``terms``, and friction that differs between ``drifting`` runs."""
     offsets = tuple(Parameter("off", channel.name) for channel in channels if channel.kind.link_side)
     return (
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
@@ -130,7 +126,7 @@ def column_blocks(
 
 
 def _felt(base: BaseParameters, channel: Channel, columns: np.ndarray) -> np.ndarray:
-    """Place columns (n_b, k) in the factors, (p, k); a sensor does not measure its joint's drive."""
+    """Place columns (n_b, k) in the factors, (p, k); a sensor does not measure its drive."""
     felt = columns * seen_by_sensor(base.standard, channel.joint)[:, None] if channel.kind.link_side else columns
     return np.concatenate([felt, np.zeros((EXTRA, columns.shape[1]))])
 
@@ -159,10 +155,7 @@ def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> Colu
 
 
 def _own_block(base: BaseParameters, names: tuple[Parameter, ...]) -> ColumnBlock:
-    """Build the block of parameters that appear only in their own channel's equations.
-
-    They are further friction of a drive, or friction and offset of a sensor, which use the columns of its joint.
-    """
+    """Build the block of friction of drives or sensors, and offsets, which uses the columns of their joint."""
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:
         M = np.zeros((*above.shape, base.count + EXTRA, len(names)))
@@ -185,10 +178,7 @@ def unknown_names(blocks: Sequence[ColumnBlock]) -> tuple[Parameter, ...]:
 def column_map(
     blocks: Sequence[ColumnBlock], run: int, channel: Channel, above: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Map the columns of a run's factors to the columns of the problem, for a channel: (..., p, n_theta + 4).
-
-    ``above`` (...,) are temperatures of the channel above the mean.
-    """
+    """Map the columns of a run's factors to the problem's (..., p, n_theta + 4), ``above`` the mean temperature."""
     parts = [block.columns(run, channel, np.asarray(above)) for block in blocks]
     unknown = [np.array([name not in block.stated for name in block.names], dtype=bool) for block in blocks]
     shape = np.broadcast_shapes(*(part.shape[:-2] for part in parts))
@@ -213,11 +203,7 @@ def is_transmitted(names: Sequence[Parameter]) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Temperatures:
-    """Mean temperatures of joints over all runs, in ``unit``, and differences from them.
-
-    ``reference`` are the means by joint, ``by_block`` the differences (blocks, n) in each run, zero for joints
-    without a temperature. ``prepared`` are the runs.
-    """
+    """Mean temperatures by joint, in ``unit``, and differences from them (blocks, n) in each run; 0 without one."""
 
     reference: dict[str, float]
     by_block: tuple[np.ndarray, ...]

@@ -182,10 +182,7 @@ class Dataset:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The problem of a dataset, and the meaning of its parameters.
-
-    ``unreduced`` has also the parameters that these motions cannot separate from others.
-    """
+    """Problem of a dataset; ``unreduced`` has also parameters that these motions do not separate from others."""
 
     dataset: Dataset
     problem: Problem
@@ -235,10 +232,7 @@ class System:
         return (dataset or self.dataset).system(terms, per_run, delays, payloads)
 
     def map(self, run: int, above: np.ndarray | None = None) -> np.ndarray:
-        """Map the columns of a run's factors to the columns of ``unreduced``, for every channel, (c, p, n_theta + 4).
-
-        ``above`` (n,) are the joints' temperatures above their means; the mean of the run if left out.
-        """
+        """Map a run's factors to the columns of ``unreduced`` (c, p, .), at temperatures ``above`` (n,) the means."""
         if above is None:
             return self._maps[run]
         channels = self.unreduced.channels
@@ -305,10 +299,7 @@ def reduce_runs(
     prior_inertias: float = 0.0,
     model: InverseDynamics | None = None,
 ) -> Dataset:
-    """Prepare all runs and reduce them to triangular factors; raises GtauError.
-
-    ``priors`` constrain parameters; see :class:`Dataset`. A ``model`` of the robot that exists is not built again.
-    """
+    """Prepare all runs and reduce them to triangular factors; raises GtauError."""
     model = model or InverseDynamics(robot)
     runs = tuple(run.ordered(model.actuated) for run in runs)
     if len({run.kind for run in runs}) > 1:

@@ -53,10 +53,7 @@ def modelled(rows: np.ndarray, theta: np.ndarray) -> np.ndarray:
 
 
 def triangle(*blocks: np.ndarray) -> np.ndarray:
-    """Compute the triangular factor R (min(r, c), c) of the stacked ``blocks`` (., c): ``R^T R = A^T A``.
-
-    Of triangular factors it is the factor of all the rows behind them.
-    """
+    """Compute the triangular factor R of the stacked ``blocks`` (., c), ``R^T R = A^T A``; of factors too."""
     stacked = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
     height = max(CACHED, 4 * stacked.shape[1])
     R = np.linalg.qr(stacked[:height], mode="r")
@@ -127,11 +124,7 @@ def channel_rows(regressor: Regressor, channels: Sequence[Channel], part: Rows) 
 
 
 class Triangles:
-    """Triangular factors of equations that come in blocks, one for each block and channel.
-
-    ``columns`` are the columns in each channel's equations, the others being zero; ``rows`` (blocks, c)
-    counts the equations behind each factor.
-    """
+    """Triangular factors of equations, by block and channel; ``columns`` of each channel are not zero."""
 
     def __init__(self, columns: Sequence[np.ndarray]) -> None:
         self._columns, self.rows = columns, np.zeros((BLOCKS, len(columns)), dtype=int)

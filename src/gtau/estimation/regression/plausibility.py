@@ -163,7 +163,6 @@ def sensors_of(robot: Robot, runs: Sequence[Run]) -> tuple[str, ...]:
 
 
 def _coupled(robot: Robot) -> set[str]:
-    """List the joints that couplings share between motors."""
     return {name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
 
 
@@ -193,10 +192,7 @@ def prepare_runs(model: InverseDynamics, runs: Sequence[Run], preparation: Prepa
 
 
 def motor_to_joint_speed(model: InverseDynamics) -> np.ndarray:
-    """Compute speeds (n_y, n) of the joints that each motor drives, through couplings too, for their friction.
-
-    The ratios do not change along a run. With closures each motor drives only its own joint.
-    """
+    """Compute the speeds (n_y, n) of the joints that motors drive, whose ratios couplings keep constant."""
     n, robot = len(model.actuated), model.robot
     without_friction = [robot.actuated.index(joint) for joint in robot.base]
     if not robot.couplings or robot.closures:
@@ -249,7 +245,6 @@ def best_of_trials(equations: Equations, runs: Sequence[Run], preparation: Prepa
 
 
 def _cutoffs(runs: Sequence[Run], preparation: Preparation) -> list[float | None]:
-    """List the cut-offs that are tried, the given one first."""
     lowest = max(LOWEST, cutoff_at_ends(float(np.mean([len(run.time) / run.rate for run in runs]))))
     tried = [preparation.cutoff]
     cutoff = min(preparation.cutoff or HIGHEST_CUTOFF * preparation.rate, 2 * HIGHEST) / 2
@@ -290,10 +285,7 @@ def _log_errors(rows: np.ndarray, odd: np.ndarray) -> np.ndarray:
 def _rows(
     equations: Equations, run: Run, preparation: Preparation, cutoffs: Sequence[float | None], runs: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute rows ``[W known | v]`` of stretches behind each cut-off (C, c, p, K).
-
-    With them come masks: of those usable behind all cut-offs (c, K), and of odd stretches (K,).
-    """
+    """Compute rows (C, c, p, K) behind the cut-offs, masks of the usable (c, K) and of odd stretches (K,)."""
     model, standard = equations.model, equations.base.standard
     prepared = prepare(run, preparation.at(run.rate), motor_to_joint_speed(model))
     stride = max(1, int(run.rate / (FINE * max(cutoff or run.rate for cutoff in cutoffs))))

@@ -45,10 +45,7 @@ class ReferenceModel:
 
 
 def stated_inertias(robot: Robot) -> dict[str, float]:
-    """Return the file's standard parameters of bodies and motors of the model, by name, SI units.
-
-    A body without inertia in a file that states other inertias has no mass there.
-    """
+    """Return the file's parameters of bodies and motors by name; other bodies of such a file have no mass."""
     stated = dict(robot.inertias)
     if not stated:
         return {}
@@ -142,7 +139,6 @@ def _leverage(model: InverseDynamics, joint: str) -> float:
 
 
 def _heavy(robot: Robot) -> list[str]:
-    """List the bodies that have a mass in the model."""
     return [joint.name for joint in robot.joints if joint.has_mass] + [body.name for body in robot.platforms]
 
 

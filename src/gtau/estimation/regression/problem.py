@@ -287,10 +287,7 @@ class Problem:
         return np.asarray(1 / np.maximum(np.sqrt(squares / self.total_rows), self.smallest_sigma))
 
     def total_rows_of(self, block: np.ndarray, j: int, signal: np.ndarray | None = None) -> np.ndarray:
-        """Build rows ``[-W_theta  V_tau  -known]`` of ``W_tot`` (eq. 33) from a block (., n_theta + 4) of channel j.
-
-        ``signal`` (.,) is its current, delayed if left out; the current of a channel with a known gain is known, too.
-        """
+        """Build rows ``[-W_theta  V_tau  -known]`` of ``W_tot`` (eq. 33) from a channel's block, with a ``signal``."""
         n, rows = self.n_theta, np.zeros((len(block), self.n_theta + len(self.channels) + 1))
         rows[:, :n], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
         signal = delayed_signal(block, self.own_delays[j]) if signal is None else signal

@@ -159,10 +159,7 @@ def _every_sample(prepared: PreparedRun) -> Iterator[slice]:
 def _measured(
     idm: InverseDynamics, run: Run, window: SampleWindow, c: np.ndarray
 ) -> tuple[Motion, np.ndarray, np.ndarray]:
-    """Compute the motion at samples, their commands (3, ., M) with derivatives, and the torques of wrenches (3, n, M).
-
-    All external forces on a base are one signal, its command, wherever they are applied.
-    """
+    """Compute motion, commands (3, ., M) with derivatives, and torques of wrenches (3, n, M), zero on a base."""
     motion = idm.rates(c, window.qd.T.copy(), window.qdd.T.copy(), instants(run.name, window.time))
     measured = np.stack([window.command.T, window.command_d.T, window.command_dd.T])
     external = external_torques(idm, run, motion, measured)

@@ -82,10 +82,7 @@ class PreparedRuns(tuple[PreparedRun, ...]):
 
 
 def aligned_edges(prepared: Sequence[PreparedRun], groups: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Cut runs into blocks, those that repeat a motion at the same positions; shares, (BLOCKS + 1,) each.
-
-    They are the blocks of the longest run of each group.
-    """
+    """Cut runs into blocks at shares (BLOCKS + 1,), at the same positions those that repeat a motion."""
     cut = []
     for run, group, (begin, _) in zip(prepared, groups, spans, strict=True):
         members = np.flatnonzero(groups == group).tolist()
@@ -218,7 +215,6 @@ def _moving(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range
 
 
 def _middle(stretches: Sequence[range], count: int) -> list[range]:
-    """Keep the ``count`` samples in the middle of stretches."""
     ends = np.cumsum([0, *map(len, stretches)]).tolist()
     first = (ends[-1] - count) // 2
     shifts = zip(stretches, ends, strict=False)

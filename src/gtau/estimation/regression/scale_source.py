@@ -19,10 +19,7 @@ ANSWERED = 0.1  # share of the squares of the rest to which the currents answer:
 
 
 def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | None], method: str) -> None:
-    """Check that something fixes the scale of the drive gains of a ``robot`` (section 3.3); raises GtauError.
-
-    A payload of known mass in some runs, torque sensors, or known parameters.
-    """
+    """Check that something fixes the scale of a ``robot``'s drive gains (section 3.3); raises GtauError."""
     problem = system.problem
     other = "or use --method wls with prior_gains"
     elsewhere, weighed = problem.scaled, any(payload is not None and payload.mass is not None for payload in payloads)
@@ -51,7 +48,6 @@ def require_scale(robot: Robot, system: System, payloads: Sequence[Payload | Non
 
 
 def _without_effect(robot: Robot, system: System, other: str) -> GtauError:
-    """Say of the known quantities that they have no effect of their own on the motors."""
     problem = system.problem
     if problem.sensor_channels:
         sensors = [problem.channels[k] for k in problem.sensor_channels]

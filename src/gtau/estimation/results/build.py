@@ -44,11 +44,7 @@ def model_estimates(
     payloads: Mapping[str, Finding],
     essential: Problem,
 ) -> ModelEstimates:
-    """Collect the estimates with which the model predicts.
-
-    ``equations`` are the estimates of the fit, ``predicting`` the same after the friction step; ``verdicts`` are on
-    gains and delays, ``payloads`` those on known payloads by name.
-    """
+    """Collect estimates, those of ``equations`` for payloads, and ``predicting`` ones after the friction step."""
     robot, kind, temperatures = fit.dataset.robot, fit.dataset.runs[0].kind, reference_temperatures(fit)
     sensors = _link_side(fit)
     listed = [name for name in predicting.unknowns if name.kind != "gain" or name.body not in sensors]
@@ -149,10 +145,7 @@ def _link_side(fit: Fit) -> set[str]:
 def _estimate(
     vector: Estimates, name: Parameter, unit: str, called: str = "", verdict: Finding | None = None
 ) -> Estimate:
-    """Make the estimate of an unknown, by default under its own name and judged by its standard deviation.
-
-    One that is given, or whose value the data do not determine, has no standard deviation.
-    """
+    """Make the estimate of an unknown, without a standard deviation where it is given, or not determined."""
     k = vector.unknowns.places[name]
     value, std, freedom = _numbers(vector, name)
     judged = verdict or parameter_verdict(value, std or None)
@@ -172,7 +165,6 @@ def _numbers(vector: Estimates, name: Parameter) -> tuple[float | None, float | 
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
-    """Collect the base parameters, those without a value included."""
     base, robot, between_runs = fit.dataset.base, fit.dataset.robot, _between_runs(fit.system, fit.solution.theta)
     parameters = {}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
@@ -231,7 +223,7 @@ def sensor_estimates(
 
 
 def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
-    """Compute the standard deviation between runs of each friction parameter that may drift."""
+    """Compute the standard deviation between runs of friction that may drift."""
     differences: dict[str, list[float]] = {}
     for name, value in zip(system.problem.parameters, theta.tolist(), strict=True):
         if name.run is not None:
@@ -241,10 +233,7 @@ def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
 
 
 def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Finding]) -> tuple[PayloadEstimate, ...]:
-    """Collect the payload of every loaded run, known and unknown parameters together.
-
-    ``vector`` are the estimates by the equations, ``masses`` verdicts on known payloads, by name.
-    """
+    """Collect the payload of every loaded run, with verdicts on known ``masses`` by name of the payload."""
     robot, runs, payloads = system.dataset.robot, system.dataset.runs, []
     for carried in system.payloads:
         payload, known = carried.payload, known_values(carried.payload)
@@ -262,7 +251,6 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
 
 
 def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
-    """Collect the parameters of a payload by kind: what is stated, and the identified sums."""
     estimates = {}
     for kind, known in known_values(carried.payload).items():
         stated = carried.payload.mass_std or None if kind == "m" else None
@@ -292,7 +280,6 @@ def _possible(mass: Estimate | None) -> Finding:
 
 
 def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighed:
-    """Collect the identified sums of parameters, and the stated values of the others."""
     seen = [name for name in carried.unknown if name in vector.unknowns.places]
     sums = np.zeros((len(seen), len(INERTIAL)))
     rows = [carried.unknown.index(name) for name in seen]
@@ -311,6 +298,5 @@ def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighe
 
 
 def _first_moment(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
-    """Derive a first moment from a mass whose centre is known."""
     value, std = None if mass.value is None else at * mass.value, None if mass.std is None else abs(at) * mass.std
     return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")

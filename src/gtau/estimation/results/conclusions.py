@@ -30,11 +30,7 @@ HEAD = """\
 
 @dataclass(frozen=True)
 class TorqueScale:
-    """The torque scale of a joint, and whether it is wrong: known, and not 1.
-
-    ``state`` is ``wrong``, ``consistent with 1`` or ``undecided``, ``in doubt`` beside a contradiction, else the
-    verdict's outcome.
-    """
+    """Torque scale of a joint; ``state`` says whether it is wrong, consistent with 1, undecided or in doubt."""
 
     gain: Estimate
     state: str
@@ -172,7 +168,6 @@ def _against(result: IdentifiedModel) -> Iterator[str]:
 
 
 def _stated(result: IdentifiedModel) -> Iterator[tuple[str, Finding]]:
-    """Name payloads and sensors, with their verdicts."""
     payloads = {payload.name: payload.verdict for payload in result.payloads}
     yield from ((f"payload '{name}'", verdict) for name, verdict in payloads.items())
     yield from ((f"the {sensor.source}", sensor.verdict) for sensor in result.sensors)
@@ -197,7 +192,6 @@ def required(requirement: Requirement) -> tuple[str, str]:
 
 
 def _known(result: IdentifiedModel) -> str:
-    """State which gains are known to which accuracy."""
     gains = list(result.drive_gains.values())
     if result.kind == "torque":
         return torque_headline(result)
@@ -218,10 +212,7 @@ def _known(result: IdentifiedModel) -> str:
 
 
 def reasons(result: IdentifiedModel) -> tuple[Finding, ...]:
-    """List reasons and advice for the verdicts on gains, the worst first: joints with equal advice share a finding.
-
-    What differs between them, a number or the cause, is given of each.
-    """
+    """List reasons and advice for the verdicts on gains, the worst first; joints with equal advice share one."""
     groups: dict[tuple[Grade, str, str], list[tuple[str, Finding]]] = {}
     for gain in sorted(result.drive_gains.values(), key=lambda gain: -(gain.half_width or 0.0)):
         if finding := gain.verdict.finding:
@@ -252,7 +243,6 @@ def _common_text(members: Sequence[tuple[str, Finding]]) -> str:
 
 
 def _good(gains: Sequence[Estimate], accuracy: float) -> str:
-    """Count the gains that are known to the ``accuracy``, per cent."""
     good = [gain for gain in gains if gain.verdict.outcome == Grade.GOOD]
     total = _number(len(gains))
     if len(good) == len(gains):
@@ -267,7 +257,6 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
 
 
 def _subject(joints: Sequence[str], one: str, several: str) -> str:
-    """Begin a sentence on joints, with its verb for one of them or several."""
     names = enumerated([f"'{joint}'" for joint in joints])
     return f"Joint {names} {one}" if len(joints) == 1 else f"Joints {names} {several}"
 

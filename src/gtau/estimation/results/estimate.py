@@ -210,10 +210,7 @@ class Requirement:
 
 @dataclass(frozen=True)
 class NearestPose:
-    """Nearest pose of a run to a singularity of ``type`` 1 or 2: distance, time (s) since the run's start, pose.
-
-    The pose is in rad or m.
-    """
+    """Nearest pose (rad or m) to a singularity of ``type`` 1 or 2: distance, and time (s) since the start."""
 
     run: str
     type: Literal[1, 2]

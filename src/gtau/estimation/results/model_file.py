@@ -51,7 +51,6 @@ from gtau.signals.preparation.prepared_run import Preparation
 
 
 def _with(*properties: str) -> PlainSerializer:
-    """Write a record with what follows from its fields."""
     return PlainSerializer(lambda record: asdict(record) | {name: getattr(record, name) for name in properties})
 
 
@@ -77,17 +76,14 @@ def _estimate_fields(entry: Any) -> dict[str, Any]:
 
 
 def _judged(entry: Any) -> Any:
-    """Return the finding that is the verdict of an entry, in which a good estimate has none."""
     return entry["finding"] or {"kind": entry["outcome"], "grade": entry["outcome"]}
 
 
 def _scales(gains: Any) -> dict[str, Any]:
-    """Gather what the scale of each drive gain rests on, where that is stated."""
     return {gain["joint"]: gain["scale"] for gain in gains if gain.get("scale")}
 
 
 def _payload_fields(entry: Any) -> dict[str, Any]:
-    """Give the entry of a payload the fields of :class:`PayloadEstimate`."""
     parameters = entry["parameters"]
     return {
         "name": entry["name"],
@@ -99,7 +95,6 @@ def _payload_fields(entry: Any) -> dict[str, Any]:
 
 
 def _consistency_fields(entry: Any) -> dict[str, Any]:
-    """Give the entry of physically consistent parameters the fields of :class:`Consistency`."""
     return {
         "standard": {parameter["name"]: parameter["value"] for parameter in entry["parameters"]},
         "payloads": {payload["name"]: payload["parameters"] for payload in entry["payloads"]},
@@ -133,7 +128,6 @@ def _verdict(verdict: Finding) -> dict[str, Any]:
 
 
 def _listed(*more: str, key: str = "name") -> PlainSerializer:
-    """Write estimates as a list of entries."""
     return PlainSerializer(lambda named: [_estimate(estimate, *more, key=key) for estimate in named.values()])
 
 
@@ -221,7 +215,6 @@ class _Preparation(_Group):
 
 
 def _standard(result: IdentifiedModel) -> dict[str, Any] | None:
-    """Describe physically consistent parameters as in ``model.json``."""
     bodies, robot = result.consistency, result.robot
     if bodies is None:
         return None

@@ -125,7 +125,6 @@ class PayloadEstimate:
 
 
 def _payload_body(payload: PayloadEstimate, frame: str | Pose, file: str | Path | None) -> PayloadBody:
-    """Find the body that was weighed, in a frame on its carrier."""
     if (weighed := payload.weighed) is None:
         raise GtauError(f"payload '{payload.name}' was not weighed here; take it from gtau.weigh.")
     called, placement = frame_on(weighed.body, frame, file)
@@ -176,10 +175,7 @@ def rigid_of(values: np.ndarray) -> RigidBody:
 
 
 def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Express linear functions J (q, 10) of chi by the sums and what is stated.
-
-    Returns whether these show them, their values without regard to consistency, and standard deviations, (q,) each.
-    """
+    """Compute for functions J (q, 10) of chi whether the sums show them, their values and standard deviations."""
     unit = np.array([weighed.reach**2] * 6 + [weighed.reach] * 3 + [1.0])
     rows, k = np.concatenate([weighed.sums, weighed.exact]) * unit, len(weighed.sums)
     sizes = np.linalg.norm(rows, axis=1)

@@ -134,10 +134,7 @@ class IdentifiedModel:
 
     @property
     def parameters(self) -> Named[Parameter]:
-        """All base parameters by name, friction on all samples among them.
-
-        As in the paper, ``as_paper`` estimates the essential ones again, and the others have no value.
-        """
+        """All base parameters by name; if ``as_paper``, only the essential ones have values."""
         return self.estimates.parameters
 
     @property
