@@ -27,7 +27,7 @@ from zoo import ENTRIES
 
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.regression.factors import SIGNAL, equations
+from gtau.estimation.regression.factors import SIGNAL, channel_rows
 from gtau.estimation.regression.plausibility import sensors_of
 from gtau.estimation.regression.rows import stream_rows
 from gtau.model.base_parameters import base_parameters
@@ -115,7 +115,7 @@ def rows(robot: Robot, run: Run, cutoff: float, of_command: float, load: np.ndar
     window = replace(window, command=command)[:: stride(run)]
     regressor = model.columns(names)
     channels = [channel for channel in run.channels if channel.kind.modelled]
-    parts = [equations(regressor, channels, part) for part in stream_rows(model, regressor, window, Decimator(1))]
+    parts = [channel_rows(regressor, channels, part) for part in stream_rows(model, regressor, window, Decimator(1))]
     A = np.concatenate(parts, axis=1)[:n]
     return np.stack([np.kron(load, of_joint[:, : len(names)]) for of_joint in A]), A[..., SIGNAL]
 

@@ -27,7 +27,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
-from gtau.estimation.regression.dataset import Dataset, System, preparation_of, robot_notes
+from gtau.estimation.regression.dataset import Dataset, preparation_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs, sensors_of
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
@@ -42,7 +42,6 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
 from gtau.signals.preparation.choice import moving_spectra
-from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.logged_run import LoggedRun
@@ -173,12 +172,11 @@ def check(
     notes += doubtful_gravity(robot)
     notes += doubtful_payloads(robot, (run.payload for run in used))
     preparation, checked = preparation_of(Equations(model, sensors_of(robot, used)), used), []
-    every = [(k, run) for k, runs in enumerate(read) for run in runs]
-    for k, run in every:
+    for k, run in ((k, run) for k, runs in enumerate(read) for run in runs):
         progress("checking logs", k, len(read))
         with _noted(notes, kinds[k], run.name):
             (prepared,) = prepare_runs(model, [run], preparation)
-            checked.append(_check(model, prepared, prepared.preparation.decimator, validation=k >= count))
+            checked.append(_check(model, prepared, validation=k >= count))
             notes += [note.from_source(run.name) for note in (*run.notes, *prepared.notes)]
             notes += near_singularities(checked[-1].nearest)
     progress("checking logs", len(read), len(read))
@@ -244,35 +242,28 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
 def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[Finding]:
     """List findings that need all runs together."""
     system = dataset.system()
-    notes, planned = [*command_lag(dataset, system), *not_separated(system.unexcited)], None
+    notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
     payloads = [run.payload for run in dataset.runs if run.payload is not None]
-    if payloads and not system.problem.scaled and all(payload.mass is None for payload in payloads):
-        with suppress(GtauError):
-            planned, *_ = plan(subject, estimator, dataset, system)
-        if planned is None:
-            text = "no payload has a known mass, so these logs cannot give the drive gains"
-            advice = f"weigh '{payloads[0].name}' with them (gtau payload MODEL.json)"
-            return [*notes, Finding(WEIGHING, text=text, advice=advice, grade=Grade.INFORMATION)]
-    else:
-        with _noted(notes, "scale of the gains"):
-            planned, *_ = plan(subject, estimator, dataset, system)
-    if planned is not None and planned.gains is None:  # gains that are estimated
+    try:
+        (_, gains), *_ = plan(subject, estimator, dataset, system)
+    except GtauError as refusal:
+        if not payloads or system.problem.scaled or any(payload.mass is not None for payload in payloads):
+            return [*notes, refusal_note(refusal, "scale of the gains")]
+        text = "no payload has a known mass, so these logs cannot give the drive gains"
+        advice = f"weigh '{payloads[0].name}' with them (gtau payload MODEL.json)"
+        return [*notes, Finding(WEIGHING, text=text, advice=advice, grade=Grade.INFORMATION)]
+    if gains is None:  # they are estimated
         with _noted(notes, "model"):
             require_payload_excitation(system)
-    if planned is not None:
-        with suppress(GtauError):  # of equations that only the friction selected for them can solve
-            notes += _units(subject, system, planned.gains)
+    with suppress(GtauError):  # of equations that only the friction selected for them can solve
+        fit = fit_by(ml_or_wls(gains), system, gains is None)
+        estimates = estimates_of(fit, Examination(), correlated=False)
+        notes += units_and_signs(fit, estimates, subject.options.gains, None)
     return notes
 
 
-def _units(subject: Subject, system: System, gains: np.ndarray | None) -> Iterator[Finding]:
-    """Find units and signs that ``identify`` would doubt, by gains (n,) or a first estimate of them."""
-    fit = fit_by(ml_or_wls(gains), system, gains is None)
-    return units_and_signs(fit, estimates_of(fit, Examination(), correlated=False), subject.options.gains, None)
-
-
-def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, validation: bool) -> LogCheck:
-    run, n = prepared.run, len(prepared.run.joints)
+def _check(model: InverseDynamics, prepared: PreparedRun, validation: bool) -> LogCheck:
+    run, n, decimator = prepared.run, len(prepared.run.joints), prepared.preparation.decimator
     rows = decimator.outputs(len(prepared))
     if not rows:
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
@@ -295,19 +286,19 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
     speeds = np.sqrt(np.diag(prepared.speeds))
     figures = np.stack([lowest, highest, speeds, fastest, rms[:n], strongest, used.mean(axis=0)], axis=1).tolist()
     wrench_rms = np.sqrt((power / rows)[run.given].reshape(-1, 2, 3).sum(axis=2)).tolist()
+    wrenches = tuple(
+        WrenchCheck(frame.body, "world" if frame.in_world else "body", force, moment)
+        for frame, (moment, force) in zip(run.wrenches, wrench_rms, strict=True)
+    )
+    joints = tuple(
+        JointCheck(joint, (low, high), speed, speed_max, spectrum, *rest)
+        for joint, spectrum, (low, high, speed, speed_max, *rest) in zip(run.joints, spectra(run), figures, strict=True)
+    )
     return LogCheck(
         run=run,
         validation=validation,
-        wrenches=tuple(
-            WrenchCheck(frame.body, "world" if frame.in_world else "body", force, moment)
-            for frame, (moment, force) in zip(run.wrenches, wrench_rms, strict=True)
-        ),
-        joints=tuple(
-            JointCheck(joint, (low, high), speed, speed_max, spectrum, *rest)
-            for joint, spectrum, (low, high, speed, speed_max, *rest) in zip(
-                run.joints, spectra(run), figures, strict=True
-            )
-        ),
+        joints=joints,
+        wrenches=wrenches,
         position=positions.array(),
         used=used,
         distances=distances_along(prepared, decimator, values),

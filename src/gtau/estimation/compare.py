@@ -111,9 +111,9 @@ def compare(
         start, by_method = perf_counter(), replace(subject, options=replace(subject.options, method=method))
         try:
             estimator = require_inputs(by_method)
-            (planned,) = plan(by_method, estimator, dataset, system)
+            ((_, given),) = plan(by_method, estimator, dataset, system)
             usable = dataset if estimator.takes_priors else replace(dataset, priors={})
-            result = estimate(usable, estimator, planned.gains, by_method.options, said)
+            result = estimate(usable, estimator, given, by_method.options, said)
         except GtauError as refusal:
             return MethodRow(method, refusal=str(refusal))
         seconds, gains = perf_counter() - start, result.drive_gains.values()

@@ -25,7 +25,7 @@ from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.experiment_runs import Options, Subject, geometry_of
 from gtau.estimation.friction.curves import friction_step
-from gtau.estimation.preconditions import Attempt, plan, reduced, require_inputs
+from gtau.estimation.preconditions import Attempt, hidden_payloads, plan, reduced, require_inputs
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
@@ -60,8 +60,9 @@ def _identified(
     """Make the planned attempts in turn, until one finds the gains or none is left."""
     *attempts, last = plan(subject, estimator, dataset, system)
     untested: tuple[Finding, ...] = ()
-    if last.untested:
-        why = f"no joint torque shows the mass of {listed(last.untested, ' or ')} by itself on '{dataset.robot.tool}'"
+    assumed = not attempts and last[1] is not None and subject.options.method is None
+    if assumed and (hidden := hidden_payloads(system)):
+        why = f"no joint torque shows the mass of {listed(hidden, ' or ')} by itself on '{dataset.robot.tool}'"
         advice = "check 'tool' of the robot, which carries the payload, or state the payload's 'center'"
         untested = (_untested_scale(why, advice),)
     for attempt in attempts:
@@ -83,11 +84,12 @@ def _attempted(
     attempt: Attempt, subject: Subject, dataset: Dataset, system: System, progress: Progress
 ) -> IdentifiedModel:
     """Estimate, and refuse a payload that the currents never felt where no gain can be believed."""
+    estimator, gains = attempt
     try:
-        result = estimate(dataset, attempt.estimator, attempt.gains, subject.options, progress)
+        result = estimate(dataset, estimator, gains, subject.options, progress)
     except GtauError:
         require_payload_excitation(system)
-        if attempt.gains is None and (angle := angle_of_parallelogram(system, progress)):
+        if gains is None and (angle := angle_of_parallelogram(system, progress)):
             what, action = angle.what, angle.advice
             raise GtauError(
                 f"the robot as described gives no drive gains; {what} explains the logs: {action}."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.util import find_spec
 from itertools import combinations
 
@@ -79,23 +79,8 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Attempt:
-    """An estimator with the gains that it is given.
-
-    Attributes
-    ----------
-    estimator : Estimator
-        The estimator.
-    gains : ndarray, optional
-        Given gains (n,), N m/A or N per A; None where the estimator finds them.
-    untested : tuple of str
-        Payloads of known mass that no torque shows, so that the scale of the torques is assumed.
-    """
-
-    estimator: Estimator
-    gains: np.ndarray | None
-    untested: tuple[str, ...] = ()
+Attempt = tuple[Estimator, np.ndarray | None]
+"""An estimator, and the gains (n,) that it is given, N m/A or N per A; None where it finds them."""
 
 
 def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: System) -> tuple[Attempt, ...]:
@@ -116,17 +101,19 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
                 raise
         else:
             if demanded:
-                return (Attempt(estimator, None),)
+                return ((estimator, None),)
             tested = tests_torques(system, subject.stated)
     if tested and named:
-        return (Attempt(estimator, None),)
+        return ((estimator, None),)
     given = estimator if named else estimator_of("wls")
     gains = given_gains(dataset.robot, runs, subject.options.gains, given.name)
-    if tested:
-        return Attempt(estimator, None), Attempt(given, gains)
+    return ((estimator, None), (given, gains)) if tested else ((given, gains),)
+
+
+def hidden_payloads(system: System) -> list[str]:
+    """List the payloads of known mass that no torque shows, so that the scale of the torques is assumed."""
     known = [carried for carried in system.payloads if carried.payload.mass is not None]
-    hidden = dict.fromkeys(carried.payload.name for carried in known if not carried.shown)
-    return (Attempt(given, gains, () if named else tuple(hidden)),)
+    return list(dict.fromkeys(carried.payload.name for carried in known if not carried.shown))
 
 
 def tests_torques(system: System, stated: Mapping[str, Prior]) -> bool:
