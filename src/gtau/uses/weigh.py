@@ -37,6 +37,23 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run
 from gtau.uses.identify import require_same
 
+# Relative standard deviation of a model's friction on another day: on a UR10e within 19 days friction of the wrists
+# changed by 1 to 5 %, of the elbow by 33 %. With 0.05 instead, masses from its logs, which show friction well, move by
+# less than 0.015 kg, and 12 of 12 intervals hold the truth either way.
+FRICTION_CHANGE = 0.2
+# Relative standard deviation of a gain on another day, where only one load is logged: torque constants fall by 0.1 % a
+# kelvin of the magnets, motors warm up by 10 to 40 K. On a UR10e (two pairs, 19 days apart) gains differ by up to 5 %.
+# Taken as exact, gains that fell by 3 % moved its masses by 0.26 kg of 2.8 at half intervals of 0.18.
+GAIN_CHANGE = 0.03
+# Mean square move of the model's parameters or gains, in standard deviations, above which a log contradicts them.
+# Parameters, gains taken as exact: 0.9 to 3.6 where masses are right (11 logs of a UR10e within 33 days), 25 where one
+# is 0.21 kg off. With re-estimated gains, which absorb a fall of 3 %, 1 of 18 weighings of that robot exceeds it.
+# Gains: 10 after a fall of 10 % (a five-bar).
+MODEL_APART = 5.0
+WORSE = (
+    3.0  # residual ratio above which an undeclared load is searched for: 1.13 to 2.4 on five UR10e logs, 21 with one
+)
+
 
 @takes(model=("the result of gtau.identify or gtau.Result.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)
 @single_threaded_blas()
@@ -214,40 +231,11 @@ def _lost(system: System) -> bool:
     return any(name in system.unexcited for carried in system.payloads for name in carried.unknown)
 
 
-FRICTION_CHANGE = 0.2
-"""Relative standard deviation of a model's friction on another day.
-
-On a UR10e within 19 days friction of the wrists changed by 1 to 5 %, of the elbow by 33 %. With 0.05 instead, masses
-from its logs, which show friction well, move by less than 0.015 kg, and 12 of 12 intervals hold the truth either way.
-"""
-
-
-GAIN_CHANGE = 0.03
-"""Relative standard deviation of a gain on another day, where only one load is logged.
-
-Torque constants fall by 0.1 % a kelvin of the magnets, motors warm up by 10 to 40 K. On a UR10e (two pairs, 19 days
-apart) gains differ by up to 5 %. Taken as exact, gains that fell by 3 % moved its masses by 0.26 kg of 2.8 at half
-intervals of 0.18, and 0.16 kg without payload.
-"""
-
-
-MODEL_APART = 5.0
-"""Mean square move of the model's parameters or gains, in standard deviations, above which a log contradicts them.
-
-Parameters, gains taken as exact: 0.9 to 3.6 where masses are right (11 logs of a UR10e within 33 days), 25 where one
-is 0.21 kg off. With re-estimated gains, which absorb a fall of 3 %, 1 of 18 weighings of that robot exceeds it, with
-currents as logged or 3 % more or less. Gains: 10 after a fall of 10 % (a five-bar).
-"""
-
-
 def reference_of(model: IdentifiedModel, step: np.ndarray | float = 0.0) -> ReferenceModel:
     """Take a model's parameters as known at its gains, moved by a ``step`` (n,); friction may have changed."""
     known, at = {**model.parameters, **model.friction}, model.covariance_names.index
     names = tuple(name for name in model.covariance_names if name in known and known[name].value is not None)
-    rows, gains = (
-        [at(name) for name in listed]
-        for listed in (names, [Parameter("gain", joint) for joint in model.robot.actuated])
-    )
+    rows, gains = list(map(at, names)), [at(Parameter("gain", joint)) for joint in model.robot.actuated]
     between = model.covariance[np.ix_(rows, gains)]
     slopes = between @ np.linalg.pinv(model.covariance[np.ix_(gains, gains)], rcond=1e-9, hermitian=True)
     theta = np.array([known[name].value for name in names])
@@ -255,13 +243,6 @@ def reference_of(model: IdentifiedModel, step: np.ndarray | float = 0.0) -> Refe
     more = (FRICTION_CHANGE * theta * is_friction) ** 2 + (1e-6 * np.abs(theta) + 1e-12) ** 2
     covariance = model.covariance[np.ix_(rows, rows)] - slopes @ between.T + np.diag(more)
     return ReferenceModel(names, theta + slopes @ np.broadcast_to(step, len(gains)), covariance)
-
-
-WORSE = 3.0
-"""Residual ratio above which an undeclared load is searched for (about 1 s).
-
-It is 1.13 to 2.4 on five UR10e logs, 21 with 2.8 kg undeclared.
-"""
 
 
 def undeclared_load(

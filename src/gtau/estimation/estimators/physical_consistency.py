@@ -299,24 +299,12 @@ class Move:
 
 @dataclass(frozen=True)
 class Consistency:
-    """Physically consistent standard parameters.
+    """Physically consistent ``standard`` parameters by name, SI units.
 
-    Attributes
-    ----------
-    standard : dict
-        Every standard parameter by name, SI units.
-    payloads : dict
-        Label (``L3``) of each carried payload to its ten inertial parameters by kind.
-    gains : dict
-        Joint to (drive gain, standard deviation) found together with them; the latter is 0 where given.
-    moves : tuple of Move
-        Every base parameter and gain, the most moved first.
-    eigenvalues : dict
-        Smallest eigenvalue of the pseudo-inertia of each body, SI units.
-    loss : dict
-        Joint to the growth of its residual, per cent.
-    open : tuple of str
-        Standard parameters without effect on actuated joints, chosen and not identified.
+    ``payloads`` are the ten inertial parameters of each carried payload by label (``L3``), ``gains`` drive gain and
+    standard deviation by joint, the latter 0 where given; ``moves`` are of every base parameter and gain, the most
+    moved first; ``eigenvalues`` the smallest of the pseudo-inertia by body, ``loss`` the growth of the residual by
+    joint, per cent; ``open`` standard parameters without effect on actuated joints, chosen and not identified.
     """
 
     standard: Mapping[str, float]

@@ -40,14 +40,9 @@ BETWEEN = {"width": 0.09, "speed": 0.07}
 class FrictionCurve:
     """What the data say of the friction of a joint on all samples; see :mod:`gtau.estimation.friction.law`.
 
-    Attributes
-    ----------
-    joint : str
-        Its name.
-    evidence : dict
-        By how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load``, ``temperature``.
-    error, plain_error : float
-        Of blocks left out, with this friction and with the plain law, per cent of the torque that is left to friction.
+    ``evidence`` says by how many standard errors blocks left out are better for ``presliding``, ``bent``, ``load`` and
+    ``temperature``; ``error`` and ``plain_error`` are of blocks left out, with this friction and with the plain law,
+    per cent of the torque that is left to friction.
     """
 
     joint: str
@@ -201,7 +196,7 @@ def group_estimates(
         values.append(value)
         rows.append(row)
 
-    x = dict(zip(candidate.names, map(float, candidate.x), strict=True))
+    x = dict(zip(candidate.names, candidate.x.tolist(), strict=True))
     for s, (joint, structure) in enumerate(zip(group.joints, candidate.structures, strict=True)):
         for kind in parameter_columns(structure, joint):
             if kind == "fr":  # friction at rest: fb is what of it is gone in sliding

@@ -9,9 +9,8 @@ with ``z = sign(qd)`` where it slides, and where its logs show presliding the st
 friction that saturates where negative. Both and ``fl`` come from all samples
 (:mod:`gtau.estimation.friction.selection`), with coefficients for which the law dissipates energy at every speed.
 
-The plain law of the equations of identification is the same with ``z = sign(qd)`` and a cubic term ``f3 qd^3``. Its
-coefficients may be negative, and a polynomial says nothing beyond the speeds of the logs: with ``f3 < 0`` it turns into
-propulsion there. So
+The plain law of the equations of identification has ``z = sign(qd)`` and a cubic term ``f3 qd^3``. Its coefficients may
+be negative, and a polynomial says nothing beyond the speeds of the logs: with ``f3 < 0`` it turns into propulsion. So
 
 - beyond the fastest logged speed V of an actuated joint friction goes on along its slope at V, or stays at its value
   where that slope is negative;
@@ -49,13 +48,11 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Follow positions by elements of some widths: friction before sliding (Prandtl and Ishlinskii; Maxwell slip).
 
     An element of width ``w`` holds ``z``, between -1 and 1: ``z <- clip(z + dq / w, -1, 1)``. It is a spring as long
-    as the joint stays within ``w`` of where it stopped, and slips beyond, where ``z = sign(dq)``. It does not depend
-    on time, so that neither rate nor noise of the speed matters; a position rounded by an encoder is a path like any
-    other. Between its turning points a path is monotone, and ``z`` has a closed form there: only those are visited one
-    by one.
+    as the joint stays within ``w`` of where it stopped, and slips beyond, where ``z = sign(dq)``. Neither rate nor
+    noise of the speed matters. Between its turning points a path is monotone, and ``z`` has a closed form.
 
-    Positions ``q`` (N,) and ``widths`` (w,) have the same unit, rad or m; ``start`` (w,) are the states at the first
-    position. Returns the states (w, N) at every position.
+    From positions ``q`` (N,) in the unit of the ``widths`` (w,) and states ``start`` (w,) at the first one it returns
+    the states (w, N).
     """
     step = np.sign(np.diff(q))
     turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1 if step.all() else _turns(step)
@@ -98,14 +95,8 @@ def _turns(step: np.ndarray) -> np.ndarray:
 class FrictionLaw:
     """Friction of a robot as a function of its parameters, some of which may add energy.
 
-    Attributes
-    ----------
-    model : InverseDynamics
-        Of the robot.
-    logged_speeds : dict
-        Actuated joint to V, rad/s or m/s; 0 where it is missing, so that its ``f3`` does not count.
-    shapes : dict
-        Widths and speeds by name, see :data:`.parameter.SHAPES`; a joint without a width slides at once.
+    ``logged_speeds`` are V by actuated joint, rad/s or m/s, 0 where missing, so that its ``f3`` does not count;
+    ``shapes`` widths and speeds by name (:data:`.parameter.SHAPES`): a joint without a width slides at once.
     """
 
     model: InverseDynamics
@@ -115,8 +106,8 @@ class FrictionLaw:
     @cached_property
     def states(self) -> tuple[int, ...]:
         """Rows of the joints with presliding among the robot's joints, in the order of ``z``."""
-        names = [Parameter("width", joint.name) for joint in self.model.robot.joints]
-        return tuple(row for row, name in enumerate(names) if name in self.shapes)
+        joints = self.model.robot.joints
+        return tuple(row for row, joint in enumerate(joints) if Parameter("width", joint.name) in self.shapes)
 
     @property
     def widths(self) -> np.ndarray:
@@ -169,18 +160,17 @@ class FrictionLaw:
         """Compute friction torques and the speeds that they oppose: of all joints, then the f3 of actuated ones.
 
         ``math`` is numpy for arrays, casadi for expressions. ``values`` are ``fv``, ``fs``, ``fb``, ``fl`` and ``f3``
-        by name, SI units; what is missing is zero. ``yd`` are velocities of the tree, ``load`` torques (n,) that the
-        actuated joints transmit, ``z`` the directions of each joint (see :meth:`directions`); without them all joints
-        slide.
+        by name, zero where missing; ``yd`` velocities of the tree, ``load`` torques (n,) that the actuated joints
+        transmit, ``z`` the :meth:`directions` of the joints, without which all slide.
         """
-        joints = self.model.robot.joints
-        forces, speeds = [], [yd[row] for row in range(len(joints))]
-        for row, (joint, speed) in enumerate(zip(joints, speeds, strict=True)):
+        forces, speeds = [], []
+        for row, joint in enumerate(self.model.robot.joints):
+            speed, motor = yd[row], self.motor(row)
             direction = math.sign(speed) if z is None else z[row]
-            motor = self.motor(row)
             felt = 0.0 if motor is None else math.fabs(load[motor] / self.ratios[row, motor])
             at = Sliding(speed, direction, felt, self._falling(math, speed, joint.name))
             forces.append(_summed(values, joint.name, at, JOINT_TERMS))
+            speeds.append(speed)
         for j, name in enumerate(self.model.actuated):
             speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
             within = math.fmax(math.fmin(speed, top), -top)
@@ -209,8 +199,7 @@ class FrictionLaw:
 
     def logged(self, joint: str) -> str:
         """Write V of a joint with its unit."""
-        unit = f"{self.model.robot.joint(joint).unit}/s"
-        return f"{self.fastest(joint):.3g} {unit}"
+        return f"{self.fastest(joint):.3g} {self.model.robot.joint(joint).unit}/s"
 
     @property
     def range_sentence(self) -> str:
@@ -234,9 +223,8 @@ class FrictionLaw:
 
     def fastest(self, joint: str) -> float:
         """Return V of any joint, from the speeds of the motors that move it, rad/s or m/s."""
-        row = self._row(joint)
-        logged = np.array([self.logged_speeds.get(name, 0.0) for name in self.model.actuated])
-        return float(np.abs(self.ratios[row]) @ logged)
+        logged = [self.logged_speeds.get(name, 0.0) for name in self.model.actuated]
+        return float(np.abs(self.ratios[self._row(joint)]) @ logged)
 
     def torques(
         self, motion: Motion, values: Mapping[str, Any], load: np.ndarray, z: np.ndarray | None = None
@@ -246,7 +234,7 @@ class FrictionLaw:
         ``values`` are the parameters of :meth:`forces`, and ``off``, by name, numbers or (N,); ``load`` (n, N) are
         torques that the actuated joints transmit, ``z`` (s, N) states of presliding; without them all joints slide.
         """
-        joints = self.model.robot.joints
+        joints, n_joints = self.model.robot.joints, len(self.model.robot.joints)
         forces, speeds = map(np.stack, self.forces(np, values, motion.yd, load))
         scales = self.scales(np, forces, speeds)
         if z is not None and self.states:
@@ -254,8 +242,8 @@ class FrictionLaw:
         forces = forces * scales
         for row, joint in enumerate(joints):
             forces[row] += values.get(Parameter("off", joint.name), 0.0)
-        joint_part = np.einsum("kjm,km->jm", motion.J[: len(joints)], forces[: len(joints)])
-        return np.asarray(joint_part + forces[len(joints) :])
+        joint_part = np.einsum("kjm,km->jm", motion.J[:n_joints], forces[:n_joints])
+        return np.asarray(joint_part + forces[n_joints:])
 
     def motor_of(self, joint: str) -> str | None:
         """Return the name of the motor that alone moves a joint; see :meth:`motor`."""

@@ -24,16 +24,10 @@ INSTANTS = 50  # of a block, over which the mean is taken
 
 @dataclass(frozen=True, eq=False)
 class ColumnBlock:
-    """Named columns, each a combination of the columns of the factors.
+    """Columns of ``names`` (k,), each a combination of the columns of the factors.
 
-    Attributes
-    ----------
-    names : tuple of Parameter
-        (k,).
-    columns : callable
-        From a run, a channel and its temperature above the mean, (...,), to the combinations (..., p, k).
-    stated : mapping
-        Values of the names that are known: their columns, times these, are added to the column ``known``.
+    ``columns`` makes the combinations (..., p, k) from a run, a channel and its temperature above the mean, (...,);
+    ``stated`` are values of the names that are known: their columns, times these, are added to the column ``known``.
     """
 
     names: tuple[Parameter, ...]
@@ -45,9 +39,9 @@ class ColumnBlock:
 class PayloadColumns:
     """Columns of the payload of one run, which is a body called ``label``.
 
-    ``unknown`` are its parameters that act on some actuated joint: each the sum of parameters of the kinds ``summed``,
-    which are not known, with the factors ``sums`` (unknown, summed). ``columns`` (n_b, k) are the columns of the
-    unknown and then of the known parameters, in base columns.
+    Each of its ``unknown`` parameters that act on some actuated joint is the sum of parameters of the unknown kinds
+    ``summed`` with the factors ``sums`` (unknown, summed). ``columns`` (n_b, k) are the columns of the unknown and then
+    of the known parameters, in base columns.
     """
 
     run: int
