@@ -33,7 +33,9 @@ class Result(IdentifiedModel):
     @classmethod
     def of(cls, model: IdentifiedModel) -> Result:
         """Give an identified model the methods of this class."""
-        return cls(model.equations, model.estimates, model.fit, model.evidence)
+        made = object.__new__(cls)
+        vars(made).update(vars(model))  # with what is computed already
+        return made
 
     def summary(self, verbose: bool = True) -> str:
         """Summarise the result as text: one screen, or with ``verbose`` all of it."""

@@ -13,7 +13,6 @@ from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.friction.curves import FrictionCurve
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.estimation.results.result import FitRecord, ModelEstimates
 from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import Result
@@ -59,7 +58,8 @@ def model_of(
         friction[Parameter("fl", joints[0])] = Estimate(f"fl_{joints[0]}", 0.07, 0.002, "1")
     payload = {kind: Estimate(kind, value, 0.01, unit_of(kind, robot, robot.tool)) for kind, value in PAYLOAD.items()}
     pairs = zip(joints, gains, units, strict=True)
-    estimates = ModelEstimates(
+    return Result(
+        equations,
         drive_gains={joint: Estimate(joint, float(gain), 0.01, f"{unit}/A") for joint, gain, unit in pairs},
         delays={joint: Estimate(joint, 0.0, None, "s") for joint in joints},
         parameters=parameters,
@@ -78,8 +78,6 @@ def model_of(
         )
         if consistent
         else None,
-    )
-    fit = FitRecord(
         method="ml",
         kind="current",
         runs=("free", "loaded"),
@@ -88,7 +86,6 @@ def model_of(
         logged_speeds=dict.fromkeys(joints, 100.0),
         statistics={"lack_of_fit": 1.0, "reduction_loss": 0.0},
     )
-    return Result(equations, estimates, fit)
 
 
 def preslid(result: Result) -> Result:

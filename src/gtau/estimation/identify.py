@@ -169,12 +169,14 @@ def estimate(
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
     sensors = sensor_estimates(plain, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
-    described = model_estimates(fit, estimates, predicting, verdicts, payloads, essential)
     return IdentifiedModel(
         dataset.equations,
-        replace(described, consistency=bodies, sensors=sensors),
-        fit_record(fit, estimator.name, errors, figures),
-        replace(evidence(fit, estimates, examined, findings, curves), audit=audit),
+        **model_estimates(fit, estimates, predicting, verdicts, payloads, essential),
+        **fit_record(fit, estimator.name, errors, figures),
+        **evidence(fit, estimates, examined, findings, curves),
+        sensors=sensors,
+        consistency=bodies,
+        audit=audit,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,14 +21,12 @@ from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.estimation.results.estimate import (
     Estimate,
-    Named,
     SensorEstimate,
     TorqueError,
     distances_along,
     nearest_poses,
 )
 from gtau.estimation.results.payload_body import PayloadEstimate, Weighed
-from gtau.estimation.results.result import Evidence, FitRecord, ModelEstimates
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import longest_placement
@@ -43,7 +42,7 @@ def model_estimates(
     verdicts: Mapping[Parameter, Finding],
     payloads: Mapping[str, Finding],
     essential: Problem,
-) -> ModelEstimates:
+) -> dict[str, Any]:
     """Collect estimates, those of ``equations`` for payloads, and ``predicting`` ones after the friction step."""
     robot, kind, temperatures = fit.dataset.robot, fit.dataset.runs[0].kind, reference_temperatures(fit)
     sensors = _link_side(fit)
@@ -52,30 +51,28 @@ def model_estimates(
     listed.sort(key=lambda name: order.get(name.kind, 0))
     gains = {joint: Parameter("gain", joint) for joint in robot.motors}
     delays = {joint: Parameter("delay", joint) for joint in robot.actuated}
-    return ModelEstimates(
-        drive_gains=Named(
-            (joint, _estimate(predicting, gain, gain_unit(robot, joint, kind), joint, verdicts[gain]))
+    return {
+        "drive_gains": {
+            joint: _estimate(predicting, gain, gain_unit(robot, joint, kind), joint, verdicts[gain])
             for joint, gain in gains.items()
-        ),
-        delays=Named(
-            (joint, _estimate(predicting, delay, "s", joint, verdicts[delay])) for joint, delay in delays.items()
-        ),
-        parameters=Named(_parameters(fit, predicting, essential)),
-        friction=Named(
-            (name, _estimate(predicting, name, friction_unit(name, robot, temperatures)))
+        },
+        "delays": {joint: _estimate(predicting, delay, "s", joint, verdicts[delay]) for joint, delay in delays.items()},
+        "parameters": _parameters(fit, predicting, essential),
+        "friction": {
+            name: _estimate(predicting, name, friction_unit(name, robot, temperatures))
             for name in predicting.unknowns
             if name.kind in FURTHER_FRICTION and name.body not in sensors
-        ),
-        payloads=payload_estimates(fit.system, equations, payloads),
-        covariance_names=tuple(listed),
-        covariance=predicting.select(listed).covariance,
-        temperatures=temperatures,
-    )
+        },
+        "payloads": payload_estimates(fit.system, equations, payloads),
+        "covariance_names": tuple(listed),
+        "covariance": predicting.select(listed).covariance,
+        "temperatures": temperatures,
+    }
 
 
 def fit_record(
     fit: Fit, method: str, errors: Mapping[str, tuple[float, float]], statistics: Mapping[str, float]
-) -> FitRecord:
+) -> dict[str, Any]:
     """Record how the estimates were fitted, with ``errors`` over all samples by motor and further ``statistics``."""
     dataset, problem, solution = fit.dataset, fit.system.problem, fit.solution
     robot, joints = dataset.robot, dataset.model.actuated
@@ -88,24 +85,24 @@ def fit_record(
     speeds = [factors.speeds.max(axis=0) for factors in dataset.factors if factors.speeds is not None]
     fastest = np.max(speeds, axis=0) if speeds else np.zeros(len(joints))
     shares = scale_shares(fit) if fit.free_gains else {}
-    return FitRecord(
-        method=method,
-        kind=dataset.runs[0].kind,
-        runs=tuple(run.name for run in dataset.runs),
-        preparation=dataset.preparation,
-        residuals=tuple(
+    return {
+        "method": method,
+        "kind": dataset.runs[0].kind,
+        "runs": tuple(run.name for run in dataset.runs),
+        "preparation": dataset.preparation,
+        "residuals": tuple(
             TorqueError(joint, float(rms), float(signal), torque_unit(robot, joint), *errors.get(joint, ()))
             for joint, rms, signal in zip(joints, *sizes[:, : len(joints)], strict=True)
         ),
-        logged_speeds=dict(zip(joints, map(float, fastest), strict=True)),
-        scale={
+        "logged_speeds": dict(zip(joints, map(float, fastest), strict=True)),
+        "scale": {
             joint: {source: float(share[joints.index(joint)]) for source, share in shares.items()}
             for joint in (robot.motors if fit.free_gains else ())
         },
-        statistics={**solution.statistics, **statistics, "condition_number": condition},
-        singular_values=_singular_values(W_tot) if fit.free_gains else (),
-        data=dataset.runs,
-    )
+        "statistics": {**solution.statistics, **statistics, "condition_number": condition},
+        "singular_values": _singular_values(W_tot) if fit.free_gains else (),
+        "data": dataset.runs,
+    }
 
 
 def evidence(
@@ -114,7 +111,7 @@ def evidence(
     examined: Examination,
     findings: Sequence[Finding],
     curves: Mapping[str, FrictionCurve],
-) -> Evidence:
+) -> dict[str, Any]:
     """Collect what speaks for and against the estimates, including the estimates of the equations."""
     dataset, temperatures, sensors = fit.dataset, reference_temperatures(fit), _link_side(fit)
     replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
@@ -124,18 +121,18 @@ def evidence(
         for prepared, factors in zip(dataset.prepared, dataset.factors, strict=True)
         if factors.distances is not None
     ]
-    return Evidence(
-        notes=(*dataset.notes, *(finding for finding in findings if not finding.decisive)),
-        effects=(*examined.refits, *examined.effects),
-        curves=curves,
-        equation_friction=Named(
-            (name, _estimate(estimates, name, friction_unit(name, dataset.robot, temperatures)))
+    return {
+        "notes": (*dataset.notes, *(finding for finding in findings if not finding.decisive)),
+        "effects": (*examined.refits, *examined.effects),
+        "curves": curves,
+        "equation_friction": {
+            name: _estimate(estimates, name, friction_unit(name, dataset.robot, temperatures))
             for name in fit.system.problem.parameters
             if name in replaced
-        ),
-        singularities=tuple(nearest for run in along for nearest in nearest_poses(*run)),
-        distances=tuple(distances_along(*run) for run in along),
-    )
+        },
+        "singularities": tuple(nearest for run in along for nearest in nearest_poses(*run)),
+        "distances": tuple(distances_along(*run) for run in along),
+    }
 
 
 def _link_side(fit: Fit) -> set[str]:

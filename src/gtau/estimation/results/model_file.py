@@ -36,7 +36,7 @@ from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.friction.curves import FrictionCurve, ReferenceTemperatures
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement, SensorEstimate, TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate
-from gtau.estimation.results.result import Evidence, FitRecord, IdentifiedModel, ModelEstimates
+from gtau.estimation.results.result import IdentifiedModel
 from gtau.extensions import registered
 from gtau.findings import Finding
 from gtau.findings.finding import finding_document, note_document, read_note
@@ -289,12 +289,9 @@ class ModelDocument(_Group):
             "preparation": self.preparation.made(),
             "consistency": self.standard,
         }
-        estimates, fit, evidence = (
-            {field.name: values[field.name] for field in fields(group) if field.name in values}
-            for group in (ModelEstimates, FitRecord, Evidence)
-        )
+        known = {field.name: values[field.name] for field in fields(IdentifiedModel) if field.name in values}
         equations = Equations(InverseDynamics(robot), tuple(sensor.joint for sensor in values["sensors"]))
-        return IdentifiedModel(equations, ModelEstimates(**estimates), FitRecord(**fit), Evidence(**evidence))
+        return IdentifiedModel(equations, **known)
 
 
 def described(result: IdentifiedModel) -> ModelDocument:

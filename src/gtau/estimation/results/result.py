@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -32,10 +32,74 @@ if TYPE_CHECKING:
 NO_BODIES = "no physically consistent parameters"
 
 
-@dataclass(frozen=True, eq=False)
-class ModelEstimates:
-    """Estimates with which the model predicts."""
+@dataclass(frozen=True, eq=False, repr=False)
+class IdentifiedModel:
+    """Drive gains, parameters and payloads of a robot, identified from its logs.
 
+    Attributes
+    ----------
+    equations : Equations
+        The robot's inverse dynamic model, and its base parameters.
+    drive_gains, delays : dict
+        Joint to :class:`Estimate`: N m/A or N per A, for logged torques the factor that makes them true; s.
+    parameters : dict
+        All base parameters, friction on all samples among them; name to Estimate. If ``as_paper``, only the essential
+        ones have a value.
+    friction : dict
+        Friction beyond that among the base parameters: ``fb_J``, ``fl_J``, ``fvt_J``, ``fst_J``, and in ``width_J`` and
+        ``vs_J`` the width of presliding and the speed at which it bends; in the paper's way the terms of the equations,
+        ``f3_J`` among them. Name to Estimate.
+    payloads : tuple of PayloadEstimate
+        One entry for each loaded run.
+    covariance_names, covariance : tuple of Parameter, ndarray
+        Of parameters, gains and delays, by the block jackknife.
+    method, kind : str
+        Name of the estimator; whether logs hold currents or torques.
+    runs : tuple of str
+        Names of the runs.
+    preparation : Preparation
+        How the logs were filtered and decimated.
+    residuals : tuple of TorqueError
+        Torque errors of each joint over the rows used.
+    logged_speeds : dict
+        Actuated joint to its largest speed among the rows used, rad/s or m/s; friction is extrapolated beyond.
+    statistics : dict
+        Further figures of the method.
+    sensors : tuple of SensorEstimate
+        Torque sensors of joints, with what was estimated of each.
+    temperatures : ReferenceTemperatures, optional
+        At which friction has these values, where temperatures were logged.
+    consistency : Consistency, optional
+        Physically consistent standard parameters, if requested.
+    scale : dict
+        Joint to what the scale of its drive gain rests on, in shares that add up to one.
+    singular_values : tuple of float
+        Of ``W_tot`` (eq. 33) in falling order, rows weighted and columns of unit length; empty where the gains were
+        given. ``model.json`` holds neither these, nor ``data`` or ``distances``.
+    data : tuple of Run
+        The runs themselves.
+    notes : tuple of Finding
+        What was repaired, left out, or is not to be trusted.
+    effects : tuple of EstimatedEffect
+        What model and description may lack, as the data show it, and by how much that moves the gains.
+    curves : dict
+        What the data say of friction on all samples; joint to FrictionCurve. Empty for the paper's way.
+    equation_friction : dict
+        Friction in the equations that give gains and inertia, which leave out samples near reversals.
+    geometry : GeometryTest, optional
+        What logged poses say of the robot's geometry.
+    audit : InertiaAudit, optional
+        What the data say of the inertias of the robot's file.
+    requirements : tuple of Requirement
+        What the experiment file requires, and what was found of it.
+    singularities : tuple of NearestPose
+        Where each run comes nearest to singularities of either type.
+    distances : tuple of ndarray
+        Of each run: ``time``, s, and distances to singularities, ``type_1`` and ``type_2``, at its decimated samples:
+        reciprocal condition numbers, 0 at a singularity, NaN where the robot has none of a type.
+    """
+
+    equations: Equations
     drive_gains: Named[str]
     delays: Named[str]
     parameters: Named[Parameter]
@@ -43,19 +107,6 @@ class ModelEstimates:
     payloads: tuple[PayloadEstimate, ...]
     covariance_names: tuple[Parameter, ...]
     covariance: np.ndarray
-    sensors: tuple[SensorEstimate, ...] = ()
-    temperatures: ReferenceTemperatures | None = None
-    consistency: Consistency | None = None
-
-    def __post_init__(self) -> None:
-        for name in ("drive_gains", "delays", "parameters", "friction"):
-            object.__setattr__(self, name, Named(getattr(self, name)))
-
-
-@dataclass(frozen=True, eq=False)
-class FitRecord:
-    """How the estimates were fitted, and to what; ``model.json`` holds neither ``data`` nor ``singular_values``."""
-
     method: str
     kind: str
     runs: tuple[str, ...]
@@ -63,15 +114,12 @@ class FitRecord:
     residuals: tuple[TorqueError, ...]
     logged_speeds: Mapping[str, float]
     statistics: Mapping[str, float]
+    sensors: tuple[SensorEstimate, ...] = ()
+    temperatures: ReferenceTemperatures | None = None
+    consistency: Consistency | None = None
     scale: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     singular_values: tuple[float, ...] = ()
     data: tuple[Run, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """What speaks for and against the estimates; ``model.json`` does not hold the ``distances``."""
-
     notes: tuple[Finding, ...] = ()
     effects: tuple[EstimatedEffect, ...] = ()
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
@@ -83,189 +131,8 @@ class Evidence:
     distances: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "equation_friction", Named(self.equation_friction))
-
-
-GROUPS: Mapping[str, str] = {
-    field.name: group
-    for group, kind in (("estimates", ModelEstimates), ("fit", FitRecord), ("evidence", Evidence))
-    for field in fields(kind)
-}
-"""Group of a result that holds a field, by the name of the field."""
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class IdentifiedModel:
-    """Drive gains, parameters and payloads of a robot, identified from its logs.
-
-    Attributes
-    ----------
-    equations : Equations
-        The robot's inverse dynamic model, and its base parameters.
-    estimates : ModelEstimates
-        Estimates with which the model predicts.
-    fit : FitRecord
-        How they were fitted, and to what.
-    evidence : Evidence
-        What speaks for and against them.
-
-    All fields of these groups are properties of the result, too.
-    """
-
-    equations: Equations
-    estimates: ModelEstimates
-    fit: FitRecord
-    evidence: Evidence = field(default_factory=Evidence)
-
-    @property
-    def robot(self) -> Robot:
-        """The robot."""
-        return self.equations.model.robot
-
-    @property
-    def drive_gains(self) -> Named[str]:
-        """Drive gains by joint, N m/A or N per A; of logged torques the factors that make them true."""
-        return self.estimates.drive_gains
-
-    @property
-    def delays(self) -> Named[str]:
-        """Delays of the commands behind the positions by joint, s."""
-        return self.estimates.delays
-
-    @property
-    def parameters(self) -> Named[Parameter]:
-        """All base parameters by name; if ``as_paper``, only the essential ones have values."""
-        return self.estimates.parameters
-
-    @property
-    def friction(self) -> Named[Parameter]:
-        """Friction beyond the base parameters by name, such as ``fb_J``, ``fl_J``, ``fvt_J`` and ``width_J``."""
-        return self.estimates.friction
-
-    @property
-    def payloads(self) -> tuple[PayloadEstimate, ...]:
-        """Payloads, one entry for each loaded run."""
-        return self.estimates.payloads
-
-    @property
-    def sensors(self) -> tuple[SensorEstimate, ...]:
-        """Torque sensors of joints, with what was estimated of each."""
-        return self.estimates.sensors
-
-    @property
-    def covariance_names(self) -> tuple[Parameter, ...]:
-        """Names of the rows of ``covariance``."""
-        return self.estimates.covariance_names
-
-    @property
-    def covariance(self) -> np.ndarray:
-        """Covariance of parameters, gains and delays, by the block jackknife."""
-        return self.estimates.covariance
-
-    @property
-    def temperatures(self) -> ReferenceTemperatures | None:
-        """Temperatures at which friction has these values, where temperatures were logged."""
-        return self.estimates.temperatures
-
-    @property
-    def consistency(self) -> Consistency | None:
-        """Physically consistent standard parameters, if requested."""
-        return self.estimates.consistency
-
-    @property
-    def method(self) -> str:
-        """Name of the estimator."""
-        return self.fit.method
-
-    @property
-    def kind(self) -> str:
-        """What the logs hold: ``current`` or ``torque``."""
-        return self.fit.kind
-
-    @property
-    def runs(self) -> tuple[str, ...]:
-        """Names of the runs."""
-        return self.fit.runs
-
-    @property
-    def preparation(self) -> Preparation:
-        """How the logs were filtered and decimated."""
-        return self.fit.preparation
-
-    @property
-    def residuals(self) -> tuple[TorqueError, ...]:
-        """Torque errors of each joint over the rows used."""
-        return self.fit.residuals
-
-    @property
-    def logged_speeds(self) -> Mapping[str, float]:
-        """Largest speed of each actuated joint among the rows used, rad/s or m/s; friction is extrapolated beyond."""
-        return self.fit.logged_speeds
-
-    @property
-    def statistics(self) -> Mapping[str, float]:
-        """Further figures of the method."""
-        return self.fit.statistics
-
-    @property
-    def scale(self) -> Mapping[str, Mapping[str, float]]:
-        """Shares of what the scale of each drive gain rests on, by joint."""
-        return self.fit.scale
-
-    @property
-    def singular_values(self) -> tuple[float, ...]:
-        """Singular values of ``W_tot`` (eq. 33), rows weighted and columns of unit length."""
-        return self.fit.singular_values
-
-    @property
-    def data(self) -> tuple[Run, ...]:
-        """The runs themselves; empty of a result read from a file."""
-        return self.fit.data
-
-    @property
-    def notes(self) -> tuple[Finding, ...]:
-        """Findings beside the verdicts."""
-        return self.evidence.notes
-
-    @property
-    def effects(self) -> tuple[EstimatedEffect, ...]:
-        """What model and description may lack, as the data show it."""
-        return self.evidence.effects
-
-    @property
-    def curves(self) -> Mapping[str, FrictionCurve]:
-        """What the data say of friction on all samples, by joint."""
-        return self.evidence.curves
-
-    @property
-    def equation_friction(self) -> Named[Parameter]:
-        """Friction in the equations that give gains and inertia."""
-        return self.evidence.equation_friction
-
-    @property
-    def geometry(self) -> GeometryTest | None:
-        """What logged poses say of the robot's geometry."""
-        return self.evidence.geometry
-
-    @property
-    def audit(self) -> InertiaAudit | None:
-        """What the data say of the inertias of the robot's file."""
-        return self.evidence.audit
-
-    @property
-    def requirements(self) -> tuple[Requirement, ...]:
-        """What the experiment file requires, and what was found."""
-        return self.evidence.requirements
-
-    @property
-    def singularities(self) -> tuple[NearestPose, ...]:
-        """Where each run comes nearest to singularities."""
-        return self.evidence.singularities
-
-    @property
-    def distances(self) -> tuple[np.ndarray, ...]:
-        """Distances to singularities along each run."""
-        return self.evidence.distances
+        for name in ("drive_gains", "delays", "parameters", "friction", "equation_friction"):
+            object.__setattr__(self, name, Named(getattr(self, name)))
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{joint} {gain}" for joint, gain in self.drive_gains.items())
@@ -276,11 +143,13 @@ class IdentifiedModel:
         )
 
     def replaced(self, **values: Any) -> Self:
-        """Return the result with other values of fields of its groups, by name."""
-        groups: dict[str, dict[str, Any]] = {}
-        for name, value in values.items():
-            groups.setdefault(GROUPS[name], {})[name] = value
-        return replace(self, **{group: replace(getattr(self, group), **fields) for group, fields in groups.items()})
+        """Return the result with other values of some attributes."""
+        return replace(self, **values)
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.equations.model.robot
 
     @property
     def idm(self) -> InverseDynamics:
