@@ -110,17 +110,19 @@ class WrenchAlongLog:
         if not kept.any():
             return Component(name, unit, share)
         values, half = self.wrench[kept, k], self.interval[kept, k]
-        worst = int(np.argmax(np.abs(values)))
-        return Component(
-            name,
-            unit,
-            share,
-            float(np.sqrt(np.mean(values**2))),
-            float(np.median(half)),
-            float(values[worst]),
-            float(self.time[kept][worst]),
-            float(np.mean(np.abs(values) > BEYOND * half / _normal())),
-        )
+        largest, time = _largest(values, self.time[kept])
+        beyond = float(np.mean(np.abs(values) > BEYOND * half / _normal()))
+        return Component(name, unit, share, _rms(values), float(np.median(half)), largest, time, beyond)
+
+
+def _largest(values: np.ndarray, time: np.ndarray) -> tuple[float, float]:
+    """Return the value of largest size, and its time."""
+    worst = int(np.argmax(np.abs(values)))
+    return float(values[worst]), float(time[worst])
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def wrench_along_log(
@@ -283,13 +285,14 @@ def torques_along_log(
     residual = {error.joint: error.rms for error in result.residuals}
     joints = [
         _summary(prediction.of([joint]), torque_unit(result.robot, joint), residual.get(joint))
-        for j, joint in enumerate(prediction.joints)
-        if prediction.keep[:, j].any()
+        for joint, kept in zip(prediction.joints, prediction.keep.T, strict=True)
+        if kept.any()
     ]
     table, wrench = prediction.table(), None
     if bandwidth is not None:
-        observed = momentum_observer(result, run, bandwidth)
-        table = table.with_columns(**{f"observed_{joint}": observed[:, j] for j, joint in enumerate(prediction.joints)})
+        torques = momentum_observer(result, run, bandwidth).T
+        columns = zip(prediction.joints, torques, strict=True)
+        table = table.with_columns(**{f"observed_{joint}": torque for joint, torque in columns})
     if frame is not None:
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
         table = table.with_columns(**wrench.columns).fill_nan(None)
@@ -370,15 +373,11 @@ def observed(
 
 
 def _summary(torque: Prediction, unit: str, residual: float | None) -> External:
-    external, keep, valid = (
-        columns[:, 0] for columns in (torque.predicted - torque.measured, torque.keep, torque.valid)
-    )
+    external, keep, valid = (torque.predicted - torque.measured)[:, 0], torque.keep[:, 0], torque.valid[:, 0]
     kept = external[keep]
-    worst = int(np.argmax(np.abs(kept)))
     beyond = None if residual is None else float(np.mean(np.abs(kept) > USABLE * residual))
-    rms, rms_all = (float(np.sqrt(np.mean(values**2))) for values in (kept, external[valid]))
-    largest, time = float(kept[worst]), float(torque.time[keep][worst])
-    return External(torque.joints[0], unit, residual, rms, rms_all, largest, time, beyond)
+    rms, (largest, time) = _rms(kept), _largest(kept, torque.time[keep])
+    return External(torque.joints[0], unit, residual, rms, _rms(external[valid]), largest, time, beyond)
 
 
 def write_table(torques: TorquesAlongLog, path: Path) -> None:

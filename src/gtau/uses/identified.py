@@ -12,7 +12,7 @@ so that an update of the configuration updates them too: ``z <- clip(z + ratios 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -88,10 +88,13 @@ def identified(result: IdentifiedModel) -> Identified:
     robot = result.robot
     terms = [term for name, term in result.friction.items() if name.kind not in (*TEMPERATURE_TERMS, *SHAPES)]
     parameters = (*(result.parameters[name] for name in result.base.names), *terms)
-    gains = np.array([result.drive_gains[joint].value for joint in robot.actuated], dtype=float)
     units = tuple(torque_unit(robot, joint) for joint in robot.actuated)
-    model = Identified(result, identifier(robot.name), parameters, {}, gains, units)
-    return replace(model, payloads=_payloads(result, model.values))
+    payloads = {}
+    for name in dict.fromkeys(payload.name for payload in result.payloads):
+        if "m" in (weighed := result.payload(name)):
+            payloads[name] = np.array([parameter.value or 0.0 for parameter in parameters])
+            payloads[name][: result.base.count] += on_tool(result, weighed)
+    return Identified(result, identifier(robot.name), parameters, payloads, result.gains, units)
 
 
 def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndarray | None = None) -> np.ndarray:
@@ -100,15 +103,6 @@ def torques_of(model: Identified, motion: Motion, values: np.ndarray, z: np.ndar
     names = (*base.standard, *model.terms)
     terms = {name: value for name, value in zip(names, values, strict=True) if name in model.friction}
     return torques_along(model.result, motion, values[: base.count], terms, z)
-
-
-def _payloads(result: IdentifiedModel, values: np.ndarray) -> dict[str, np.ndarray]:
-    names = dict.fromkeys(payload.name for payload in result.payloads)
-    weighed = {name: parameters for name in names if "m" in (parameters := result.payload(name))}
-    loaded = {name: values.copy() for name in weighed}
-    for name, parameters in weighed.items():
-        loaded[name][: result.base.count] += on_tool(result, parameters)
-    return loaded
 
 
 def notes_on(model: Identified) -> tuple[str, ...]:

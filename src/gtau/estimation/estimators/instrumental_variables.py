@@ -23,16 +23,14 @@ from gtau.estimation.estimators.didim import resimulated_runs
 from gtau.estimation.estimators.estimator import Estimator, Fit, Gains, Solution
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import RANK, moved, one_step, squared, to_gains, weighted
-from gtau.estimation.regression.dataset import System
+from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import EXTRA, SIGNALS, Factors, Triangles, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import stream_rows
 from gtau.estimation.regression.run_blocks import block_of
-from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.parameter import DRY, TERMS, Parameter
-from gtau.signals.preparation.filters import Decimator
-from gtau.signals.preparation.prepared_run import PreparedRun, SampleWindow
+from gtau.robots.parameter import DRY, TERMS
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 PASSES = 6  # simulations
 SAME = 0.01  # standard deviations: a smaller change ends them
@@ -123,11 +121,8 @@ def with_instruments(pair: Pair, start: Solution, free_gains: bool) -> Solution:
 def paired(system: System, solution: Solution) -> Pair:
     """Build the problem along the measured motion and along the simulated one."""
     dataset, simulated = system.dataset, resimulated_runs(system, solution)
-    loads, preparation, columns = system.loads(solution.theta), dataset.preparation, dataset.base.standard
-    pairs = [
-        _reduced(dataset.model, columns, measured, other, preparation.at(measured.run.rate).decimator, load, edges)
-        for measured, other, load, edges in zip(dataset.prepared, simulated, loads, dataset.prepared.edges, strict=True)
-    ]
+    loads = system.loads(solution.theta)
+    pairs = [_reduced(dataset, k, run, load) for k, (run, load) in enumerate(zip(simulated, loads, strict=True))]
     measured, instruments = (
         system.again(replace(dataset, factors=factors)).unreduced for factors in zip(*pairs, strict=True)
     )
@@ -141,27 +136,20 @@ def paired(system: System, solution: Solution) -> Pair:
     )
 
 
-def _reduced(
-    idm: InverseDynamics,
-    columns: tuple[Parameter, ...],
-    measured: PreparedRun,
-    simulated: SampleWindow,
-    decimator: Decimator,
-    load: np.ndarray | None,
-    edges: np.ndarray,
-) -> tuple[Factors, Factors]:
+def _reduced(dataset: Dataset, run: int, simulated: SampleWindow, load: np.ndarray | None) -> tuple[Factors, Factors]:
     """Reduce a run along the measured and the simulated motion, with the same instants row by row.
 
     The sign of a noisy speed is not the sign of the speed plus noise, so the columns of Coulomb friction are the
     simulated ones. The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by
     columns.
     """
-    regressor = idm.columns(columns)
-    blocks = block_of(edges, decimator.outputs(len(measured)))
-    n, b = len(idm.actuated), len(columns) + EXTRA - 3
+    model, columns, measured = dataset.model, dataset.base.standard, dataset.prepared[run]
+    regressor, decimator = model.columns(columns), dataset.preparation.at(measured.run.rate).decimator
+    blocks = block_of(dataset.prepared.edges[run], decimator.outputs(len(measured)))
+    n, b = len(model.actuated), len(columns) + EXTRA - 3
     dry = np.flatnonzero([kind in DRY for kind in (*(name.kind for name in columns), *TERMS)])
     collected = Triangles([np.arange(2 * b + 3)] * n)
-    streams = (stream_rows(idm, regressor, run, decimator, load) for run in (simulated, measured))
+    streams = (stream_rows(model, regressor, along, decimator, load) for along in (simulated, measured))
     for part, other in zip(*streams, strict=True):
         A = np.zeros((n, len(part.time), 2 * b + 3))
         for begin, rows in ((0, part), (b, other)):

@@ -182,33 +182,22 @@ def group_estimates(
     S = np.linalg.pinv(A / size / size.T, rcond=1e-9, hermitian=True) @ (shaped.M.T @ group.cross / size) / size
     factor = sandwich_factor([group.residuals]) if group.residuals.size else 1.0
     covariance = factor**2 * jackknife(shaped.replicates) + _between_values(group, shaped, A)
-    position = {name: k for k, name in enumerate(shaped.names)}
-    names: list[Parameter] = []
-    values: list[float] = []
-    rows: list[np.ndarray] = []
-
-    def add(name: Parameter, value: float, factors: Mapping[tuple[int, str], float]) -> None:
-        row = np.zeros(len(shaped.names))
-        for unknown, factor in factors.items():
-            if unknown in position:
-                row[position[unknown]] = factor
-        names.append(name)
-        values.append(value)
-        rows.append(row)
-
+    made: dict[Parameter, tuple[float, dict[tuple[int, str], float]]] = {}  # values, and their derivatives
     x = dict(zip(candidate.names, candidate.x.tolist(), strict=True))
     for s, (joint, structure) in enumerate(zip(group.joints, candidate.structures, strict=True)):
         for kind in parameter_columns(structure, joint):
             if kind == "fr":  # friction at rest: fb is what of it is gone in sliding
                 excess = x.get((s, "fr"), 0.0) - x.get((s, "fs"), 0.0)
-                add(Parameter("fb", joint.name), excess, {(s, "fr"): 1.0, (s, "fs"): -1.0})
+                made[Parameter("fb", joint.name)] = excess, {(s, "fr"): 1.0, (s, "fs"): -1.0}
             else:
-                add(Parameter(kind, joint.name), x.get((s, kind), 0.0), {(s, kind): 1.0})
+                made[Parameter(kind, joint.name)] = x.get((s, kind), 0.0), {(s, kind): 1.0}
         for term, shape in SHAPE_OF.items():
             if (value := structure.value(term)) is not None:
-                add(Parameter(shape, joint.name), value, {(s, term): value})  # its logarithm is estimated
-    T = np.array(rows).reshape(len(names), len(shaped.names))
-    return names, np.array(values), T @ S, T @ covariance @ T.T
+                made[Parameter(shape, joint.name)] = value, {(s, term): value}  # its logarithm is estimated
+    T = np.zeros((len(made), len(shaped.names)))
+    for row, (_, factors) in zip(T, made.values(), strict=True):
+        row[:] = [factors.get(name, 0.0) for name in shaped.names]
+    return list(made), np.array([value for value, _ in made.values()]), T @ S, T @ covariance @ T.T
 
 
 def _curves(

@@ -92,7 +92,8 @@ def torque_headline(result: IdentifiedModel) -> str:
         by_state.setdefault(scale.state, []).append(scale)
     sentences, wrong, right = [], by_state.get("wrong", []), by_state.get("consistent with 1", [])
     if wrong:
-        parts = [f"{_reported(scale)}{' of the torque' * (k == 0)} at '{scale.joint}'" for k, scale in enumerate(wrong)]
+        first, *rest = ((_reported(scale), f" at '{scale.joint}'") for scale in wrong)
+        parts = [" of the torque".join(first), *map("".join, rest)]
         sentences.append(f"The arm reports {enumerated(parts)} (95 % intervals).")
     if right:
         widest = percent_text(max(scale.gain.half_width or 0.0 for scale in right))
@@ -110,9 +111,8 @@ def torque_headline(result: IdentifiedModel) -> str:
 
 def _scales_are(members: Sequence[TorqueScale], state: str, called: str = "") -> str:
     names = called or enumerated([f"'{scale.joint}'" for scale in members])
-    return (
-        f"The torque scale{'s' if len(members) > 1 else ''} of {names} {'are' if len(members) > 1 else 'is'} {state}."
-    )
+    scales = "scales of {} are" if len(members) > 1 else "scale of {} is"
+    return f"The torque {scales.format(names)} {state}."
 
 
 def _reported(scale: TorqueScale) -> str:
@@ -175,13 +175,13 @@ def _stated(result: IdentifiedModel) -> Iterator[tuple[str, Finding]]:
 
 def missed(result: IdentifiedModel) -> list[str]:
     """Describe each requirement that is not met."""
-    return [
-        f"{' of '.join(required(requirement))}: "
-        + ("not known" if requirement.found is None else f"{requirement.found:.2f} % (joint '{requirement.joint}')")
-        + f", and {requirement.limit:g} % is required"
-        for requirement in result.requirements
-        if not requirement.met
-    ]
+    said = []
+    for requirement in result.requirements:
+        if not requirement.met:
+            known = requirement.found is not None
+            found = f"{requirement.found:.2f} % (joint '{requirement.joint}')" if known else "not known"
+            said.append(f"{' of '.join(required(requirement))}: {found}, and {requirement.limit:g} % is required")
+    return said
 
 
 def required(requirement: Requirement) -> tuple[str, str]:
