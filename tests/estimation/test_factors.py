@@ -17,9 +17,9 @@ from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import Factors, reduce_run
+from gtau.estimation.regression.priors import require_scale
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.run_blocks import BLOCKS
-from gtau.estimation.regression.scale_source import require_scale
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.parameter import Parameter
@@ -302,8 +302,9 @@ def test_a_payload_that_acts_on_nothing_is_refused() -> None:
     q = np.sin(2 * np.pi * 0.7 * time)[:, None] + 0.3 * np.sin(2 * np.pi * 1.3 * time)[:, None]
     run = Run("free", ("1",), time, q, -20 * q + 0.1 * np.random.default_rng(1).normal(size=q.shape))
     loaded = replace(run, name="loaded", payload=KNOWN)
+    problem = reduce_runs(table, [run, loaded]).system().problem
     with pytest.raises(GtauError, match=r"no effect of their own on any actuated joint.*--method wls"):
-        require_scale(table, reduce_runs(table, [run, loaded]).system(), [None, KNOWN], "ml")
+        require_scale(table, problem, (), [None, KNOWN], "ml")
 
 
 def test_a_joint_that_stands_still_has_no_rows(runs: list[Run]) -> None:

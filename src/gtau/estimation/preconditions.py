@@ -14,7 +14,7 @@ from gtau.estimation.estimators.estimator import Estimator, Gains
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.experiment_runs import Options, Subject
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
-from gtau.estimation.regression.scale_source import require_scale
+from gtau.estimation.regression.priors import require_scale
 from gtau.progress import Progress
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import INERTIAL, Robot
@@ -95,7 +95,8 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
     if estimator.gains != Gains.GIVEN:
         demanded = not torques or (named and estimator.gains == Gains.ESTIMATED)
         try:
-            require_scale(dataset.robot, system, [run.payload for run in runs], estimator.name)
+            payloads = [run.payload for run in runs]
+            require_scale(dataset.robot, system.problem, system.stated, payloads, estimator.name)
         except GtauError:
             if demanded:
                 raise

@@ -11,7 +11,7 @@ from gtau.errors import GtauError
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.scale_source import require_scale
+from gtau.estimation.regression.priors import require_scale
 from gtau.findings import Finding, Grade
 from gtau.signals.reading.statements import Payload
 
@@ -24,7 +24,7 @@ def refitted(
     payloads = [run.payload for run in fit.dataset.runs] if payloads is None else payloads
     try:
         if fit.free_gains:
-            require_scale(fit.dataset.robot, system, payloads, method)
+            require_scale(fit.dataset.robot, system.problem, system.stated, payloads, method)
         solution = fit.solve(system.problem)
     except GtauError:
         return None
