@@ -49,6 +49,9 @@ POLE = 20.0  # of the loop, over the bandwidth of the motion
 LOOP_PASSES = 20
 LOOP_CONVERGED = 1e-6  # change of the accelerations, of their rms
 MEASURED = ("command", "command_d", "command_dd", "usable")
+PASSES = 10
+CONVERGED = 0.1  # standard deviations: convergence of every gain and delay
+SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint switches with the sign of single samples
 
 
 def resimulated_runs(system: System, solution: Solution) -> tuple[SampleWindow, ...]:
@@ -177,11 +180,6 @@ class Loop:
         errors, ends = zip(*(lfilter(b, a, disturbance, axis=0, zi=z) for (b, a), z in begun), strict=True)
         self._states = list(ends)
         return list(errors)
-
-
-PASSES = 10
-CONVERGED = 0.1  # standard deviations: convergence of every gain and delay
-SWITCHING = 1.0  # and of every parameter: Coulomb friction of a passive joint switches with the sign of single samples
 
 
 def along_simulated_motion(system: System, solve: Solve, progress: Progress) -> System:

@@ -38,6 +38,8 @@ ROOT2 = np.sqrt(2.0)
 MARGIN = 1e-6
 LOOSE = 10.0  # natural sizes: standard deviation of the prior on parameters without a stated one
 SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
+STEPS = 40
+CONVERGED = 1e-3  # of a standard deviation
 
 
 def _basis() -> np.ndarray:
@@ -281,10 +283,6 @@ def natural_size(name: Parameter, robot: Robot, mass: float, length: float, chan
     if KINDS[kind].units[0] == "1":
         return 1.0
     return mass * STANDARD_GRAVITY * (length if turns else 1.0)
-
-
-STEPS = 40
-CONVERGED = 1e-3  # of a standard deviation
 
 
 @dataclass(frozen=True)

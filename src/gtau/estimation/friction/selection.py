@@ -18,6 +18,17 @@ from gtau.estimation.friction.normal_equations import (
 ROUNDING = 1e-9  # of the way to the next width or speed tried
 FREE = ("off", "fvt", "fst")
 """Parameters of either sign."""
+WORDS = {"width": "presliding", "speed": "bent", "load": "load", "temperature": "temperature"}
+"""Terms that the selection tries, and their words."""
+SHAPE_OF = {"width": "width", "speed": "vs"}
+"""Terms with a value, and the parameters that hold these values."""
+TERM_T = 2.5  # standard errors, over blocks left out, by which friction with a term is better
+POSSIBLE = 3.0  # rms torques of the motor: a joint's friction at rest exceeds its sliding friction by less
+TERM_SHARE = 0.05  # share of the squared error of blocks left out that a term of friction takes away
+FEWEST_BLOCKS = 6
+STEPS = 6
+SLOW = 0.05  # of the rms speed, up to which bending may be gradual presliding
+TILT = 0.01  # of the way to the next width or speed tried, for derivatives
 
 
 @dataclass(frozen=True)
@@ -42,12 +53,6 @@ class Structure:
     def changed(self, term: str, value: Any) -> Structure:
         """Return the structure with another value of a term."""
         return replace(self, **{term: value})
-
-
-WORDS = {"width": "presliding", "speed": "bent", "load": "load", "temperature": "temperature"}
-"""Terms that the selection tries, and their words."""
-SHAPE_OF = {"width": "width", "speed": "vs"}
-"""Terms with a value, and the parameters that hold these values."""
 
 
 def with_term(structure: Structure, joint: FrictionJoint, term: str) -> list[Structure]:
@@ -103,16 +108,6 @@ def shares(value: float, tried: np.ndarray) -> np.ndarray:
     for k in nodes:
         made[k] = np.prod([(number - other) / (k - other) for other in nodes if other != k])
     return made
-
-
-TERM_T = 2.5  # standard errors, over blocks left out, by which friction with a term is better
-POSSIBLE = 3.0  # rms torques of the motor: a joint's friction at rest exceeds its sliding friction by less
-TERM_SHARE = 0.05  # share of the squared error of blocks left out that a term of friction takes away
-
-FEWEST_BLOCKS = 6
-STEPS = 6
-SLOW = 0.05  # of the rms speed, up to which bending may be gradual presliding
-TILT = 0.01  # of the way to the next width or speed tried, for derivatives
 
 
 @dataclass(frozen=True, eq=False)

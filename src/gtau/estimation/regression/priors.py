@@ -21,6 +21,8 @@ from gtau.signals.reading.statements import Payload, Prior
 RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
 ROUNDING = 1e-12  # of the size of a body's parameter: less is rounding of the file's frames
 LEAST = 1e-9  # of the largest eigenvalue of the correlations: smaller ones are rounding
+OWN_BODY = 0.1  # share of the torque of measured wrenches that no parameter explains: below, a tool may cause it
+ANSWERED = 0.1  # share of the squares of the rest to which the currents answer: below, the rest is noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,10 +198,6 @@ def _standard_equations(
     rows[:, : base.count] = np.linalg.solve(L, P)
     rows[:, -1] = np.linalg.solve(L, S @ values)
     return rows
-
-
-OWN_BODY = 0.1  # share of the torque of measured wrenches that no parameter explains: below, a tool may cause it
-ANSWERED = 0.1  # share of the squares of the rest to which the currents answer: below, the rest is noise
 
 
 def require_scale(

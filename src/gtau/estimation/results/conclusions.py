@@ -26,6 +26,11 @@ HEAD = """\
 # true torque = factor x reported torque; a command for a wanted torque is the torque divided by the factor.
 # Correct the factors whose state is 'wrong'; leave the others at 1. Intervals: 95 %. Docs: torque-scale.md
 """
+INFLATED = 1.8  # ratio of jackknife to white-noise standard errors, from which the summary says so
+NEAR_SINGULAR = 0.05  # distance to a singularity of type 2, below which errors of the model are magnified
+NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+NAMED = 2  # groups of contradictory joints whose reason the headline gives
+VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 
 
 @dataclass(frozen=True)
@@ -135,14 +140,6 @@ def torque_scale_text(result: IdentifiedModel) -> str:
         joints[scale.joint] = {"factor": factor, "interval": ends or None, "state": scale.state}
     head = HEAD.format(robot=" ".join(result.robot.name.split()), runs=", ".join(result.runs))
     return head + str(yaml.safe_dump({"torque_scale": joints}, sort_keys=False, default_flow_style=None, width=120))
-
-
-INFLATED = 1.8  # ratio of jackknife to white-noise standard errors, from which the summary says so
-NEAR_SINGULAR = 0.05  # distance to a singularity of type 2, below which errors of the model are magnified
-
-NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
-NAMED = 2  # groups of contradictory joints whose reason the headline gives
-VISIBLE = 0.01  # per cent: a smaller torque error is rounding
 
 
 def headline(result: IdentifiedModel) -> str:
