@@ -159,17 +159,15 @@ def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> dict[str, Sta
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
     """Read logged runs of an experiment file, each part between long gaps as a run of its own; raises GtauError."""
-    parts = 1000  # of a run
+    signals, units, settings = experiment.signals, experiment.units, experiment.preparation
+    parts, read = 1000, list[Run]()  # parts of a run
+    for k, run in enumerate(runs):
 
-    def read_one(k: int, run: LoggedRun) -> tuple[Run, ...]:
-        def advance(done: float) -> None:
+        def advance(done: float, k: int = k) -> None:
             progress("reading logs", round(parts * (k + done)), parts * len(runs))
 
-        return read_parts(
-            run.log, experiment.signals, run.payload, experiment.units, advance, experiment.preparation, run
-        )
-
-    return tuple(run for k, listed in enumerate(runs) for run in read_one(k, listed))
+        read += read_parts(run.log, signals, run.payload, units, advance, settings, run)
+    return tuple(read)
 
 
 def read_validation(experiment: Experiment, progress: Progress = silent) -> tuple[list[Run], list[Finding]]:

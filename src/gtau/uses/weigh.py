@@ -111,7 +111,10 @@ def weigh(
     refuse_repeated(subject.runs)
     bare = any(run.payload is None for run in subject.runs)
     chosen = [run for run in subject.runs if run.payload is None or run.payload.mass is None or not bare]
-    g_tau, covariance = _prior_gains(model, subject, where) if gains == "prior" else _identified_gains(model)
+    rows = _gain_rows(model)
+    g_tau, covariance = model.gains, model.covariance[np.ix_(rows, rows)]
+    if gains == "prior":
+        g_tau, covariance = _prior_gains(model, subject, where)
     dataset = _reduced(model, chosen, progress)
     moving = sum(factor.rows.sum(axis=0) for factor in dataset.factors) >= FEWEST_ROWS
     if not np.any(moving):
@@ -158,9 +161,8 @@ def _contradiction(system: System, solution: Solution, gains: np.ndarray) -> Fin
     )
 
 
-def _identified_gains(model: IdentifiedModel) -> tuple[np.ndarray, np.ndarray]:
-    rows = [model.covariance_names.index(Parameter("gain", joint)) for joint in model.robot.actuated]
-    return model.gains, model.covariance[np.ix_(rows, rows)]
+def _gain_rows(model: IdentifiedModel) -> list[int]:
+    return [model.covariance_names.index(Parameter("gain", joint)) for joint in model.robot.actuated]
 
 
 def _prior_gains(model: IdentifiedModel, subject: Subject, where: str) -> tuple[np.ndarray, np.ndarray]:
@@ -233,9 +235,9 @@ def _lost(system: System) -> bool:
 
 def reference_of(model: IdentifiedModel, step: np.ndarray | float = 0.0) -> ReferenceModel:
     """Take a model's parameters as known at its gains, moved by a ``step`` (n,); friction may have changed."""
-    known, at = {**model.parameters, **model.friction}, model.covariance_names.index
+    known = {**model.parameters, **model.friction}
     names = tuple(name for name in model.covariance_names if name in known and known[name].value is not None)
-    rows, gains = list(map(at, names)), [at(Parameter("gain", joint)) for joint in model.robot.actuated]
+    rows, gains = list(map(model.covariance_names.index, names)), _gain_rows(model)
     between = model.covariance[np.ix_(rows, gains)]
     slopes = between @ np.linalg.pinv(model.covariance[np.ix_(gains, gains)], rcond=1e-9, hermitian=True)
     theta = np.array([known[name].value for name in names])

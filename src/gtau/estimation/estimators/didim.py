@@ -78,8 +78,8 @@ def resimulated(
     idm: InverseDynamics, regressor: Regressor, values: np.ndarray, prepared: PreparedRun, preparation: Preparation
 ) -> SampleWindow:
     """Replace a run's motion by the loop's, for ``values`` (columns,) of the run; raises GtauError."""
-    run, kept, (samples, n) = prepared.run, prepared.kept, (len(prepared), len(prepared.run.joints))
-    rate = run.rate
+    run, kept, rate = prepared.run, prepared.kept, prepared.run.rate
+    samples, n = len(prepared), len(run.joints)
     cutoff = reference_cutoff(preparation.at(rate), run)
     edge = filter_edge(rate, cutoff)
     pole = 2 * np.pi * POLE * preparation.bandwidth

@@ -203,18 +203,16 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
     mass = _mass_scale(robot, problem, solution, length)
     unit = np.array([natural_size(name, robot, mass, length, problem.channels) for name in names])
     centre, std = np.zeros(len(names)), LOOSE * unit
-    plausible = np.array([mass / len(robot.bodies) * (SLENDER * length) ** 2] * 10)
-    plausible[[1, 2, 4, 6, 7, 8]] = 0.0
-    plausible[9] = mass / len(robot.bodies)
+    link, moment = mass / len(robot.bodies), (SLENDER * length) ** 2
+    plausible = link * np.array([moment, 0, 0, moment, 0, moment, 0, 0, 0, 1.0])
     for body in bodies:
-        centre[body.places[body.places >= 0]] = plausible[body.places >= 0]
+        free = body.places >= 0
+        centre[body.places[free]] = plausible[free]
     dissipates = [name.kind in DISSIPATING and name.run is None for name in names]
     lower, upper = np.where(dissipates, 0.0, -np.inf), np.full(len(names), np.inf)
-    place: dict[str, int] = {name: k for k, name in enumerate(names)}
-    for stated, prior in priors.items():
-        if stated not in place:  # a base parameter: see known_equations
+    for k, name in enumerate(names):
+        if (prior := priors.get(name)) is None:
             continue
-        k = place[stated]
         lower[k] = lower[k] if prior.min is None else prior.min
         upper[k] = upper[k] if prior.max is None else prior.max
         if prior.value is not None and prior.std is not None:
@@ -264,9 +262,9 @@ def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray
 
 def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
     """Compute the mass that the largest rms torque would hold against gravity, kg."""
-    lever = [length if robot.joint(joint).turns else 1.0 for joint in problem.joints]
-    torques = (np.abs(solution.gains) * problem.signal)[: len(lever)]
-    return float(np.max(torques / np.array(lever)) / STANDARD_GRAVITY)
+    levers = [length if robot.joint(joint).turns else 1.0 for joint in problem.joints]
+    torques = (np.abs(solution.gains) * problem.signal)[: len(levers)]
+    return float(np.max(torques / levers) / STANDARD_GRAVITY)
 
 
 def natural_size(name: Parameter, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:
@@ -321,7 +319,8 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     bodies agree with the priors and payloads, or the programme does not converge.
     """
     problem, n, base = system.unreduced, len(system.unreduced.joints), system.dataset.base
-    base_priors = theta_equations(base, system.dataset.model.parameter_names, problem.parameters, priors)
+    names = system.dataset.model.parameter_names
+    base_priors = theta_equations(base, names, problem.parameters, priors)
     unknowns, triangles = standard_unknowns(system, solution, priors), stacked(problem)
     free, channels = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays]), len(triangles)
     stated = np.insert(base_priors, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
@@ -346,15 +345,14 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
     shares = 100 * (np.sqrt(squared(triangles, values) / squared(triangles, free))[:n] - 1)
     gains = zip(problem.joints, values[problem.gain_rows], gain_std, strict=True)
+    labels = [load.label for load in system.payloads]
     return Consistency(
-        standard=dict(zip(system.dataset.model.parameter_names, map(float, x), strict=False)),
-        payloads={
-            load.label: dict(zip(INERTIAL, map(float, bodies[load.label]), strict=True)) for load in system.payloads
-        },
+        standard=dict(zip(names, x.tolist(), strict=False)),
+        payloads={label: dict(zip(INERTIAL, bodies[label].tolist(), strict=True)) for label in labels},
         gains={joint: (float(gain), float(std)) for joint, gain, std in gains},
         moves=_moves(system, solution, values, free_gains),
-        eigenvalues={body: float(np.linalg.eigvalsh(pseudo_inertia(values))[0]) for body, values in bodies.items()},
-        loss=dict(zip(problem.joints, map(float, shares), strict=True)),
+        eigenvalues={body: float(np.linalg.eigvalsh(pseudo_inertia(chi))[0]) for body, chi in bodies.items()},
+        loss=dict(zip(problem.joints, shares.tolist(), strict=True)),
         open=base.without_effect,
     )
 
