@@ -34,7 +34,6 @@ from gtau.signals.reading.statements import Prior
 OVERHANG = 0.5  # reach of a body's mass beyond the ball around its joints, in lengths of the robot's longest link
 LAST_OVERHANG = 1.2  # the same reach of a body that no other follows, in lengths of the longest link
 
-ROOT2 = np.sqrt(2.0)
 MARGIN = 1e-6
 LOOSE = 10.0  # natural sizes: standard deviation of the prior on parameters without a stated one
 SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
@@ -70,9 +69,8 @@ def pseudo_inertia(values: np.ndarray) -> np.ndarray:
 def ball_row(centre: np.ndarray, radius: float) -> np.ndarray:
     """Build the row (10,) whose product with a body's parameters is not negative if its mass lies within a ball.
 
-    It is ``tr(J Q)`` of the pseudo-inertia J, the integral of ``radius^2 - |x - centre|^2`` over the mass: it bounds
-    the distance of the centre of mass, and the radius of gyration about the centre of the ball, by the ball's radius
-    (Wensing, Kim and Slotine, 2018).
+    It is ``tr(J Q)`` of the pseudo-inertia J, the integral of ``radius^2 - |x - centre|^2`` over the mass (Wensing, Kim
+    and Slotine, 2018).
     """
     Q = np.zeros((4, 4))
     Q[:3, :3], Q[3, 3] = -np.eye(3), radius**2 - centre @ centre
@@ -98,8 +96,7 @@ class RigidBodies:
     """Constraints of unknowns x (c,) by rigid bodies and bounds.
 
     The pseudo-inertias of ``bodies`` are held above the share MARGIN of ``mass`` (kg), in lengths of ``length`` (m);
-    ``unit`` (c,) are natural sizes of the unknowns, for the solver's scaling; ``lower`` and ``upper`` (c,) bound them,
-    infinite where there are none; ``within @ x >= 0`` (k, c), see :func:`ball_row`.
+    ``unit`` (c,) are natural sizes of the unknowns, between ``lower`` and ``upper`` (c,), and ``within @ x >= 0``.
     """
 
     bodies: tuple[Body, ...]
@@ -112,10 +109,11 @@ class RigidBodies:
 
     def beside(self, sizes: np.ndarray) -> RigidBodies:
         """Append unknowns of these natural ``sizes`` without constraints."""
-        more = len(sizes)
-        lower, upper = (np.append(x, np.full(more, end)) for x, end in ((self.lower, -np.inf), (self.upper, np.inf)))
-        unit, within = np.append(self.unit, sizes), np.pad(self.within, ((0, 0), (0, more)))
-        return replace(self, unit=unit, lower=lower, upper=upper, within=within)
+        ends = (0, len(sizes))
+        lower = np.pad(self.lower, ends, constant_values=-np.inf)
+        upper = np.pad(self.upper, ends, constant_values=np.inf)
+        within = np.pad(self.within, ((0, 0), ends))
+        return replace(self, unit=np.append(self.unit, sizes), lower=lower, upper=upper, within=within)
 
 
 def unbounded(bodies: Sequence[Body], unit: np.ndarray, mass: float, length: float) -> RigidBodies:
@@ -161,21 +159,17 @@ def constrained_least_squares(R: np.ndarray, y: np.ndarray, rigid: RigidBodies) 
 
 def _inequalities(rigid: RigidBodies) -> tuple[np.ndarray, np.ndarray]:
     """Write bounds and balls as rows ``A z <= end`` of the scaled unknowns z, (k, c) and (k,)."""
-    rows, ends, eye = [], [], np.eye(len(rigid.unit))
-    for sign, bound in ((-1.0, rigid.lower), (1.0, rigid.upper)):
-        k = np.isfinite(bound)
-        rows.append(sign * eye[k])
-        ends.append(sign * bound[k] / rigid.unit[k])
-    rows.append(-rigid.within * rigid.unit)
-    ends.append(np.zeros(len(rigid.within)))
-    return np.concatenate(rows), np.concatenate(ends)
+    unit, eye = rigid.unit, np.eye(len(rigid.unit))
+    low, high = np.isfinite(rigid.lower), np.isfinite(rigid.upper)
+    ends = [-rigid.lower[low] / unit[low], rigid.upper[high] / unit[high], np.zeros(len(rigid.within))]
+    return np.concatenate([-eye[low], eye[high], -rigid.within * unit]), np.concatenate(ends)
 
 
 def _pseudo_inertias(rigid: RigidBodies) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Write the pseudo-inertia of each body, less its lower limit, as ``end - A z``, (10, c) and (10,)."""
-    i, j = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+    j, i = np.tril_indices(4)  # column by column above the diagonal
     scale = np.append(np.full(3, 1 / rigid.length), 1.0)
-    vectors = (BASIS * np.outer(scale, scale))[:, i, j] * np.where(i == j, 1.0, ROOT2)  # (10, 10)
+    vectors = (BASIS * np.outer(scale, scale))[:, i, j] * np.where(i == j, 1.0, np.sqrt(2.0))  # (10, 10)
     floor = MARGIN * np.where(i == j, 1.0, 0.0)
     for body in rigid.bodies:
         free = body.places >= 0

@@ -49,6 +49,8 @@ from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
 
+SCHEMA = "gtau-model/5"
+
 
 def _with(*properties: str) -> PlainSerializer:
     return PlainSerializer(lambda record: asdict(record) | {name: getattr(record, name) for name in properties})
@@ -294,8 +296,8 @@ class ModelDocument(_Group):
         return IdentifiedModel(equations, **known)
 
 
-def described(result: IdentifiedModel) -> ModelDocument:
-    """Fill the document of a result."""
+def to_document(result: IdentifiedModel) -> dict[str, Any]:
+    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
     decimator = result.preparation.decimator
     prepared = vars(result.preparation) | {"decimation": decimator.factor, "decimator": decimator.kind}
     values = {name: getattr(result, name, None) for name in ModelDocument.model_fields} | {
@@ -307,23 +309,15 @@ def described(result: IdentifiedModel) -> ModelDocument:
         "covariance": _Covariance.model_construct(names=result.covariance_names, matrix=result.covariance),
         "standard": _standard(result),
     }
-    return ModelDocument.model_construct(**values)
+    document = ModelDocument.model_construct(**values).model_dump(mode="json")
+    for entry in document["drive_gains"]:
+        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
+    return {"schema": SCHEMA, "robot": result.robot.name, **document}
 
 
 def torque_error(error: TorqueError) -> dict[str, Any]:
     """Describe a torque error as in ``model.json``: ``relative`` in per cent."""
     return dict(TypeAdapter(_TorqueError).dump_python(error, mode="json"))
-
-
-SCHEMA = "gtau-model/5"
-
-
-def to_document(result: IdentifiedModel) -> dict[str, Any]:
-    """Describe a result as a JSON document; ``rel_std`` in per cent, null where a value is known."""
-    document = described(result).model_dump(mode="json")
-    for entry in document["drive_gains"]:
-        entry["scale"] = dict(result.scale.get(entry["joint"], {}))
-    return {"schema": SCHEMA, "robot": result.robot.name, **document}
 
 
 def model_text(result: IdentifiedModel) -> str:
