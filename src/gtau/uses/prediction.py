@@ -60,7 +60,7 @@ class Prediction:
     @property
     def in_band(self) -> Prediction:
         """Predicted and measured torques behind the low-pass of identification, as its residuals are."""
-        smoothed = {
+        smoothed: dict[str, Any] = {
             name: self.decimator.smooth(getattr(self, name).T, 0, len(self.time)).T
             for name in ("predicted", "measured", "friction")
         }
@@ -140,12 +140,13 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
             np.stack([torques.measured[:, j] - torques.predicted[:, j], torques.measured[:, j]])
             for torques in (behind, prediction)
         )
-        used, *rest = (
+        (rms, signal), (rms_all, signal_all), (rms_raw, signal_raw) = (
             np.sqrt(np.mean(pair[:, rows] ** 2, axis=1)).tolist()
             for pair, rows in ((smooth, kept), (smooth, valid), (raw, valid))
         )
         bands = _bands(prediction.time, raw, valid, bandwidth)
-        errors.append(TorqueError(joint, *used, torque_unit(robot, joint), *rest[0], *rest[1], bands))
+        unit = torque_unit(robot, joint)
+        errors.append(TorqueError(joint, rms, signal, unit, rms_all, signal_all, rms_raw, signal_raw, bands))
     return tuple(errors)
 
 
