@@ -126,12 +126,12 @@ def describe(
     experiment = source if isinstance(source, Experiment) else read_experiment(source)
     robot = load_robot(experiment.robot)
     check_robot(experiment, robot)
-    if options.prior_gains is None:
-        options = replace(options, prior_gains=experiment.stated_gains)
-    if options.priors is None:
-        options = replace(options, priors=experiment.expected_parameters)
-    if options.prior_inertias is None:
-        options = replace(options, prior_inertias=experiment.prior_inertias)
+    written: dict[str, Any] = {
+        "prior_gains": experiment.stated_gains,
+        "priors": experiment.expected_parameters,
+        "prior_inertias": experiment.prior_inertias,
+    }
+    options = replace(options, **{name: value for name, value in written.items() if getattr(options, name) is None})
     return Subject(robot, (), _with_inertias(options, robot), experiment)
 
 

@@ -7,13 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.friction.normal_equations import (
-    SMOOTH,
-    WEIGHTS,
-    WIDTHS,
-    FrictionGroup,
-    FrictionJoint,
-)
+from gtau.estimation.friction.normal_equations import SMOOTH, WEIGHTS, WIDTHS, FrictionGroup, FrictionJoint
 
 ROUNDING = 1e-9  # of the way to the next width or speed tried
 FREE = ("off", "fvt", "fst")

@@ -1,4 +1,16 @@
-"""Assemble the estimation problem from the factors of all runs: payloads and identifiable columns (eqs. 29 to 33)."""
+"""Assemble the estimation problem from the factors of all runs: payloads and identifiable columns (eqs. 29 to 33).
+
+All runs have the same base columns. The columns of a payload, of friction that drifts or changes with temperature, or
+of the offset of a torque sensor are combinations of them: so the factors of each channel and run become a block of the
+problem by one product with a small matrix.
+
+The paper's friction, viscous and Coulomb, is among the standard parameters of the model. Further terms are candidates
+for every actuated joint, and selected if its own equations support them: ``f3 qd^3``, cubic in speed, and
+``fl |tau_load| sign(qd)``, proportional to the torque that the joint transmits; where temperatures are logged,
+``fvt (T - T_mean) qd`` and ``fst (T - T_mean) sign(qd)``, with the mean over a block. The bearing of a joint's torque
+sensor may have friction of its own (``fv_2_sensor``). Warm-up makes friction drift between runs by per cents, which is
+invisible in a single run and ruins the drive gains; so viscous and Coulomb friction may differ between runs.
+"""
 
 from __future__ import annotations
 

@@ -19,13 +19,7 @@ from gtau.estimation.regression.assembly import PayloadColumns, known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.estimation.results.estimate import (
-    Estimate,
-    SensorEstimate,
-    TorqueError,
-    distances_along,
-    nearest_poses,
-)
+from gtau.estimation.results.estimate import Estimate, SensorEstimate, TorqueError, distances_along, nearest_poses
 from gtau.estimation.results.payload_body import PayloadEstimate, Weighed
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import regrouped
