@@ -24,8 +24,9 @@ from gtau.estimation.regression.assembly import (
     temperatures_of,
     unexcited,
 )
+from gtau.estimation.regression.bandwidth_trials import best_of_trials
 from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
-from gtau.estimation.regression.plausibility import best_of_trials, check_wrenches, prepare_runs, sensors_of
+from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.priors import ReferenceModel, inertia_priors, known_equations, scale_of_file
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
