@@ -154,10 +154,13 @@ def check(
     """
     options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
     subject = describe(source, runs, options)
-    robot, experiment, model = subject.robot, subject.experiment, InverseDynamics(subject.robot)
+    robot = subject.robot
+    experiment = subject.experiment
+    model = InverseDynamics(subject.robot)
     listed: tuple[LoggedRun | Run, ...] = tuple(subject.runs) if experiment is None else experiment.runs
     notes = robot_notes(robot, loaded=any(run.payload for run in listed))
-    count, listed = len(listed), (*listed, *(experiment.validation if experiment else ()))
+    count = len(listed)
+    listed = (*listed, *(experiment.validation if experiment else ()))
     kinds = ["refused"] * count + ["validation log"] * (len(listed) - count)
     read = list(_read(experiment, listed, kinds, model, notes, progress))
     used = [run for runs in read[:count] for run in runs]
@@ -171,7 +174,8 @@ def check(
     notes += doubtful_currents(used, robot.base)
     notes += doubtful_gravity(robot)
     notes += doubtful_payloads(robot, (run.payload for run in used))
-    preparation, checked = preparation_of(Equations(model, sensors_of(robot, used)), used), []
+    preparation = preparation_of(Equations(model, sensors_of(robot, used)), used)
+    checked = []
     for k, run in ((k, run) for k, runs in enumerate(read) for run in runs):
         progress("checking logs", k, len(read))
         with _noted(notes, kinds[k], run.name):
@@ -189,7 +193,8 @@ def check(
     for_use = [log for log in checked if not log.validation]
     notes += few_rows(for_use)
     if not any(note.severity == Grade.ERROR for note in notes):
-        subject, known = replace(subject, runs=[log.run for log in for_use]), {note.kind for note in notes}
+        subject = replace(subject, runs=[log.run for log in for_use])
+        known = {note.kind for note in notes}
         estimator = estimator_for(options, used)
         together = _together(subject, estimator, reduced(subject, estimator, progress, preparation))
         notes += [note for note in together if not note.decisive or note.kind not in known]
@@ -234,7 +239,8 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
     for checks in zip(*(log.joints for log in logs), strict=True):
         rows = sum(round(joint.usable * log.rows) for joint, log in zip(checks, logs, strict=True))
         if rows < FEWEST_ROWS:
-            joint, advice = checks[0].joint, "add runs in which it moves, or longer ones"
+            joint = checks[0].joint
+            advice = "add runs in which it moves, or longer ones"
             text = f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps"
             yield Finding("usable rows", (joint,), text=text, advice=advice, grade=Grade.ERROR)
 
@@ -263,11 +269,15 @@ def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[
 
 
 def _check(model: InverseDynamics, prepared: PreparedRun, validation: bool) -> LogCheck:
-    run, n, decimator = prepared.run, len(prepared.run.joints), prepared.preparation.decimator
+    run = prepared.run
+    n = len(prepared.run.joints)
+    decimator = prepared.preparation.decimator
     rows = decimator.outputs(len(prepared))
     if not rows:
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
-    positions, distances, masks = Store((n,)), Store((2,), np.float32), Store((n,), bool)
+    positions = Store((n,))
+    distances = Store((2,), np.float32)
+    masks = Store((n,), bool)
     power, path, ends = np.zeros(run.command.shape[1]), None, []
     for outputs in decimator.blocks(len(prepared), max(block_size() // decimator.factor, 1)):
         part, at = decimator.samples(outputs, len(prepared)), decimator.at(outputs)
@@ -282,7 +292,8 @@ def _check(model: InverseDynamics, prepared: PreparedRun, validation: bool) -> L
         largest = [np.abs(values).max(axis=0) for values in (samples.qd, samples.command[:, :n])]
         ends.append([samples.q.min(axis=0), samples.q.max(axis=0), *largest])
     values, used, rms = distances.array(), masks.array(), np.sqrt(power / rows)
-    lowest, (highest, fastest, strongest) = np.min(ends, axis=0)[0], np.max(ends, axis=0)[1:]
+    lowest = np.min(ends, axis=0)[0]
+    highest, fastest, strongest = np.max(ends, axis=0)[1:]
     speeds = np.sqrt(np.diag(prepared.speeds))
     figures = np.stack([lowest, highest, speeds, fastest, rms[:n], strongest, used.mean(axis=0)], axis=1).tolist()
     wrench_rms = np.sqrt((power / rows)[run.given].reshape(-1, 2, 3).sum(axis=2)).tolist()

@@ -108,7 +108,8 @@ def compare(
         def said(stage: str, done: int, total: int) -> None:
             progress(f"{method} ({1 + NAMES.index(method)} of {len(NAMES)}): {stage}", done, total)
 
-        start, by_method = perf_counter(), replace(subject, options=replace(subject.options, method=method))
+        start = perf_counter()
+        by_method = replace(subject, options=replace(subject.options, method=method))
         try:
             estimator = require_inputs(by_method)
             ((_, given),) = plan(by_method, estimator, dataset, system)

@@ -86,7 +86,8 @@ class Subject:
         known = self.options.priors or {}
         if self.experiment is None:
             return known
-        written, sheets = self.experiment.priors, self.experiment.expected_parameters
+        written = self.experiment.priors
+        sheets = self.experiment.expected_parameters
         return {name: prior for name, prior in known.items() if name in written or sheets.get(name) != prior}
 
 
@@ -159,7 +160,9 @@ def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> dict[str, Sta
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
     """Read logged runs of an experiment file, each part between long gaps as a run of its own; raises GtauError."""
-    signals, units, settings = experiment.signals, experiment.units, experiment.preparation
+    signals = experiment.signals
+    units = experiment.units
+    settings = experiment.preparation
     parts, read = 1000, list[Run]()  # parts of a run
     for k, run in enumerate(runs):
 
@@ -188,7 +191,8 @@ def refusal_note(error: GtauError, kind: str, source: str = "") -> Finding:
     """Note a refusal instead of raising it, of a run or robot named ``source`` where its sentence names none."""
     text, _, advice = error.sentence.rstrip(".").rpartition("; ")
     text, advice = (text, advice) if text else (advice, "")
-    grade, source = Grade.WARNING if kind in MILD else Grade.ERROR, error.source or ("" if source in text else source)
+    grade = Grade.WARNING if kind in MILD else Grade.ERROR
+    source = error.source or ("" if source in text else source)
     return Finding(kind, text=text, advice=advice, grade=grade, source=source)
 
 

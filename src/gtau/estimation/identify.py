@@ -162,7 +162,8 @@ def estimate(
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
         nothing = np.zeros_like(reduced.covariance)
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
-        plain, examined = fit, replace(examined, mixed=None)  # which is of all parameters
+        plain = fit
+        examined = replace(examined, mixed=None)  # which is of all parameters
     findings = diagnose(plain, examined, estimates, payloads, options.gains, accuracy, audit)
     findings += () if lost is None else (lost,)
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)

@@ -40,7 +40,8 @@ def require_inputs(subject: Subject) -> Estimator:
     takes gains and some joint has none; where the paper has no such method, or it cannot be constrained; where the
     solver of consistent parameters is not installed; where a log is given twice.
     """
-    options, estimator = subject.options, estimator_for(subject.options, subject.runs)
+    options = subject.options
+    estimator = estimator_for(subject.options, subject.runs)
     refuse_repeated(subject.runs)
     if options.as_paper and not estimator.in_paper:
         methods = ", ".join(other.name for other in estimators().values() if other.in_paper)
@@ -90,7 +91,9 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
     data sheets, friction and the file's inertias test it only for the latter, as they may be rough. Raises GtauError if
     nothing fixes the scale of the currents, or the ``estimator`` lacks an input.
     """
-    runs, named, torques = dataset.runs, subject.options.method is not None, dataset.runs[0].kind == "torque"
+    runs = dataset.runs
+    named = subject.options.method is not None
+    torques = dataset.runs[0].kind == "torque"
     tested = False
     if estimator.gains != Gains.GIVEN:
         demanded = not torques or (named and estimator.gains == Gains.ESTIMATED)
@@ -119,7 +122,8 @@ def hidden_payloads(system: System) -> list[str]:
 
 def tests_torques(system: System, stated: Mapping[str, Prior]) -> bool:
     """Decide whether a known payload, a torque sensor, a wrench or a ``stated`` inertia tests the scale of torques."""
-    problem, known = system.problem, (carried for carried in system.payloads if carried.payload.mass is not None)
+    problem = system.problem
+    known = (carried for carried in system.payloads if carried.payload.mass is not None)
     by_file = set(system.dataset.priors) - set(system.dataset.stated_priors)
     inertias = [name for name in stated.keys() - by_file if parameter_of(name).kind in (*INERTIAL, "ia")]
     weighed = any(stated[name].value for name in inertias)  # a value of zero has no scale
@@ -133,7 +137,8 @@ def _refuse_priors(estimator: Estimator, subject: Subject) -> None:
     inertias = dict(robot.inertias)
     valued = {name: prior.value for name, prior in subject.stated.items() if prior.value is not None}
     from_file = all(name in inertias and inertias[name] == value for name, value in valued.items())
-    known, kinds = bool(valued) and not subject.options.consistent, [channel.kind for channel in runs[0].channels]
+    known = bool(valued) and not subject.options.consistent
+    kinds = [channel.kind for channel in runs[0].channels]
     for what, key, there in (
         *((kind.group, kind.calibration, True) for kind in kinds if kind.measures_joint and kind.calibration),
         ("known parameters", "prior_inertias" if from_file else "priors", known),

@@ -165,7 +165,8 @@ def wrench_along_log(
         first = part.stop
     value, std, shares, directions = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     seen = (shares >= SEEN) & (scale > 0)
-    wrench, half = np.where(seen, value * scale, np.nan), np.where(seen, _normal() * std * scale, np.nan)
+    wrench = np.where(seen, value * scale, np.nan)
+    half = np.where(seen, _normal() * std * scale, np.nan)
     return WrenchAlongLog(called, prediction.time, wrench, half, seen, directions, np.all(prediction.keep, axis=1))
 
 
@@ -373,7 +374,9 @@ def observed(
 
 
 def _summary(torque: Prediction, unit: str, residual: float | None) -> External:
-    external, keep, valid = (torque.predicted - torque.measured)[:, 0], torque.keep[:, 0], torque.valid[:, 0]
+    external = (torque.predicted - torque.measured)[:, 0]
+    keep = torque.keep[:, 0]
+    valid = torque.valid[:, 0]
     kept = external[keep]
     beyond = None if residual is None else float(np.mean(np.abs(kept) > USABLE * residual))
     rms, (largest, time) = _rms(kept), _largest(kept, torque.time[keep])

@@ -154,7 +154,8 @@ def functions(model: Identified) -> Functions:
         (c, qd, qdd), (_, yd, ydd, J) = closed_motion(layout)
         home, cd = loops.home, configuration_rates(layout, c, yd)
         start, stepped = newton_step(layout)
-        step, last_step = _function("step", [start], stepped[:2]), _function("last_step", [start], stepped[:3])
+        step = _function("step", [start], stepped[:2])
+        last_step = _function("last_step", [start], stepped[:3])
     p = ca.SX.sym("p", len(model.parameters))
     base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
     # standard parameters with the same torques: base parameters at their representatives, else zero
@@ -219,7 +220,8 @@ def _friction(
     def regressor(load: ca.SX) -> ca.SX:
         """Build ``W`` (n, n_p) with ``load + friction = W p``: load-dependent friction and scales are in p."""
         _, scales = scaled(load)
-        frozen, at = ca.SX.sym("load", load.shape[0]), ca.SX.sym("scales", scales.shape[0])
+        frozen = ca.SX.sym("load", load.shape[0])
+        at = ca.SX.sym("scales", scales.shape[0])
         columns = ca.jacobian(on_motors(scaled(frozen)[0], at), p)
         return ca.jacobian(load, p) + ca.substitute(ca.substitute(columns, frozen, load), at, scales)
 

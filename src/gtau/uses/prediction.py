@@ -212,7 +212,9 @@ def predict(result: IdentifiedModel, run: Run, external: np.ndarray | None = Non
     ``external`` (N, n) are torques of the environment on the joints, N m or N, which load their friction.
     """
     prepared, moving = prepared_for(result, run)
-    run, decimator, time = prepared.run, prepared.preparation.decimator, np.asarray(prepared.time)
+    run = prepared.run
+    decimator = prepared.preparation.decimator
+    time = np.asarray(prepared.time)
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     check_temperature_unit(result, run)
     made, friction_torque, measured = joint_torques(result, prepared.for_prediction(), chi, external)
@@ -236,8 +238,11 @@ def joint_torques(
     The current at ``t - delay`` belongs to the torque at ``t`` (eq. 17): predicted torques are shifted to the times of
     the currents, and the measured ones stay raw. A delay that is not identifiable is not applied.
     """
-    model, standard, time = result.idm, result.base.standard, np.asarray(prepared.time)
-    load, friction = np.array(transmitted(np, standard, chi)), friction_along(result, prepared, chi, external)
+    model = result.idm
+    standard = result.base.standard
+    time = np.asarray(prepared.time)
+    load = np.array(transmitted(np, standard, chi))
+    friction = friction_along(result, prepared, chi, external)
     torques = np.concatenate([*stream_torques(model, model.columns(standard), prepared, load, friction)], axis=2)
     for torque in torques[:2]:
         for row, joint in zip(torque, model.actuated, strict=True):
@@ -368,7 +373,8 @@ def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> Ide
             blocks.append((replace(prepared, kept=kept), chi))
     if not blocks:
         return result
-    highest, tried = HIGHEST_CUTOFF * min(run.rate for run in runs), [preparation.bandwidth]
+    highest = HIGHEST_CUTOFF * min(run.rate for run in runs)
+    tried = [preparation.bandwidth]
     while tried[-1] * STEP < highest:
         tried.append(tried[-1] * STEP)
     errors: list[np.ndarray] = []
@@ -386,7 +392,8 @@ def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> Ide
 
 def _squares(result: IdentifiedModel, cutoff: float, prepared: PreparedRun, chi: np.ndarray) -> np.ndarray:
     """Sum squares (n,) of the errors against the raw torques, with positions behind a ``cutoff`` (Hz)."""
-    idm, wide = result.idm, replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
+    idm = result.idm
+    wide = replace(prepared, cutoffs=(cutoff,) * len(prepared.run.joints))
     if idm in prepared.paths:  # along positions behind the previous cut-off
         labels = instants(prepared.run.name, wide.time)
         wide.paths[idm] = idm.near(prepared.paths[idm], wide.all_samples.q.T.copy(), labels)

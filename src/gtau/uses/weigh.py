@@ -146,7 +146,8 @@ def weigh(
 
 def _contradiction(system: System, solution: Solution, gains: np.ndarray) -> Finding | None:
     """Judge by how much the log moves the parameters and ``gains`` (n,) of the model; None if it fits."""
-    rows, changes = system.problem.known, solution.gains[: len(gains)] / gains - 1  # rows of the model alone
+    rows = system.problem.known
+    changes = solution.gains[: len(gains)] / gains - 1  # rows of the model alone
     moves = (rows[:, :-1] @ solution.theta - rows[:, -1], changes / GAIN_CHANGE)
     apart = max(float(np.mean(move**2)) for move in moves)
     if apart <= MODEL_APART:

@@ -126,7 +126,9 @@ def paired(system: System, solution: Solution) -> Pair:
     measured, instruments = (
         system.again(replace(dataset, factors=factors)).unreduced for factors in zip(*pairs, strict=True)
     )
-    motion_triangles, instrument_triangles, b = [], [], len(measured.parameters) + 1
+    motion_triangles = []
+    instrument_triangles = []
+    b = len(measured.parameters) + 1
     for j in range(len(measured.joints)):
         R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
         motion_triangles.append(R[:, b:])
@@ -143,8 +145,11 @@ def _reduced(dataset: Dataset, run: int, simulated: SampleWindow, load: np.ndarr
     simulated ones. The rows ``[W_s terms_s | W terms | v v' v'']`` are reduced together, and the triangle cut by
     columns.
     """
-    model, columns, measured = dataset.model, dataset.base.standard, dataset.prepared[run]
-    regressor, decimator = model.columns(columns), dataset.preparation.at(measured.run.rate).decimator
+    model = dataset.model
+    columns = dataset.base.standard
+    measured = dataset.prepared[run]
+    regressor = model.columns(columns)
+    decimator = dataset.preparation.at(measured.run.rate).decimator
     blocks = block_of(dataset.prepared.edges[run], decimator.outputs(len(measured)))
     n, b = len(model.actuated), len(columns) + EXTRA - 3
     dry = np.flatnonzero([kind in DRY for kind in (*(name.kind for name in columns), *TERMS)])

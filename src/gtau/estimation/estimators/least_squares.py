@@ -59,7 +59,8 @@ def _with_given(
 
 def scarcity(problem: Problem) -> str:
     """Count equations and unknowns, and advise how to get more equations."""
-    rows, unknowns = int(problem.total_rows.sum()), len(problem.parameters) + 2 * len(problem.joints)
+    rows = int(problem.total_rows.sum())
+    unknowns = len(problem.parameters) + 2 * len(problem.joints)
     return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
 
 

@@ -194,7 +194,8 @@ def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
     except np.linalg.LinAlgError:
         values, vectors = np.linalg.eigh(gauss)
         kept = values > RANK * values[-1]
-        root, inverse = vectors[:, kept] * np.sqrt(values[kept]), vectors[:, kept] / np.sqrt(values[kept])
+        root = vectors[:, kept] * np.sqrt(values[kept])
+        inverse = vectors[:, kept] / np.sqrt(values[kept])
         shares, axes = np.linalg.eigh(np.eye(root.shape[1]) + inverse.T @ second @ inverse)
         return np.asarray(root @ (axes * np.maximum(shares, FLATTEST)) @ axes.T @ root.T)
 
@@ -289,7 +290,8 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
         except np.linalg.LinAlgError:  # identified by this block alone
             row_influence = np.linalg.pinv(others, rcond=1e-10, hermitian=True) @ J.T
         variances.append(np.sum((named @ row_influence) ** 2, axis=1))
-    total, squares = np.sum(variances, axis=0), np.sum(np.square(variances), axis=0)
+    total = np.sum(variances, axis=0)
+    squares = np.sum(np.square(variances), axis=0)
     count = float(len(problem.units))
     share = np.divide(total**2, squares, out=np.full(len(total), count), where=squares > 0)
     return np.asarray(np.clip(share - 1, 1.0, count - 1))

@@ -228,7 +228,9 @@ def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]
         if Parameter("m", body) in place
     ]
     for payload in system.payloads:
-        label, known, first = payload.label, known_values(payload.payload), len(names)
+        label = payload.label
+        known = known_values(payload.payload)
+        first = len(names)
         summed = {kind: first + k for k, kind in enumerate(payload.summed)}
         places = np.array([summed.get(kind, -1) for kind in INERTIAL])
         bodies.append(Body(label, places, np.array([known.get(kind, 0.0) for kind in INERTIAL])))
@@ -312,11 +314,15 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     ``solution`` is without constraints; ``priors`` constrain standard parameters. Raises GtauError where no rigid
     bodies agree with the priors and payloads, or the programme does not converge.
     """
-    problem, n, base = system.unreduced, len(system.unreduced.joints), system.dataset.base
+    problem = system.unreduced
+    n = len(system.unreduced.joints)
+    base = system.dataset.base
     names = system.dataset.model.parameter_names
     base_priors = theta_equations(base, names, problem.parameters, priors)
-    unknowns, triangles = standard_unknowns(system, solution, priors), stacked(problem)
-    free, channels = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays]), len(triangles)
+    unknowns = standard_unknowns(system, solution, priors)
+    triangles = stacked(problem)
+    free = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays])
+    channels = len(triangles)
     stated = np.insert(base_priors, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
     values = free
     for _ in range(STEPS):

@@ -136,7 +136,8 @@ def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, f
     error = _error(candidate)
     squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
-    rms, signal = np.sqrt(np.maximum(squares, 0.0) / counts), np.sqrt(group.signals[:, 1] / counts)
+    rms = np.sqrt(np.maximum(squares, 0.0) / counts)
+    signal = np.sqrt(group.signals[:, 1] / counts)
     return list(zip(rms.tolist(), signal.tolist(), strict=True))
 
 

@@ -75,7 +75,9 @@ class PreslidingState:
     """
 
     def __init__(self, widths: np.ndarray) -> None:
-        self._widths, self._time, self._states = widths, np.zeros(0), np.zeros((len(widths), 0))
+        self._widths = widths
+        self._time = np.zeros(0)
+        self._states = np.zeros((len(widths), 0))
 
     def __call__(self, time: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Follow positions (N,) at times (N,), s: states (w, N)."""
@@ -172,7 +174,8 @@ class FrictionLaw:
             forces.append(_summed(values, joint.name, at, JOINT_TERMS))
             speeds.append(speed)
         for j, name in enumerate(self.model.actuated):
-            speed, top = yd[self.model.layout.actuated[j]], float(self.logged_speeds.get(name, 0.0))
+            speed = yd[self.model.layout.actuated[j]]
+            top = float(self.logged_speeds.get(name, 0.0))
             within = math.fmax(math.fmin(speed, top), -top)
             slope = sum(derivative(top) * values.get(Parameter(kind, name), 0.0) for kind, derivative in SLOPES.items())
             slope = math.fmax(slope, -self._viscous(values, j))  # with fv, at least 0
@@ -193,7 +196,8 @@ class FrictionLaw:
         """Compute the scale factor of each force (joints + n,): 1, or less where it adds more power than allowed."""
         groups = self.groups if math is np else math.DM(self.groups)
         power = forces * speeds
-        drawn, given = groups @ math.fmax(power, 0.0), groups @ math.fmax(-power, 0.0)
+        drawn = groups @ math.fmax(power, 0.0)
+        given = groups @ math.fmax(-power, 0.0)
         allowed = groups.T @ (drawn / math.fmax(math.fmax(drawn, given), LEAST_POWER))
         return 1.0 - (1.0 - allowed) * math.fmax(-math.sign(power), 0.0)
 

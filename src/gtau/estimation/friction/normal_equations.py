@@ -82,7 +82,8 @@ class FrictionJoint:
     def columns(self, v: np.ndarray, z: np.ndarray, load: np.ndarray | float, above: np.ndarray | float) -> np.ndarray:
         """Build the columns (., N) from speeds (N,), states (w + 1, N), torques transmitted and temperatures (N,)."""
         falling = np.exp(-np.abs(v) / self.speeds[:, None])
-        at, shape = Sliding(v, np.ones_like(v), np.abs(load), falling, above), (-1, len(v))
+        at = Sliding(v, np.ones_like(v), np.abs(load), falling, above)
+        shape = (-1, len(v))
         smooth = np.stack([np.ones_like(v), *(column(kind, at) for kind in SMOOTH[1:])])
         weighed = np.concatenate([np.reshape(column(kind, at), shape) for kind in DRY])
         return np.concatenate([smooth, (z[:, None] * weighed).reshape(shape)])
@@ -190,7 +191,8 @@ def normal_equations(
     groups, residuals = [], []
     for members, motors in groups_of(joints):
         p, m = sum(joint.count for joint in members), len(motors)
-        G, cross = np.zeros((runs * count, m, p + 1, p + 1)), np.zeros((p, n + dataset.base.count))
+        G = np.zeros((runs * count, m, p + 1, p + 1))
+        cross = np.zeros((p, n + dataset.base.count))
         residuals.append(Store((m,)))
         groups.append(FrictionGroup(members, motors, weights[list(motors)], G, cross, np.zeros((m, 2)), np.empty(0)))
     regressor = dataset.model.columns(dataset.base.standard)
@@ -235,8 +237,11 @@ def _rows_along(
     columns of friction pass the same low-pass and decimation.
     """
     dataset, solution, model = fit.dataset, fit.solution, fit.dataset.model
-    n, names, columns_of_run = len(fit.gains), {joint.name for joint in joints}, columns_along(joints, dataset, run)
-    load, motion_values = fit.system.load(run, solution.theta), fit.system.motion(run, solution.theta)
+    n = len(fit.gains)
+    names = {joint.name for joint in joints}
+    columns_of_run = columns_along(joints, dataset, run)
+    load = fit.system.load(run, solution.theta)
+    motion_values = fit.system.motion(run, solution.theta)
     passive: dict[str, float] = {
         name: value
         for name, value in zip(dataset.base.standard, motion_values, strict=True)

@@ -59,7 +59,8 @@ def with_term(structure: Structure, joint: FrictionJoint, term: str) -> list[Str
 
 def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, np.ndarray]:
     """Combine a joint's columns (p,) for each parameter of a structure; ``fr`` is friction at rest, ``fs + fb``."""
-    z, weights = np.eye(1 + len(WIDTHS))[0], dict(zip(WEIGHTS, np.eye(len(WEIGHTS)), strict=True))
+    z = np.eye(1 + len(WIDTHS))[0]
+    weights = dict(zip(WEIGHTS, np.eye(len(WEIGHTS)), strict=True))
     if structure.width is not None:
         z = np.append(0.0, shares(structure.width, joint.widths))
 
@@ -277,7 +278,8 @@ def refine(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     best = candidate
     for _ in range(STEPS):
         shaped, count = with_shapes(group, best), len(best.names)
-        structures, x = list(best.structures), dict(zip(best.names, best.x, strict=True))
+        structures = list(best.structures)
+        x = dict(zip(best.names, best.x, strict=True))
         for (s, term), step in zip(shaped.names[count:], shaped.x[count:], strict=True):
             if term == "speed" and x.get((s, "fr"), 0.0) < x.get((s, "fs"), 0.0):
                 continue

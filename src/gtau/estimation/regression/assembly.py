@@ -100,7 +100,8 @@ def payload_columns(
     order = (*FIRST_MOMENTS, *(kind for kind in INERTIAL if kind not in FIRST_MOMENTS))
     blocks = []
     for run, payload in ((run, payload) for run, payload in enumerate(payloads) if payload is not None):
-        values, center = known_values(payload), dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
+        values = known_values(payload)
+        center = dict(zip(FIRST_MOMENTS, payload.center or (), strict=False))
         summed = tuple(kind for kind in order if kind not in values and kind not in center)
         mass = tool_columns["m"] + sum(at * tool_columns[kind] for kind, at in center.items())  # moments are the mass's
         acting = tool_columns | {"m": mass}

@@ -24,7 +24,8 @@ from gtau.signals.preparation.filters import HIGHEST_CUTOFF, PASSED, Decimator, 
 from gtau.signals.preparation.prepared_run import Preparation, prepare
 from gtau.signals.run import Run
 
-LOWEST, HIGHEST = 5.0, 40.0  # Hz, of the cut-offs tried: half the chosen one, a quarter, and so on
+LOWEST = 5.0
+HIGHEST = 40.0  # Hz, of the cut-offs tried: half the chosen one, a quarter, and so on
 BANDS = 5.0, 20.0  # Hz, within which the low-pass of the rows is when they are compared
 # Of all runs together, evaluated behind each cut-off. With 800 rows a filter of 10 Hz seems to halve the errors of the
 # UPV robot (13.7 Hz), of which 3000 say that it raises them by 10 %.

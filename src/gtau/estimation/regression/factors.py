@@ -127,7 +127,8 @@ class Triangles:
     """Triangular factors of equations, by block and channel; ``columns`` of each channel are not zero."""
 
     def __init__(self, columns: Sequence[np.ndarray]) -> None:
-        self._columns, self.rows = columns, np.zeros((BLOCKS, len(columns)), dtype=int)
+        self._columns = columns
+        self.rows = np.zeros((BLOCKS, len(columns)), dtype=int)
         self._factors = [[np.zeros((0, places.size)) for places in columns] for _ in range(BLOCKS)]
         self._waiting: defaultdict[tuple[int, int], list[np.ndarray]] = defaultdict(list)  # of a block and channel
         self._held = 0
@@ -186,7 +187,9 @@ def reduce_rows(
     c, p, n = len(channels), len(columns) + EXTRA, len(idm.actuated)
     entries = (regressor.columns[regressor.rows == channel.row] for channel in channels)
     places = [np.append(np.unique(columns), np.arange(p - EXTRA, p)) for columns in entries]
-    collected, distances, residuals = Triangles(places), Store((2,), np.float32), Store((c,))
+    collected = Triangles(places)
+    distances = Store((2,), np.float32)
+    residuals = Store((c,))
     speeds = np.zeros((BLOCKS, n))
     for part in rows:
         distances.append(near(part.motion).T)

@@ -102,7 +102,9 @@ def file_sums(model: InverseDynamics, base: BaseParameters) -> tuple[np.ndarray,
     The first of base parameters that regroup inertias alone, the second of the ones among them that regroup a rotor
     inertia which the file does not state.
     """
-    names, stated, regrouped = model.parameter_names, stated_inertias(model.robot), base.matrix != 0
+    names = model.parameter_names
+    stated = stated_inertias(model.robot)
+    regrouped = base.matrix != 0
     regroups_inertia = regrouped[:, [name.kind in (*INERTIAL, "ia") for name in names]].any(axis=1)
     regroups_friction = regrouped[:, [name.kind in PLAIN_FRICTION for name in names]].any(axis=1)
     unstated = regrouped[:, [name.kind == "ia" and name not in stated for name in names]].any(axis=1)
@@ -174,7 +176,8 @@ def theta_equations(
             )
         if prior.value is not None and prior.std is not None:
             row = np.zeros(len(parameters) + 1)
-            row[list(parameters).index(name)], row[-1] = 1 / prior.std, prior.value / prior.std
+            row[list(parameters).index(name)] = 1 / prior.std
+            row[-1] = prior.value / prior.std
             rows.append(row)
     return np.reshape(rows, (-1, len(parameters) + 1))
 
@@ -208,7 +211,8 @@ def require_scale(
     It may be a payload of known mass, torque sensors, wrenches, or parameters that are ``stated``.
     """
     other = "or use --method wls with prior_gains"
-    elsewhere, weighed = problem.scaled, any(payload is not None and payload.mass is not None for payload in payloads)
+    elsewhere = problem.scaled
+    weighed = any(payload is not None and payload.mass is not None for payload in payloads)
     if not elsewhere and not weighed and stated:
         raise _hidden(stated, other)
     if not elsewhere and not weighed:
@@ -289,7 +293,8 @@ def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
         currents[:, j] = R[:, SIGNAL]
         rows.append(np.column_stack([R[:, MODEL], currents, R[:, KNOWN]]) / sigma)
     stacked = np.concatenate(rows)
-    columns, torque = stacked[:, :-1] / np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300), stacked[:, -1]
+    columns = stacked[:, :-1] / np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300)
+    torque = stacked[:, -1]
     unexplained, unanswered = (
         float(np.linalg.norm(torque - W @ np.linalg.lstsq(W, torque, rcond=None)[0])) for W in (columns[:, :n], columns)
     )

@@ -288,7 +288,8 @@ class Problem:
 
     def total_rows_of(self, block: np.ndarray, j: int, signal: np.ndarray | None = None) -> np.ndarray:
         """Build rows ``[-W_theta  V_tau  -known]`` of ``W_tot`` (eq. 33) from a channel's block, with a ``signal``."""
-        n, rows = self.n_theta, np.zeros((len(block), self.n_theta + len(self.channels) + 1))
+        n = self.n_theta
+        rows = np.zeros((len(block), self.n_theta + len(self.channels) + 1))
         rows[:, :n], rows[:, -1] = -block[:, MODEL], -block[:, KNOWN]
         signal = delayed_signal(block, self.own_delays[j]) if signal is None else signal
         rows[:, n + j if self.unknown_gains[j] else -1] += signal

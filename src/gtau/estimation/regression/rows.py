@@ -211,7 +211,9 @@ def _along(
     begin, end = 0, 0  # the stretch that ``window`` and ``c`` are for
     c = np.zeros((idm.layout.n_c, 0))
     if isinstance(prepared, PreparedRun) and len(prepared) <= SHORT:
-        end, c, window = len(prepared), _along_whole(idm, prepared), prepared.all_samples
+        end = len(prepared)
+        c = _along_whole(idm, prepared)
+        window = prepared.all_samples
     for at in blocks:
         if at.stop > end:
             known = max(end - at.start, 0) if c.size else 0

@@ -38,7 +38,9 @@ def model_estimates(
     essential: Problem,
 ) -> dict[str, Any]:
     """Collect estimates, those of ``equations`` for payloads, and ``predicting`` ones after the friction step."""
-    robot, kind, temperatures = fit.dataset.robot, fit.dataset.runs[0].kind, reference_temperatures(fit)
+    robot = fit.dataset.robot
+    kind = fit.dataset.runs[0].kind
+    temperatures = reference_temperatures(fit)
     sensors = _link_side(fit)
     listed = [name for name in predicting.unknowns if name.kind != "gain" or name.body not in sensors]
     order = {"gain": 1, "delay": 2}  # behind the parameters
@@ -107,7 +109,9 @@ def evidence(
     curves: Mapping[str, FrictionCurve],
 ) -> dict[str, Any]:
     """Collect what speaks for and against the estimates, including the estimates of the equations."""
-    dataset, temperatures, sensors = fit.dataset, reference_temperatures(fit), _link_side(fit)
+    dataset = fit.dataset
+    temperatures = reference_temperatures(fit)
+    sensors = _link_side(fit)
     replaced = {name for name in dataset.base.names if name.kind in PLAIN_FRICTION and name.body in curves}
     replaced |= {term for term in fit.system.terms if curves and term.body not in sensors}
     along = [
@@ -156,7 +160,9 @@ def _numbers(vector: Estimates, name: Parameter) -> tuple[float | None, float | 
 
 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
-    base, robot, between_runs = fit.dataset.base, fit.dataset.robot, _between_runs(fit.system, fit.solution.theta)
+    base = fit.dataset.base
+    robot = fit.dataset.robot
+    between_runs = _between_runs(fit.system, fit.solution.theta)
     parameters = {}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
@@ -198,7 +204,9 @@ def sensor_estimates(
     scales = {scale.channel: scale for scale in (sensor_scales(fit) if fit.free_gains else ())}
     sigma, signal = _levels(fit).tolist()
     for k in problem.sensor_channels:
-        channel, joint, ratio = problem.channels[k], problem.channels[k].joint, None
+        channel = problem.channels[k]
+        joint = problem.channels[k].joint
+        ratio = None
         parameters = {
             name: _estimate(vector, name, unit_of(kind, robot, joint))
             for kind in ("off", *DRIFTING)
@@ -249,7 +257,8 @@ def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str,
     for name in carried.unknown:
         if (kind := name.kind) not in estimates:
             value, std, freedom = _numbers(vector, name)
-            verdict, unit = parameter_verdict(value, std), unit_of(kind, robot, robot.tool)
+            verdict = parameter_verdict(value, std)
+            unit = unit_of(kind, robot, robot.tool)
             regrouping = carried.regrouping(name)
             estimates[kind] = Estimate(kind, value, std, unit, regrouping, verdict=verdict, freedom=freedom)
     return estimates
@@ -289,5 +298,6 @@ def _weighed(robot: Robot, carried: PayloadColumns, vector: Estimates) -> Weighe
 
 
 def _first_moment(kind: str, mass: Estimate, at: float, unit: str) -> Estimate:
-    value, std = None if mass.value is None else at * mass.value, None if mass.std is None else abs(at) * mass.std
+    value = None if mass.value is None else at * mass.value
+    std = None if mass.std is None else abs(at) * mass.std
     return replace(mass, name=kind, value=value, std=std, unit=unit, regrouping=f"{at:.5g} m")

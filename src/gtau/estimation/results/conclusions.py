@@ -95,7 +95,9 @@ def torque_headline(result: IdentifiedModel) -> str:
     by_state: dict[str, list[TorqueScale]] = {}
     for scale in scales:
         by_state.setdefault(scale.state, []).append(scale)
-    sentences, wrong, right = [], by_state.get("wrong", []), by_state.get("consistent with 1", [])
+    sentences = []
+    wrong = by_state.get("wrong", [])
+    right = by_state.get("consistent with 1", [])
     if wrong:
         first, *rest = ((_reported(scale), f" at '{scale.joint}'") for scale in wrong)
         parts = [" of the torque".join(first), *map("".join, rest)]

@@ -382,7 +382,8 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     preparation = result.preparation
     if preparation.cutoff and 0 < preparation.rate <= 2 * preparation.cutoff:
         yield f"'preparation.cutoff' is {preparation.cutoff:g} Hz, more than half the rate"
-    cutoffs, noise = len(preparation.prediction_cutoffs), len(preparation.position_noise)
+    cutoffs = len(preparation.prediction_cutoffs)
+    noise = len(preparation.position_noise)
     if not {cutoffs, noise} <= {0, len(robot.actuated)} or cutoffs > noise:
         yield "'prediction_cutoffs' and 'position_noise' do not have a value for each joint"
     strange = set(result.curves) - {joint.name for joint in robot.joints}

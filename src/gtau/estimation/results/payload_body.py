@@ -177,7 +177,8 @@ def rigid_of(values: np.ndarray) -> RigidBody:
 def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute for functions J (q, 10) of chi whether the sums show them, their values and standard deviations."""
     unit = np.array([weighed.reach**2] * 6 + [weighed.reach] * 3 + [1.0])
-    rows, k = np.concatenate([weighed.sums, weighed.exact]) * unit, len(weighed.sums)
+    rows = np.concatenate([weighed.sums, weighed.exact]) * unit
+    k = len(weighed.sums)
     sizes = np.linalg.norm(rows, axis=1)
     W = np.linalg.lstsq((rows / sizes[:, None]).T, (J * unit).T, rcond=1e-12)[0].T / sizes
     rest = np.linalg.norm(J * unit - W @ rows, axis=1)

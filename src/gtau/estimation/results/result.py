@@ -258,7 +258,8 @@ def estimates_frame(result: IdentifiedModel) -> pl.DataFrame:
     rest = {"unit": pl.String, "verdict": pl.String, "essential": pl.Boolean, "regrouping": pl.String}
     rows = []
     for group, estimate in estimates_table(result):
-        interval, verdict = estimate.interval() or (None, None), estimate.verdict.outcome.value
+        interval = estimate.interval() or (None, None)
+        verdict = estimate.verdict.outcome.value
         numbered = (estimate.value, estimate.std, estimate.rel_std, *interval)
         rows.append((group, estimate.name, *numbered, estimate.unit, verdict, estimate.essential, estimate.regrouping))
     return pl.DataFrame(rows, schema={**texts, **numbers, **rest}, orient="row")
