@@ -6,13 +6,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Problem, Unknowns
-from gtau.progress import Progress, silent
+from gtau.progress import Progress
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +102,8 @@ class Fit:
         return self.solution.gains[: len(self.system.problem.joints)]
 
 
-class FitSystem(Protocol):
-    """Function that fits a system."""
-
-    def __call__(self, system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:
-        """Fit with gains (n,), or estimate them where they are None."""
+FitSystem = Callable[[System, np.ndarray | None, Progress], Fit]
+"""Fits a system with gains (n,), or estimates them where they are None."""
 
 
 @dataclass(frozen=True)

@@ -88,7 +88,9 @@ def friction_step(
             names, values, slopes, scatter = group_estimates(group, candidate)
             unknowns = [name_of.get(name, name) for name in names]
             freedom = float(len(group.G) - 1)
-            estimates = estimates.updated(unknowns, values, _widened(slopes @ fixed, estimates), scatter, freedom)
+            more = len(estimates.unknowns) - fixed.shape[1]  # were appended since
+            slopes = np.pad(slopes @ fixed, ((0, 0), (0, more)))
+            estimates = estimates.updated(unknowns, values, slopes, scatter, freedom)
             names_of_curves += unknowns
             curves |= _curves(group, candidate, plain, evidence)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
@@ -148,10 +150,6 @@ def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarra
     subtracted = (name.kind not in PLAIN_FRICTION or name.body not in joints for name in dataset.base.names)
     names = [*gains, *(name if kept else None for name, kept in zip(dataset.base.names, subtracted, strict=True))]
     return np.array([[float(name == unknown) for unknown in estimates.unknowns] for name in names])
-
-
-def _widened(slopes: np.ndarray, estimates: Estimates) -> np.ndarray:
-    return np.pad(slopes, ((0, 0), (0, len(estimates.unknowns) - slopes.shape[1])))
 
 
 def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) -> np.ndarray:

@@ -126,7 +126,9 @@ def scale_of_file(model: InverseDynamics, base: BaseParameters, problem: Problem
     stated = np.append(inertial & ~unstated, np.zeros(len(theta) - base.count, dtype=bool))
     theta[stated] = values[stated[: base.count]]
     motors = [k for k, channel in enumerate(problem.channels) if channel.kind.unknown_gain]
-    W = [problem.triangles[k][:, MODEL] * stated * _leverage(model, problem.channels[k].joint) for k in motors]
+    turns = [model.robot.joint(problem.channels[k].joint).turns for k in motors]
+    levers = np.where(turns, 1.0, float(model.layout.length))
+    W = [problem.triangles[k][:, MODEL] * stated * lever for k, lever in zip(motors, levers, strict=True)]
     shared = np.array([np.any(rows != 0, axis=0) for rows in W]).astype(int)
     count, numbers = connected_components(shared @ shared.T, directed=False)
     equations = []
@@ -136,10 +138,6 @@ def scale_of_file(model: InverseDynamics, base: BaseParameters, problem: Problem
         if size > 0:
             equations.append(np.append(A @ theta @ A / size, 1.0) / std)
     return np.reshape(equations, (-1, len(theta) + 1))
-
-
-def _leverage(model: InverseDynamics, joint: str) -> float:
-    return 1.0 if model.robot.joint(joint).turns else float(model.layout.length)
 
 
 def _heavy(robot: Robot) -> list[str]:

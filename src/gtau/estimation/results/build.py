@@ -76,6 +76,7 @@ def fit_record(
     rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
     W_tot = triangle(*rows, problem.total_known)  # eq. (33)
     estimated = _unit_columns(W_tot[:, :-1])
+    singular = np.linalg.svd(_unit_columns(W_tot), compute_uv=False) if fit.free_gains else np.empty(0)
     condition = float(np.linalg.cond(estimated)) if estimated.size else 1.0
     sizes = np.abs(solution.gains) * _levels(fit)
     speeds = [factors.speeds.max(axis=0) for factors in dataset.factors if factors.speeds is not None]
@@ -96,7 +97,7 @@ def fit_record(
             for joint in (robot.motors if fit.free_gains else ())
         },
         "statistics": {**solution.statistics, **statistics, "condition_number": condition},
-        "singular_values": _singular_values(W_tot) if fit.free_gains else (),
+        "singular_values": tuple(singular.tolist()),
         "data": dataset.runs,
     }
 
@@ -180,10 +181,6 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
 def _unit_columns(W: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(W, axis=0)
     return np.asarray(W[:, length > 0] / length[length > 0])
-
-
-def _singular_values(W: np.ndarray) -> tuple[float, ...]:
-    return tuple(np.linalg.svd(_unit_columns(W), compute_uv=False).tolist())
 
 
 def _levels(fit: Fit) -> np.ndarray:
