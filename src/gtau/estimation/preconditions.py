@@ -33,13 +33,7 @@ def estimator_for(options: Options, runs: Sequence[Run]) -> Estimator:
 
 
 def require_inputs(subject: Subject) -> Estimator:
-    """Check that the estimator takes what is given and has what it needs, before the logs are reduced.
-
-    Raises GtauError where it takes neither torque sensors nor known parameters, and there are some (``consistent``
-    parameters are sought with the latter whatever the estimator); where it does not support a floating base; where it
-    takes gains and some joint has none; where the paper has no such method, or it cannot be constrained; where the
-    solver of consistent parameters is not installed; where a log is given twice.
-    """
+    """Check that the estimator takes what is given and has what it needs, before the logs are reduced; GtauError."""
     options = subject.options
     estimator = estimator_for(subject.options, subject.runs)
     refuse_repeated(subject.runs)

@@ -125,11 +125,7 @@ class Prediction:
 
 
 def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tuple[TorqueError, ...]:
-    """Compute rms of error and signal of each joint that moves, whose motion has a ``bandwidth``, Hz.
-
-    Behind the low-pass of identification over the kept rows, and over all valid ones; and over these against the raw
-    torque, as a whole and by frequency.
-    """
+    """Compute rms of error and signal of joints that move: behind the low-pass, raw, and by octaves (Hz)."""
     errors = []
     behind = prediction.in_band
     for j, joint in enumerate(prediction.joints):

@@ -23,12 +23,7 @@ LOAD_CONVERGED = 1e-4  # relative change of the gains at convergence
 
 
 def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> System:
-    """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first.
-
-    Terms supported by the joints' own equations, but not identifiable from all equations, are left out. The data of the
-    system are streamed again where a joint has load-dependent friction. Delays lost in noise are not estimated: they
-    would be anything up to the longest, and other parameters with them.
-    """
+    """Choose the friction terms from the data; load-dependent ones need the torques, and so a fit, first."""
     per_run = len(dataset.runs) > 1
     sensors = [channel.name for channel in dataset.runs[0].channels if channel.kind.link_side]
     warm = () if dataset.temperatures is None else tuple(dataset.temperatures.reference)
@@ -57,6 +52,7 @@ def select_friction(dataset: Dataset, solve: Solve, progress: Progress) -> Syste
     else:
         system = dataset.system(terms, per_run)
     system = system.again(terms=prune_friction_terms(system.problem, system.terms, solve))
+    # a delay lost in noise would be anything up to the longest, and other parameters with it
     lost = delays_lost_in_noise(system.problem, solve(system.problem))
     return system.again(delays=~lost) if lost.any() else system
 

@@ -139,11 +139,7 @@ def stream_rows(
 def stream_torques(
     idm: InverseDynamics, regressor: Regressor, prepared: PreparedRun, values: np.ndarray, friction: Law
 ) -> Iterator[np.ndarray]:
-    """Compute the torques of columns with ``values``, and of ``friction``, at every sample of a run.
-
-    The positions' low-pass is the only filter. Blocks (3, n, K) hold the torques of the model, with friction and
-    measured wrenches; friction alone; and the commands. Raises GtauError.
-    """
+    """Compute blocks (3, n, K) at every sample: torques with friction and wrenches, friction, commands."""
     joints = len(idm.actuated)
     for window, c in _along(idm, prepared, _every_sample(prepared)):
         motion, measured, external = _measured(idm, prepared.run, window, c)
