@@ -198,7 +198,7 @@ def sensor_estimates(
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors = fit.dataset.robot, fit.system.problem, []
-    scales = {scale.channel: scale for scale in (sensor_scales(fit) if fit.free_gains else ())}
+    scales = {scale.channel.name: scale for scale in (sensor_scales(fit) if fit.free_gains else ())}
     sigma, signal = _levels(fit).tolist()
     for k in problem.sensor_channels:
         channel = problem.channels[k]
@@ -209,7 +209,7 @@ def sensor_estimates(
             for kind in ("off", *DRIFTING)
             if (name := Parameter(kind, channel.name)) in vector.unknowns.places
         }
-        if scale := scales.get(channel):
+        if scale := scales.get(channel.name):
             ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, accuracy))
         delay = Parameter("delay", channel.name)
         delay_estimate = _estimate(vector, delay, "s", joint, verdicts[delay])
