@@ -10,6 +10,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
 from gtau.estimation.diagnostics.examine import estimates_of, examine
+from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
     lack_of_fit,
@@ -23,6 +24,7 @@ from gtau.estimation.diagnostics.stated_values import weigh_known
 from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
+from gtau.estimation.estimators.physical_consistency import Consistency, consistent
 from gtau.estimation.experiment_runs import Options, Subject, geometry_of
 from gtau.estimation.friction.curves import friction_step
 from gtau.estimation.preconditions import Attempt, hidden_payloads, plan, reduced, require_inputs
@@ -142,21 +144,12 @@ def estimate(
     plain, fit = fit, moved or fit
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)
     bare: Fit | None = plain
-    audit = bodies = lost = None
+    audit = None
     if dataset.robot.inertias:
-        from gtau.estimation.diagnostics.inertia_audit import audit_inertias
-
         loaded = TOOL_BODIES in {effect.effect for effect in examined.refits}
         bare, audit = audit_inertias(plain, estimates, loaded)
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
-    if options.consistent:
-        from gtau.estimation.estimators.physical_consistency import consistent
-
-        try:
-            bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
-        except GtauError as refusal:  # what the data contradict, no bodies may have
-            text = f"physically consistent parameters were not found: {str(refusal).rstrip('.')}"
-            lost = Finding(NO_BODIES, text=text, shown_as="model")
+    bodies, lost = _consistent_bodies(fit, options)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
@@ -164,8 +157,7 @@ def estimate(
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
         plain = fit
         examined = replace(examined, mixed=None)  # which is of all parameters
-    findings = diagnose(plain, examined, estimates, payloads, options.gains, accuracy, audit)
-    findings += () if lost is None else (lost,)
+    findings = diagnose(plain, examined, estimates, payloads, options.gains, accuracy, audit) + lost
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
@@ -179,6 +171,17 @@ def estimate(
         consistency=bodies,
         audit=audit,
     )
+
+
+def _consistent_bodies(fit: Fit, options: Options) -> tuple[Consistency | None, tuple[Finding, ...]]:
+    """Find consistent parameters if they are asked for, or a note why there are none."""
+    if not options.consistent:
+        return None, ()
+    try:
+        return consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains), ()
+    except GtauError as refusal:  # what the data contradict, no bodies may have
+        text = f"physically consistent parameters were not found: {str(refusal).rstrip('.')}"
+        return None, (Finding(NO_BODIES, text=text, shown_as="model"),)
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: IdentifiedModel) -> tuple[Finding, ...]:
