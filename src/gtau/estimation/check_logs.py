@@ -280,10 +280,12 @@ def _check(model: InverseDynamics, prepared: PreparedRun, validation: bool) -> L
     masks = Store((n,), bool)
     power, path, ends = np.zeros(run.command.shape[1]), None, []
     for outputs in decimator.blocks(len(prepared), max(block_size() // decimator.factor, 1)):
-        part, at = decimator.samples(outputs, len(prepared)), decimator.at(outputs)
+        part = decimator.samples(outputs, len(prepared))
+        at = decimator.at(outputs)
         samples = prepared.samples(part.start, part.stop)
         masks.append(decimator.keep(samples.usable[:, :n], outputs))
-        q, labels = samples.q[at].T.copy(), instants(run.name, samples.time[at])
+        q = samples.q[at].T.copy()
+        labels = instants(run.name, samples.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
         distances.append(singular_distances(model)(model.rates(path, still, still, labels)).T)
@@ -291,7 +293,9 @@ def _check(model: InverseDynamics, prepared: PreparedRun, validation: bool) -> L
         power += (samples.command[at] ** 2).sum(axis=0)
         largest = [np.abs(values).max(axis=0) for values in (samples.qd, samples.command[:, :n])]
         ends.append([samples.q.min(axis=0), samples.q.max(axis=0), *largest])
-    values, used, rms = distances.array(), masks.array(), np.sqrt(power / rows)
+    values = distances.array()
+    used = masks.array()
+    rms = np.sqrt(power / rows)
     lowest = np.min(ends, axis=0)[0]
     highest, fastest, strongest = np.max(ends, axis=0)[1:]
     speeds = np.sqrt(np.diag(prepared.speeds))

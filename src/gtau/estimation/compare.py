@@ -117,7 +117,8 @@ def compare(
             result = estimate(usable, estimator, given, by_method.options, said)
         except GtauError as refusal:
             return MethodRow(method, refusal=str(refusal))
-        seconds, gains = perf_counter() - start, result.drive_gains.values()
+        seconds = perf_counter() - start
+        gains = result.drive_gains.values()
         residuals = np.array([error.relative for error in result.residuals])
         numbers = ((gain.value, gain.std, gain.half_interval()) for gain in gains)
         values, std, halves = np.array(list(numbers), dtype=float).T

@@ -75,7 +75,7 @@ def _identified(
             continue
         first, *_ = result.drive_gains.values()
         lost = first.verdict.finding
-        if lost is None or {gain.verdict.outcome for gain in result.drive_gains.values()} != {Grade.NOT_IDENTIFIABLE}:
+        if lost is None or _outcomes(result) != {Grade.NOT_IDENTIFIABLE}:
             return result
         untested = (_untested_scale(f"no joint has an identifiable scale ('{first.name}': {lost.what})"),)
     result = _attempted(last, subject, dataset, system, progress)
@@ -97,9 +97,13 @@ def _attempted(
                 f"the robot as described gives no drive gains; {what} explains the logs: {action}."
             ) from None
         raise
-    if {gain.verdict.outcome for gain in result.drive_gains.values()} <= NO_GAIN:
+    if _outcomes(result) <= NO_GAIN:
         require_payload_excitation(system)
     return result
+
+
+def _outcomes(result: IdentifiedModel) -> set[Grade]:
+    return {gain.verdict.outcome for gain in result.drive_gains.values()}
 
 
 def _untested_scale(why: str, advice: str = "add runs with a heavier payload of known mass, or longer ones") -> Finding:
@@ -125,7 +129,9 @@ def estimate(
     ``dataset`` are the reduced runs (eqs. 19 and 20), ``gains`` (n,) those that the estimator is given; estimated if
     None. Raises GtauError where the data do not suit the estimator.
     """
-    as_paper, ratio, accuracy = options.as_paper, options.ratio, options.accuracy
+    as_paper = options.as_paper
+    ratio = options.ratio
+    accuracy = options.accuracy
     if as_paper:
         system = dataset.system(delays=False)  # eqs. (29) to (33)
         ratio = PAPER_RATIO if ratio is None else ratio
@@ -136,7 +142,8 @@ def estimate(
     examined = examine(fit, progress)
     mixes = estimator.name in ("ml", "wls") and not as_paper
     moved = examined.moved(fit) if mixes and estimator.name == "ml" else None
-    if moved and any(sensor_verdict(scale, accuracy).outcome == Grade.CONTRADICTORY for scale in sensor_scales(fit)):
+    verdicts_on_sensors = (sensor_verdict(scale, accuracy) for scale in sensor_scales(fit)) if moved else ()
+    if any(verdict.outcome == Grade.CONTRADICTORY for verdict in verdicts_on_sensors):
         moved = None  # what a sensor contradicts, effects would explain in part
     estimates = estimates_of(fit, examined, not as_paper, moved is not None, mixes)
     require_motion(fit, estimates)

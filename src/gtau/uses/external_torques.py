@@ -104,7 +104,8 @@ class WrenchAlongLog:
         return tuple(self._component(k) for k in range(len(WRENCH)))
 
     def _component(self, k: int) -> Component:
-        name, unit = WRENCH[k], "N m" if WRENCH[k].startswith("moment") else "N"
+        name = WRENCH[k]
+        unit = "N m" if WRENCH[k].startswith("moment") else "N"
         share = float(self.seen[:, k].mean())
         kept = self.seen[:, k] & self.usable
         if not kept.any():
@@ -297,7 +298,8 @@ def torques_along_log(
     if frame is not None:
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
         table = table.with_columns(**wrench.columns).fill_nan(None)
-    return TorquesAlongLog(table, tuple(joints), torque_errors(raw, result.robot, result.preparation.bandwidth), wrench)
+    errors = torque_errors(raw, result.robot, result.preparation.bandwidth)
+    return TorquesAlongLog(table, tuple(joints), errors, wrench)
 
 
 def predict_under_load(result: IdentifiedModel, run: Run) -> Prediction:

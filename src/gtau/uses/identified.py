@@ -157,7 +157,8 @@ def functions(model: Identified) -> Functions:
         step = _function("step", [start], stepped[:2])
         last_step = _function("last_step", [start], stepped[:3])
     p = ca.SX.sym("p", len(model.parameters))
-    base, chi = model.result.base, ca.vertsplit(p[: model.result.base.count])
+    base = model.result.base
+    chi = ca.vertsplit(p[: model.result.base.count])
     # standard parameters with the same torques: base parameters at their representatives, else zero
     standard = {name: ca.SX(1, 1) for name in idm.parameter_names}
     standard |= dict(zip(base.standard, transmitted(ca, base.standard, chi), strict=True))

@@ -362,7 +362,8 @@ def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> Ide
         return result
     for run in runs:
         prepared, moving = prepared_for(result, run)
-        middle, half = (moving.start + moving.stop) // 2, SAMPLES // len(runs) // 2
+        middle = (moving.start + moving.stop) // 2
+        half = SAMPLES // len(runs) // 2
         kept = range(max(moving.start, middle - half), min(moving.stop, middle + half))
         with suppress(GtauError):  # of a payload whose mass is unknown
             chi = loaded_parameters(result, run.payload, f"run '{run.name}'")

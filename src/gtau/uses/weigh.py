@@ -238,7 +238,8 @@ def reference_of(model: IdentifiedModel, step: np.ndarray | float = 0.0) -> Refe
     """Take a model's parameters as known at its gains, moved by a ``step`` (n,); friction may have changed."""
     known = {**model.parameters, **model.friction}
     names = tuple(name for name in model.covariance_names if name in known and known[name].value is not None)
-    rows, gains = list(map(model.covariance_names.index, names)), _gain_rows(model)
+    rows = list(map(model.covariance_names.index, names))
+    gains = _gain_rows(model)
     between = model.covariance[np.ix_(rows, gains)]
     slopes = between @ np.linalg.pinv(model.covariance[np.ix_(gains, gains)], rcond=1e-9, hermitian=True)
     theta = np.array([known[name].value for name in names])

@@ -85,7 +85,9 @@ def resimulated(
     pole = 2 * np.pi * POLE * preparation.bandwidth
     motion: list[np.ndarray] = []
     for _ in range(LOOP_PASSES):
-        stores, loop, c = [Store((n,)) for _ in range(3)], Loop(rate, pole), None
+        stores = [Store((n,)) for _ in range(3)]
+        loop = Loop(rate, pole)
+        c = None
         change = size = 0.0
         for start, stop in spans(samples, PATH):
             reference = position_filter(run.position, rate, cutoff, kept.start + start, kept.start + stop)
@@ -146,13 +148,14 @@ def _disturbance(
     h += regressor.torques_along(idm.layout, signs, np.where(dry, values, 0.0))
     rest = replace(moving, yd=np.zeros_like(moving.yd), ydd=np.zeros_like(moving.ydd))
     weight = regressor.torques_along(idm.layout, rest, values)
-    columns = [
-        regressor.torques_along(idm.layout, replace(rest, ydd=np.ascontiguousarray(moving.J[:, k])), values) - weight
-        for k in range(len(q))
-    ]
+    columns = []
+    for k in range(len(q)):
+        accelerating = replace(rest, ydd=np.ascontiguousarray(moving.J[:, k]))
+        columns.append(regressor.torques_along(idm.layout, accelerating, values) - weight)
     M = np.stack(columns, axis=1).transpose(2, 0, 1)
     M = (M + M.swapaxes(1, 2)) / 2
-    lowest = np.linalg.eigvalsh(M / np.sqrt(np.einsum("ti,tj->tij", *2 * [np.abs(np.einsum("tii->ti", M))])))[:, 0]
+    sizes = np.abs(np.einsum("tii->ti", M))
+    lowest = np.linalg.eigvalsh(M / np.sqrt(np.einsum("ti,tj->tij", sizes, sizes)))[:, 0]
     if not lowest.min() > 0:
         raise GtauError(
             f"the estimated inertia is not positive ({here(int(lowest.argmin()))}), so the robot cannot be "

@@ -32,7 +32,8 @@ def reweighted(system: System, solve: Solve, progress: Progress) -> System:
         solution = solve(system.problem)
         if gains is not None and np.allclose(solution.gains, gains, rtol=CONVERGED, atol=0):
             break
-        gains, sigma = solution.gains, solution.sigma if sigma is None else sigma
+        gains = solution.gains
+        sigma = solution.sigma if sigma is None else sigma
         row_factors = np.hstack([-system.full(solution.theta) / gains[:, None], delayed(solution.delays)])
         runs = range(len(system.dataset.runs))
         weigh = [(np.einsum("jpk,jk->jp", system.map(run), row_factors), TUNING * sigma) for run in runs]

@@ -59,7 +59,8 @@ def instrumental(system: System, solution: Solution, free_gains: bool, progress:
     for k in range(PASSES):
         progress("simulation", k, PASSES)
         pair = paired(system, solution)
-        before, solution = solution, with_instruments(pair, solution, free_gains)
+        before = solution
+        solution = with_instruments(pair, solution, free_gains)
         std = np.sqrt(np.diag(solution.covariance))
         if np.all(np.abs(solution.values - before.values) <= SAME * std):
             break

@@ -97,8 +97,11 @@ def solve(
     steps: int = STEPS,
 ) -> Solution:
     """Iterate Newton's method from ``values`` (k,); ``weigh`` makes weights (c,) from squared residuals (c,)."""
-    triangles, n, end = stacked(problem), len(problem.channels), problem.n_theta
-    sizes, J_known = np.abs(triangles), jacobian_of_known(problem, free_gains)
+    triangles = stacked(problem)
+    n = len(problem.channels)
+    end = problem.n_theta
+    sizes = np.abs(triangles)
+    J_known = jacobian_of_known(problem, free_gains)
     P, y = problem.known[:, :-1], problem.known[:, -1]
     for _ in range(steps):
         weights = weigh(squared(triangles, values))
@@ -207,7 +210,8 @@ def jacobian_of_known(problem: Problem, free_gains: bool) -> np.ndarray:
 
 def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains: bool) -> Solution:
     """Compute the covariances at the estimates ``values`` (k,)."""
-    triangles, J_known = stacked(problem), jacobian_of_known(problem, free_gains)
+    triangles = stacked(problem)
+    J_known = jacobian_of_known(problem, free_gains)
     n, size = len(problem.channels), J_known.shape[1]
     # eqs. (25) and (26), joint by joint
     sigma = np.sqrt(squared(triangles, values) / np.maximum(problem.total_rows - size / n, 1))
@@ -236,7 +240,8 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
             blocks.append((np.eye(len(others)) - others, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T
 
-    formula, prior_covariance = T @ formula @ T.T, T @ prior_covariance @ T.T
+    formula = T @ formula @ T.T
+    prior_covariance = T @ prior_covariance @ T.T
     return Solution(problem.unknowns, values, sigma, formula, replicates, {}, prior_covariance)
 
 

@@ -203,7 +203,8 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
         free = body.places >= 0
         centre[body.places[free]] = plausible[free]
     dissipates = [name.kind in DISSIPATING and name.run is None for name in names]
-    lower, upper = np.where(dissipates, 0.0, -np.inf), np.full(len(names), np.inf)
+    lower = np.where(dissipates, 0.0, -np.inf)
+    upper = np.full(len(names), np.inf)
     for k, name in enumerate(names):
         if (prior := priors.get(name)) is None:
             continue
@@ -219,7 +220,9 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
 
 def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]:
     """List the bodies, payloads last, the unknowns (c,), and what these add to the problem's parameters, (., c)."""
-    base, problem, kinds = system.dataset.base, system.unreduced, len(INERTIAL)
+    base = system.dataset.base
+    problem = system.unreduced
+    kinds = len(INERTIAL)
     names = list(system.dataset.model.parameter_names)
     place = {name: k for k, name in enumerate(names)}
     bodies = [
@@ -249,7 +252,8 @@ def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]
 
 def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray:
     """Build rows (bodies, count) that keep the mass of each body within reach of its frames; see :func:`extent`."""
-    longest, rows = longest_placement(robot), np.zeros((len(bodies), count))
+    longest = longest_placement(robot)
+    rows = np.zeros((len(bodies), count))
     for row, body in zip(rows, bodies, strict=True):
         middle, radius, ends = extent(robot, body.name)
         row[body.places] = ball_row(middle, radius + (LAST_OVERHANG if ends else OVERHANG) * longest)
@@ -367,7 +371,8 @@ def _moves(system: System, solution: Solution, values: np.ndarray, free_gains: b
     for name in names:
         k = solution.unknowns.places[name]
         if std[k]:
-            free, value = float(solution.values[k]), float(consistent[name])
+            free = float(solution.values[k])
+            value = float(consistent[name])
             moves.append(Move(name, free, value, abs(value - free) / float(std[k])))
     return tuple(sorted(moves, key=lambda move: -move.deviations))
 

@@ -203,7 +203,8 @@ def _curves(
     group: FrictionGroup, candidate: FrictionFit, plain: FrictionFit, evidence: Mapping[tuple[int, str], float]
 ) -> dict[str, FrictionCurve]:
     signal = max(float(group.G[..., -1, -1].sum()), 1e-300)
-    error, plain_error = (100 * float(np.sqrt(max(law.errors.sum(), 0.0) / signal)) for law in (candidate, plain))
+    squares = (max(law.errors.sum(), 0.0) for law in (candidate, plain))
+    error, plain_error = (100 * float(np.sqrt(square / signal)) for square in squares)
     return {
         joint.name: FrictionCurve(
             joint.name,

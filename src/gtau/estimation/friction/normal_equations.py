@@ -98,7 +98,8 @@ def friction_joints(dataset: Dataset, law: FrictionLaw) -> tuple[FrictionJoint, 
         parts = (block(position, kept.start + a, kept.start + b) @ law.ratios.T for a, b in spans(len(kept)))
         ends = [(part.min(axis=0), part.max(axis=0)) for part in parts]
         travels.append(np.max([high for _, high in ends], axis=0) - np.min([low for low, _ in ends], axis=0))
-        squares, samples = squares + run.speeds * len(run), samples + len(run)
+        squares = squares + run.speeds * len(run)
+        samples = samples + len(run)
     travel = np.max(travels, axis=0)
     rms = np.sqrt(np.einsum("ki,ij,kj->k", law.ratios, squares / samples, law.ratios))
     joints = []
@@ -185,7 +186,9 @@ def normal_equations(
     friction holds it. With ``weigh``, for each group coefficients (p + 1,) and limits (m,), rows have Huber's weights
     ``min(1, limit / |residual|)``, as in :func:`gtau.estimation.regression.factors.reduce_rows`. Raises GtauError.
     """
-    dataset, n, runs = fit.dataset, len(fit.gains), len(fit.dataset.prepared)
+    dataset = fit.dataset
+    n = len(fit.gains)
+    runs = len(fit.dataset.prepared)
     count = max(min(BLOCKS, MOST_BLOCKS // runs), 1)
     weights = 1 / np.maximum(np.abs(fit.gains) * fit.solution.sigma[:n], 1e-300)
     groups, residuals = [], []

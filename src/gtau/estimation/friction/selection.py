@@ -207,9 +207,10 @@ def choose(group: FrictionGroup) -> tuple[FrictionFit, FrictionFit, dict[tuple[i
     evidence: dict[tuple[int, str], float] = {}
     if len(group.G) < FEWEST_BLOCKS:
         return best, plain, evidence
+    terms = [(s, term) for s in range(len(group.joints)) for term in WORDS]
     while True:
         offers = []
-        for s, term in ((s, term) for s in range(len(group.joints)) for term in WORDS if (s, term) not in evidence):
+        for s, term in (untried for untried in terms if untried not in evidence):
             if candidates := _with(group, best, s, term):
                 least = min(candidates, key=lambda candidate: candidate.errors.sum())
                 t, share = gained(best, least)

@@ -219,7 +219,8 @@ class Temperatures:
 
     def between(self, run: int, begin: float, end: float) -> np.ndarray:
         """Average the differences (n,) between two instants of a run."""
-        logged, time = self.prepared[run].run, np.linspace(begin, end, INSTANTS)
+        logged = self.prepared[run].run
+        time = np.linspace(begin, end, INSTANTS)
         temperature = logged.side["temperature"]  # all runs have one
         means = {joint: temperature.at(joint, time).mean() - mean for joint, mean in self.reference.items()}
         return np.array([means.get(joint, 0.0) for joint in logged.joints])

@@ -122,7 +122,9 @@ class Dataset:
         drift between runs if ``per_run``. ``delays`` marks the channels (c,) whose delay is estimated, or all or none.
         ``payloads`` replace the payloads of the runs.
         """
-        model, base, measured = self.model, self.base, self.runs[0].channels
+        model = self.model
+        base = self.base
+        measured = self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
         given = dict.fromkeys(channel.joint for channel in measured if not channel.kind.modelled)
         given.pop(self.robot.floating, None)
@@ -156,7 +158,9 @@ class Dataset:
         given, but distances to singularities stay as measured.
         """
         factors: list[Factors] = []
-        begun, total, columns = 0, sum(map(len, self.prepared)), self.base.standard
+        begun = 0
+        total = sum(map(len, self.prepared))
+        columns = self.base.standard
         runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
         regressor = self.model.columns(columns)
 
@@ -241,7 +245,8 @@ class System:
 
     @cached_property
     def _maps(self) -> list[np.ndarray]:
-        runs, warm = range(len(self.dataset.factors)), self.dataset.temperatures
+        runs = range(len(self.dataset.factors))
+        warm = self.dataset.temperatures
         still = np.zeros(len(self.dataset.model.actuated))
         return [self.map(run, still if warm is None else warm.by_block[run].mean(axis=0)) for run in runs]
 

@@ -293,9 +293,8 @@ def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
     stacked = np.concatenate(rows)
     columns = stacked[:, :-1] / np.maximum(np.linalg.norm(stacked[:, :-1], axis=0), 1e-300)
     torque = stacked[:, -1]
-    unexplained, unanswered = (
-        float(np.linalg.norm(torque - W @ np.linalg.lstsq(W, torque, rcond=None)[0])) for W in (columns[:, :n], columns)
-    )
+    rests = (torque - W @ np.linalg.lstsq(W, torque, rcond=None)[0] for W in (columns[:, :n], columns))
+    unexplained, unanswered = (float(np.linalg.norm(rest)) for rest in rests)
     share = unexplained / (float(np.linalg.norm(torque)) or 1.0)
     return share, 1 - (unanswered / (unexplained or 1.0)) ** 2
 

@@ -218,7 +218,8 @@ class Problem:
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
         """Residuals of v, v', v'' from each channel's own model: (3, 3) triangles, one a channel."""
-        residuals, signals = [], range(self.n_theta + 1, self.n_theta + FIXED)
+        residuals = []
+        signals = range(self.n_theta + 1, self.n_theta + FIXED)
         for R, columns in zip(self.triangles, self.own_columns, strict=True):
             full = select_columns(R, [*columns, *signals])
             residuals.append(full[len(columns) :, len(columns) :])

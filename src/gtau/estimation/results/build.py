@@ -70,7 +70,9 @@ def fit_record(
     fit: Fit, method: str, errors: Mapping[str, tuple[float, float]], statistics: Mapping[str, float]
 ) -> dict[str, Any]:
     """Record how the estimates were fitted, with ``errors`` over all samples by motor and further ``statistics``."""
-    dataset, problem, solution = fit.dataset, fit.system.problem, fit.solution
+    dataset = fit.dataset
+    problem = fit.system.problem
+    solution = fit.solution
     robot, joints = dataset.robot, dataset.model.actuated
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     rows = (problem.total_rows_of(R, j) * weights[j] for j, R in enumerate(problem.triangles))
@@ -167,7 +169,9 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
     parameters = {}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
-        made = _estimate(vector, name, unit) if name in vector.unknowns.places else Estimate(name, None, None, unit)
+        made = Estimate(name, None, None, unit)
+        if name in vector.unknowns.places:
+            made = _estimate(vector, name, unit)
         parameters[name] = replace(
             made,
             regrouping=base.regroupings[name],

@@ -179,7 +179,8 @@ def missed(result: IdentifiedModel) -> list[str]:
         if not requirement.met:
             known = requirement.found is not None
             found = f"{requirement.found:.2f} % (joint '{requirement.joint}')" if known else "not known"
-            said.append(f"{' of '.join(required(requirement))}: {found}, and {requirement.limit:g} % is required")
+            what = " of ".join(required(requirement))
+            said.append(f"{what}: {found}, and {requirement.limit:g} % is required")
     return said
 
 
@@ -219,7 +220,8 @@ def reasons(result: IdentifiedModel) -> tuple[Finding, ...]:
             groups.setdefault(key, []).append((gain.name, finding))
     merged = []
     for members in groups.values():
-        joints, ((_, first), *_) = tuple(joint for joint, _ in members), members
+        joints = tuple(joint for joint, _ in members)
+        ((_, first), *_) = members
         merged.append(replace(first, joints=joints, text=_common_text(members), own=""))
     return tuple(sorted(merged, key=lambda finding: -finding.grade.rank))
 
@@ -292,7 +294,8 @@ def remarks(result: IdentifiedModel) -> list[Finding]:
             "model lacks an effect, such as another kind of friction, motor ripple, cables or elasticity"
         )
         notes.append(Finding("autocorrelated residuals", text=text, shown_as="model"))
-    return notes + not_separated([name for name, estimate in result.parameters.items() if estimate.value is None])
+    lost = [name for name, estimate in result.parameters.items() if estimate.value is None]
+    return notes + not_separated(lost)
 
 
 def sums_with_mass(payload: PayloadEstimate) -> list[str]:
