@@ -151,7 +151,7 @@ def estimate(
         from gtau.estimation.estimators.physical_consistency import consistent
 
         try:
-            bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+            bodies = consistent(fit.system, fit.solution, plain.solution, options.priors or {}, fit.free_gains)
         except GtauError as refusal:  # what the data contradict, no bodies may have
             text = f"physically consistent parameters were not found: {str(refusal).rstrip('.')}"
             lost = Finding(NO_BODIES, text=text, shown_as="model")
