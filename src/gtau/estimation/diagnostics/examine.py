@@ -10,6 +10,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, Effort, effort_of
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit
+from gtau.estimation.diagnostics.other_clock import other_clock
 from gtau.estimation.diagnostics.other_columns import angle_from_another_link, reversed_torques
 from gtau.estimation.diagnostics.other_gravity import (
     REFUTED_SHARE,
@@ -164,6 +165,8 @@ def _other_descriptions(
         yield reversed_torques(fit)
     if effort.findings:
         return
+    if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
+        yield other_clock(fit, progress)
     tilted = any(effect.effect == "gravity" and effect.share > REFUTED_SHARE for effect in effects)
     missing, turned = effort.kind == WITHOUT_GRAVITY, lacking and (tilted or misfit)
     if missing or turned:
