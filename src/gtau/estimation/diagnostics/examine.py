@@ -176,13 +176,13 @@ def _other_descriptions(
 
 
 def estimates_of(
-    fit: Fit, examined: Examination, correlated: bool, moved: bool = False, mixes: bool = True
+    fit: Fit, examined: Examination, correlated: bool, moved: bool = False, shifted: bool = True
 ) -> Estimates:
     """Collect the estimates of a fit with their covariance.
 
-    ``moved`` by all effects the covariance is their posterior; otherwise it comes from the block jackknife, from
-    what the effects leave open, and for a method that ``mixes`` from how much they would move an estimate; without
-    ``correlated`` from the method's formula, as in the paper.
+    ``moved`` by all effects the covariance is their posterior; otherwise it comes from the block jackknife, from what
+    the effects leave open, and, ``shifted``, from how much they would move an estimate; without ``correlated`` from
+    the method's formula, as in the paper.
     """
     problem, solution, mixed = fit.system.problem, fit.solution, examined.mixed
     scale_part = scale_uncertainty(fit.system, fit.solve)
@@ -196,7 +196,7 @@ def estimates_of(
         parts = (mixed.random - file_part, scale_part * np.outer(ratio, ratio) + file_part, model)
         return Estimates(problem.unknowns, mixed.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
-    if mixed is not None and mixes:
+    if mixed is not None and shifted:
         shift = mixed.values - solution.values
         model = model + np.outer(shift, shift)
     parts = (solution.jackknife - file_part, scale_part + file_part, model)
