@@ -15,7 +15,7 @@ import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError, UnknownName
-from gtau.robots.placement import Digits
+from gtau.robots.placement import Digits, compose
 from gtau.robots.placement import Mdh as Mdh
 from gtau.robots.placement import Placement as Placement
 from gtau.robots.placement import Pose as Pose
@@ -128,6 +128,10 @@ class Attachment:
 
     body: str
     placement: Placement = Pose()
+
+    def at(self, placement: Placement) -> Attachment:
+        """Attach the frame that is at ``placement`` in this one."""
+        return Attachment(self.body, compose(self.placement, placement))
 
 
 @dataclass(frozen=True)

@@ -1,29 +1,44 @@
 """Evaluate CasADi functions for many samples, shared among threads: a small batched interpreter.
 
-A symbolic function becomes a list of instructions on rows. An instruction is carried out for LANES samples before the
-next, so that these samples share the interpreter's own cost and the rows stay in the cache. The same compiled loops
-(:mod:`gtau.model.interpreter.kernel`) serve all robots.
+A symbolic function becomes a list of instructions on rows: sums of products, with few registers. An instruction is
+carried out for LANES samples before the next, so that these samples share the interpreter's own cost and the rows stay
+in the cache. The same compiled loops (:mod:`gtau.model.interpreter.kernel`) serve all robots.
 """
 
 from __future__ import annotations
 
 import os
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from gtau.model.interpreter.instructions import instructions
-
 LANES = 200  # samples: 200 and 264 are fastest of 72 to 520 on four robots; rows of a power of two thrash the cache
 SHARE = 1024  # samples a thread at least
 NONE = np.zeros(0)
+
+SUMS = ((1, 0), (2, 0), (0, 1), (1, 1), (0, 2), (1, 2), (0, 3), (1, 3))
+"""Sums by their numbers of terms and of products; the index in this tuple is the operation code.
+
+They have at most eight operands: LLVM compares no more of them with the result before it computes in vectors.
+"""
+
+OTHERS = ("DIV", "SQRT", "SIGN", "FABS", "FMAX", "SINE_COSINE")
+"""Other operations; their codes follow the codes of sums."""
+
+NOWHERE = 2**32 - 1
+"""Output of an instruction whose result is no output."""
+
+_SAME = {getattr(ca, f"OP_{name}"): name for name in OTHERS if hasattr(ca, f"OP_{name}")}
+_SINE_OR_COSINE = (ca.OP_SIN, ca.OP_COS)
+_SIGNS = {ca.OP_ASSIGN: (1.0,), ca.OP_NEG: (-1.0,), ca.OP_ADD: (1.0, 1.0), ca.OP_SUB: (1.0, -1.0)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,9 +135,196 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     the outputs' entries, N). Raises ValueError on an operation that the interpreter does not support.
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
-    function = ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)])
-    code, signs, constants, registers, fixed = instructions(function, p.numel())
-    return Program(code, signs, constants, p.numel(), registers, x.numel(), y.numel(), fixed)
+    return _program(ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)]), p.numel())
+
+
+@dataclass(slots=True)
+class Instruction:
+    """An operation on values, which are numbered: the inputs, then the results of the instructions.
+
+    A sum, whose ``operation`` is empty, has ``terms`` (signs and values) and ``products`` (signs and pairs of values)
+    in place of ``arguments``.
+    """
+
+    operation: str
+    results: list[int]
+    arguments: list[int] = field(default_factory=list)
+    terms: list[tuple[float, int]] = field(default_factory=list)
+    products: list[tuple[float, int, int]] = field(default_factory=list)
+
+    @property
+    def operands(self) -> list[int]:
+        """Values that the instruction reads."""
+        factors = [value for _, *pair in self.products for value in pair]
+        return [*self.arguments, *(value for _, value in self.terms), *factors]
+
+    @property
+    def signs(self) -> list[float]:
+        """Signs of terms and products."""
+        return [sign for sign, *_ in (*self.terms, *self.products)]
+
+    @property
+    def number(self) -> int:
+        """Operation code."""
+        if self.operation:
+            return len(SUMS) + OTHERS.index(self.operation)
+        return SUMS.index((len(self.terms), len(self.products)))
+
+
+def _program(function: ca.Function, parameters: int) -> Program:
+    """Translate a function of one vector, whose last ``parameters`` entries are the same for all samples."""
+    inputs = function.numel_in() - parameters
+    listing, constants, outputs = _read(function)
+    listing = _merged(_multiplied(listing, constants), outputs)
+    fixed = [k for k, value in enumerate(outputs) if value in constants]
+    written: dict[int, int] = {}  # output of a first result
+    first = {instruction.results[0] for instruction in listing}
+    for k, value in enumerate(outputs):
+        if value in first and value not in written:
+            written[value] = k
+        elif value not in constants:  # an input, a cosine, or what is an output already: copied
+            listing.append(Instruction("", [-1 - k], terms=[(1.0, value)]))
+            written[-1 - k] = k
+    used = sorted({value for instruction in listing for value in instruction.operands} & constants.keys())
+    registers, stands = _allocated(listing)
+    row = {value: value for value in range(inputs)} | {value: inputs + k for k, value in enumerate(used)}
+    row |= {inputs + k: inputs + len(used) + k for k in range(parameters)}
+    row |= {value: inputs + len(used) + parameters + register for value, register in stands.items()}
+    code, signs = np.zeros((len(listing), 10), dtype=np.uint32), np.ones((len(listing), 4))
+    for line, sign, instruction in zip(code, signs, listing, strict=True):
+        result, *second = instruction.results  # the cosine takes the place of a second operand
+        rows = [row[value] for value in (*instruction.operands, *second)]
+        line[:3] = instruction.number, row[result], written.get(result, NOWHERE)
+        line[3 : 3 + len(rows)] = rows
+        sign[: len(instruction.signs)] = instruction.signs
+    values, fixed_values = ([constants[value] for value in some] for some in (used, (outputs[k] for k in fixed)))
+    constant_outputs = np.array(fixed, dtype=int), np.array(fixed_values)
+    return Program(code, signs, np.array(values), parameters, registers, inputs, len(outputs), constant_outputs)
+
+
+def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], list[int]]:
+    """Read a function: instructions in single-assignment form, constants, and the values that are outputs."""
+    listing: list[Instruction] = []
+    constants: dict[int, float] = {}
+    number: dict[float, int] = {}
+    outputs = [0] * function.numel_out()
+    held: dict[int, int] = {}  # value in each of CasADi's registers
+    turned: dict[int, Instruction] = {}  # sines and cosines by angle
+    fresh = iter(range(function.numel_in(), 2**31))
+
+    def constant(x: float) -> int:
+        if x not in number:
+            number[x] = next(fresh)
+            constants[number[x]] = x
+        return number[x]
+
+    for k in range(function.n_instructions()):
+        identity = function.instruction_id(k)
+        arguments, results = function.instruction_input(k), function.instruction_output(k)
+        if identity == ca.OP_CONST:
+            held[results[0]] = constant(function.instruction_constant(k))
+        elif identity == ca.OP_INPUT:
+            held[results[0]] = arguments[1]
+        elif identity == ca.OP_OUTPUT:
+            outputs[results[1]] = held[arguments[0]]
+        elif identity in _SINE_OR_COSINE:
+            angle = held[arguments[0]]
+            if angle not in turned:
+                turned[angle] = Instruction("SINE_COSINE", [next(fresh), next(fresh)], [angle])
+                listing.append(turned[angle])
+            held[results[0]] = turned[angle].results[_SINE_OR_COSINE.index(identity)]
+        else:
+            values = [held[argument] for argument in arguments]
+            held[results[0]] = next(fresh)
+            instruction = Instruction("", [held[results[0]]])
+            if identity in _SIGNS:
+                instruction.terms = list(zip(_SIGNS[identity], values, strict=True))
+            elif identity == ca.OP_TWICE:
+                instruction.terms = [(1.0, values[0])] * 2
+            elif identity in (ca.OP_MUL, ca.OP_SQ):
+                instruction.products = [(1.0, values[0], values[-1])]
+            elif identity in _SAME:
+                instruction.operation, instruction.arguments = _SAME[identity], values
+            elif identity == ca.OP_INV:
+                instruction.operation, instruction.arguments = "DIV", [constant(1.0), *values]
+            else:
+                raise ValueError(
+                    f"an expression has CasADi's operation {identity}, which the interpreter does not support"
+                )
+            listing.append(instruction)
+    return listing, constants, outputs
+
+
+def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list[Instruction]:
+    """Replace division by constants, and by values that divide more than once, by far cheaper multiplication."""
+    divides = Counter(instruction.arguments[1] for instruction in listing if instruction.operation == "DIV")
+    named = [*constants, *(value for instruction in listing for value in instruction.results)]
+    fresh = iter(range(1 + max(named, default=0), 2**31))
+    reciprocal: dict[int, int] = {}
+    one = next((value for value, x in constants.items() if x == 1.0), None)
+    multiplied = []
+    for instruction in listing:
+        if instruction.operation == "DIV":
+            value, by = instruction.arguments
+            if by in constants and by not in reciprocal:
+                reciprocal[by] = next(fresh)
+                constants[reciprocal[by]] = 1.0 / constants[by]
+            elif divides[by] > 1 and by not in reciprocal:
+                if one is None:
+                    one = next(fresh)
+                    constants[one] = 1.0
+                reciprocal[by] = next(fresh)
+                multiplied.append(Instruction("DIV", [reciprocal[by]], [one, by]))
+            if by in reciprocal:
+                instruction = Instruction("", instruction.results, products=[(1.0, value, reciprocal[by])])
+        multiplied.append(instruction)
+    return multiplied
+
+
+def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
+    """Compute sums that are used only once, as terms of another sum, together with that sum."""
+    uses = Counter(outputs)
+    for instruction in listing:
+        uses.update(instruction.operands)
+    sums = {instruction.results[0]: instruction for instruction in listing if not instruction.operation}
+    gone: set[int] = set()
+    for instruction in sums.values():
+        waiting = list(instruction.terms)
+        while waiting:
+            term = sign, value = waiting.pop()
+            part = sums.get(value)
+            if part is None or uses[value] > 1:
+                continue
+            added = [(sign * s, operand) for s, operand in part.terms]
+            products = instruction.products + [(sign * s, a, b) for s, a, b in part.products]
+            if (len(instruction.terms) - 1 + len(added), len(products)) in SUMS:
+                instruction.terms.remove(term)
+                instruction.terms += added
+                instruction.products = products
+                gone.add(value)
+    return [instruction for instruction in listing if instruction.results[0] not in gone]
+
+
+def _allocated(listing: list[Instruction]) -> tuple[int, dict[int, int]]:
+    """Allocate registers: their number, and the register of each result, the one that became free last.
+
+    An instruction must not write where it reads: loops over overlapping rows are not vectorised.
+    """
+    last: dict[int, int] = {}
+    for k, instruction in enumerate(listing):
+        last.update(dict.fromkeys(instruction.operands + instruction.results, k))
+    free: list[int] = []
+    stands: dict[int, int] = {}
+    registers = 0
+    for k, instruction in enumerate(listing):
+        for value in instruction.results:
+            if not free:
+                free.append(registers)
+                registers += 1
+            stands[value] = free.pop()
+        read = dict.fromkeys(instruction.operands + instruction.results)
+        free += [stands[value] for value in read if last[value] == k and value in stands]
+    return registers, stands
 
 
 _inside = threading.local()
