@@ -53,12 +53,12 @@ class GtauError(ValueError):
 
 
 @contextmanager
-def in_file(path: object) -> Iterator[None]:
-    """Begin the sentences of errors with the path of the file that they are about."""
+def errors_at(place: object) -> Iterator[None]:
+    """Begin the sentences of errors with the place, such as a file, that they are about."""
     try:
         yield
     except GtauError as error:
-        raise type(error)(f"{path}: {error}") from None
+        raise type(error)(f"{place}: {error}") from None
 
 
 class UnknownName(GtauError, KeyError):

@@ -192,7 +192,7 @@ def _refuse_controller(to: str, frame: str, result: IdentifiedModel, file: str) 
     """Refuse an unknown controller, or one without a named frame, before the work."""
     from gtau.export.exported import refuse_unknown
     from gtau.export.payload import WRITERS, refuse_unnamed
-    from gtau.robots.readers.links import links_on
+    from gtau.robots.readers.read import links_on
 
     refuse_unknown(to, WRITERS)
     if not frame:
@@ -325,7 +325,7 @@ def use(
 
 
 def _frame(result: IdentifiedModel, frame: str, experiment: Path | None) -> tuple[str, Placement]:
-    from gtau.robots.readers.links import frame_on
+    from gtau.robots.readers.read import frame_on
     from gtau.signals.reading.experiment import read_experiment
 
     robot = None if experiment is None else read_experiment(experiment).robot

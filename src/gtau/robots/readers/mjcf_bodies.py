@@ -1,4 +1,4 @@
-"""The bodies of an MJCF file as a tree, and the equalities that tie them."""
+"""The bodies of an MJCF file as a tree, the equalities that tie them, and their inertias."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.floating import base_joints, turning
-from gtau.robots.placement import compose, pose_of, rounded, turn
-from gtau.robots.readers.mjcf_file import name_in, pose_in, rotation_in
-from gtau.robots.readers.mjcf_tendons import attached_site
+from gtau.robots.parameter import Parameter, RigidBody, lumped
+from gtau.robots.placement import pose_of, rounded, turn
+from gtau.robots.readers.mjcf_drives import attached_site
+from gtau.robots.readers.mjcf_file import MjcfFile, name_in, pose_in, rotation_in
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import position_limits
 from gtau.robots.robot import (
@@ -35,16 +36,11 @@ if TYPE_CHECKING:
 
 @dataclass
 class Bodies:
-    """Joints, platforms and floating base of a file, collected along the tree.
-
-    ``joints`` are in the order of the file, joints of a floating base first; ``platforms`` are free bodies without
-    joints; ``carried`` maps each body to the attachment of its frame; ``floating`` is the floating base, if any, and
-    ``notes`` name bodies that were fixed.
-    """
+    """Joints, platforms (free bodies without joints) and floating base of a file, collected along the tree."""
 
     joints: list[Joint] = field(default_factory=list)
     platforms: list[Platform] = field(default_factory=list)
-    carried: dict[int, Attachment] = field(default_factory=lambda: {0: Attachment(GROUND)})
+    carried: dict[int, Attachment] = field(default_factory=lambda: {0: Attachment(GROUND)})  # frame of each body
     floating: str = ""
     notes: list[str] = field(default_factory=list)
 
@@ -59,8 +55,8 @@ def read_bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> Bo
         while body := int(model.body_parentid[body]):
             carriers.add(body)
     for body in range(1, model.nbody):
-        before = bodies.carried[int(model.body_parentid[body])]
-        at = Attachment(before.body, compose(before.placement, pose_in(model.body_pos[body], model.body_quat[body])))
+        pose = pose_in(model.body_pos[body], model.body_quat[body])
+        at = bodies.carried[int(model.body_parentid[body])].at(pose)
         joints = np.flatnonzero(model.jnt_bodyid == body).tolist()
         for number in joints:
             if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_FREE:
@@ -105,7 +101,7 @@ def _joints(
         anchor, reference = np.zeros(3), pose_of(np.eye(3), -axis * model.qpos0[start])
     elif kind == mujoco.mjtJoint.mjJNT_HINGE:
         reference = pose_of(turn(axis, -model.qpos0[start]), np.zeros(3))
-    placement = compose(compose(at.placement, pose_of(np.eye(3), anchor)), reference)
+    placement = at.at(pose_of(np.eye(3), anchor)).at(reference).placement
     after = Attachment(name, pose_of(np.eye(3), -anchor))
     if kind == mujoco.mjtJoint.mjJNT_BALL:
         angles = rotation_in(qpos[start : start + 4]).as_euler("XYZ")
@@ -171,8 +167,24 @@ def _ends(
         poses = pose_of(np.eye(3), data[:3]), pose_of(np.eye(3), data[3:6])
     else:
         poses = pose_in(data[3:6], data[6:10]), pose_of(np.eye(3), data[:3])
-    a, b = (
-        Attachment(carried[body].body, compose(carried[body].placement, pose))
-        for body, pose in zip(ends, poses, strict=True)
+    return carried[ends[0]].at(poses[0]), carried[ends[1]].at(poses[1])
+
+
+def mjcf_inertias(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[tuple[str, float], ...]:
+    """Sum MuJoCo's inertias of an MJCF file by the carriers of the bodies; armatures of joints are rotor inertias."""
+    model = file.model
+    if not file.has_masses:
+        return ()
+
+    def body(number: int) -> RigidBody:
+        rotation = rotation_in(model.body_iquat[number]).as_matrix()
+        tensor = rotation @ np.diag(model.body_inertia[number]) @ rotation.T
+        return RigidBody(float(model.body_mass[number]), model.body_ipos[number].copy(), tensor)
+
+    inertias = lumped((carried[number], body(number)) for number in range(1, model.nbody))
+    rotors = (
+        (Parameter("ia", name_in(model, "joint", number)), float(model.dof_armature[model.jnt_dofadr[number]]))
+        for number in range(model.njnt)
     )
-    return a, b
+    stated = inertias.items() if any(inertias.values()) else ()
+    return (*stated, *((name, armature) for name, armature in rotors if armature))

@@ -27,8 +27,7 @@ from gtau.robots.placement import (
     short_angles_note,
     smallest_unit,
 )
-from gtau.robots.readers.mjcf_bounds import bounded
-from gtau.robots.readers.mujoco_process import refuse_deadly
+from gtau.robots.readers.mjcf_guard import bounded, refuse_deadly
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of
 from gtau.robots.robot import Pose
 

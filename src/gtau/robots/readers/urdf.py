@@ -21,14 +21,15 @@ from pydantic import BaseModel, ConfigDict, field_validator
 
 from gtau.documents.validation import unknown, validate
 from gtau.documents.yaml_document import Document, read_yaml
-from gtau.errors import GtauError, in_file
+from gtau.errors import GtauError, errors_at
 from gtau.robots.floating import drawn_base
 from gtau.robots.parts import listed, without_idle_pins
-from gtau.robots.placement import compose, exact_placement, pose_of
+from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
+from gtau.robots.readers.links import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BaseChoice
 from gtau.robots.readers.urdf_tree import WORLD, UrdfTree, axis_of, driven_joints, origin_of, read_urdf_tree
-from gtau.robots.readers.xml_document import attribute, decimals, line_of, numbers
-from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose, Robot
+from gtau.robots.readers.xml_document import all_numbers, attribute, decimals, line_of, numbers
+from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose, Robot, RobotFile
 
 POINTS = {"spherical": 1, "ball": 1, "revolute": 2, "continuous": 2}
 """Number of points of its axis that a joint ties: two make a hinge."""
@@ -54,22 +55,33 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
     """
     path = Path(path)
     tree = read_urdf_tree(path, {}, base)
-    notes = list(tree.file.notes)
+    notes = []
     if base is None and sum(joint.antecedent == GROUND for joint in tree.joints) > 1:
         notes.append(
             "the root link was taken as fixed, as a URDF does not say whether it floats; write --base floating "
             "(base: floating) if it moved"
         )
-    with in_file(path):
+    with errors_at(path):
+        file = _file(tree, path.name)
         closures, said = _written_closures(tree)
         joints, motors = _with_motors(tree, closures)
-        robot = _closed(tree, joints, closures, notes=(*notes, *said, *motors))
-        return _without_motors_of_base(robot, tree)
+        robot = _closed(tree, joints, closures, file).noted(*notes, *said, *motors)
+        return _without_motors_of_base(without_idle_pins(robot), tree)
 
 
-def _closed(tree: UrdfTree, joints: Sequence[Joint], closures: Sequence[Closure], **changes: object) -> Robot:
-    robot = Robot(tree.name, tuple(joints), (), tuple(closures), tree.couplings, file=tree.file)
-    return without_idle_pins(robot.with_file(home_given=not closures, **changes))
+def _file(tree: UrdfTree, source: str) -> RobotFile:
+    parts = [part for joint in tree.root.findall("joint") for part in joint]
+    lengths, angles = (all_numbers((part for part in parts if part.tag == "origin"), [key]) for key in ("xyz", "rpy"))
+    angles += all_numbers((part for part in parts if part.tag == "axis"), ["xyz"])
+    # roll, pitch, yaw and the direction of the axis turn a joint
+    rounding = replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
+    notes = (*urdf_masses(tree.root, tree.frames), *tree.notes)
+    return RobotFile(source, notes, inertias=urdf_inertias(tree.root, tree.frames), rounding=rounding)
+
+
+def _closed(tree: UrdfTree, joints: Sequence[Joint], closures: Sequence[Closure], file: RobotFile) -> Robot:
+    file = replace(file, home_given=not closures)
+    return Robot(tree.name, tuple(joints), (), tuple(closures), tree.couplings, file=file)
 
 
 def _with_motors(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[Sequence[Joint], Sequence[str]]:
@@ -157,6 +169,8 @@ def read_urdf_with_loops(urdf: Path, loops: Path) -> Robot:
                 (key,), f"{count} types are written for {needed} entries of {other}; write one for each"
             )
     tree = read_urdf_tree(urdf, dict(zip(entry.joint_name, entry.joint_type, strict=True)))
+    with errors_at(urdf):
+        file = _file(tree, f"{urdf.name} with {loops.name}")
     names = [joint.name for joint in tree.joints]
     for key, known in (("name_mot", names), ("joint_name", tree.frames)):
         for position, name in enumerate(getattr(entry, key)):
@@ -164,11 +178,10 @@ def read_urdf_with_loops(urdf: Path, loops: Path) -> Robot:
                 raise document.error((key, position), unknown(f"joint '{name}'", name, names))
     types = entry.type or ["6d"] * len(entry.closed_loop)
     closures = [_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)]
-    with in_file(document.path):
+    with errors_at(document.path):
         joints = [replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints]
         closures, said = (closures, []) if closures else _written_closures(tree)
-        source, notes = f"{urdf.name} with {loops.name}", (*tree.file.notes, *said)
-        return _closed(tree, joints, closures, source=source, notes=notes)
+        return without_idle_pins(_closed(tree, joints, closures, file).noted(*said))
 
 
 def _closure(document: Document, tree: UrdfTree, k: int, kind: str, pair: tuple[str, str]) -> Closure:

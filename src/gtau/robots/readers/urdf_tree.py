@@ -1,9 +1,9 @@
-"""The tree of a URDF file: joints with their limits, frames of links, mimic joints and stated inertias."""
+"""The tree of a URDF file: joints with their limits, frames of links, and mimic joints."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -11,22 +11,18 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.documents.validation import some_of
-from gtau.errors import GtauError, in_file
+from gtau.errors import GtauError, errors_at
 from gtau.robots.floating import turning
 from gtau.robots.placement import (
     ROUNDING,
-    Digits,
-    digits_of,
     exact_placement,
     in_degrees,
     rounded,
     short_angles_note,
 )
-from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
     LARGEST,
-    all_numbers,
     attribute,
     decimals,
     line_of,
@@ -43,7 +39,6 @@ from gtau.robots.robot import (
     Limits,
     Placement,
     Pose,
-    RobotFile,
     refuse_many,
 )
 
@@ -79,7 +74,7 @@ class UrdfTree:
     couplings: tuple[Coupling, ...]
     frames: Mapping[str, Attachment]
     root: Element
-    file: RobotFile
+    notes: list[str]
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
@@ -88,7 +83,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
     A spherical joint becomes three revolute ones, about x, y and z, a universal joint two, with massless links in
     between; the last one has the joint's name.
     """
-    with in_file(path):
+    with errors_at(path):
         root = _parse(path)
         refuse_many(len(root.findall("joint")), "joints")
         edges = [_edge(element, base) for element in root.findall("joint")]
@@ -105,22 +100,13 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         _check_couplings(couplings, moving)
         slaves = {coupling.joint for coupling in couplings}
         joints = [replace(joint, actuated=joint.name not in slaves) for joint in joints]
-        notes = [*urdf_masses(root, frames), *_limit_notes(ordered)]
+        notes = list(_limit_notes(ordered))
         notes += _transmission_notes(root, [joint.name for joint in joints if joint.actuated])
         notes += short_angles_note({edge.name: edge.short for edge in ordered})
         if in_gazebo:
             names = some_of([f"'{coupling.joint}' to '{coupling.ratios[0][0]}'" for coupling in in_gazebo], 4)
             notes.append(f"joints coupled as a plugin of <gazebo> moves them, without <mimic>: {names}")
-        file = RobotFile(path.name, tuple(notes), inertias=urdf_inertias(root, frames), rounding=_rounding(root))
-        return UrdfTree(root.get("name") or path.stem, tuple(joints), tuple(couplings), frames, root, file)
-
-
-def _rounding(root: Element) -> Digits:
-    parts = [part for joint in root.findall("joint") for part in joint]
-    lengths, angles = (all_numbers((part for part in parts if part.tag == "origin"), [key]) for key in ("xyz", "rpy"))
-    angles += all_numbers((part for part in parts if part.tag == "axis"), ["xyz"])
-    # roll, pitch, yaw and the direction of the axis turn a joint
-    return replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
+        return UrdfTree(root.get("name") or path.stem, tuple(joints), tuple(couplings), frames, root, notes)
 
 
 def _parse(path: Path) -> Element:
@@ -234,7 +220,8 @@ def _mimic(edge: _Edge) -> Coupling | None:
     if mimic is None or edge.kind is None:
         return None
     what = f"<mimic> of joint '{edge.name}'"
-    return _coupling(edge.name, attribute(mimic, "joint", what), mimic.get, what)
+    master = attribute(mimic, "joint", what)
+    return _coupling(edge.name, master, mimic.get("multiplier", "1"), mimic.get("offset", "0"), what)
 
 
 def _mimics_of_gazebo(root: Element, free: Collection[str]) -> list[Coupling]:
@@ -245,16 +232,15 @@ def _mimics_of_gazebo(root: Element, free: Collection[str]) -> list[Coupling]:
         leader = (plugin.findtext("joint") or plugin.findtext("jointName") or "").strip()
         if leader and follower in free:
             what = f"<plugin> of mimicJoint '{follower}' (line {line_of(plugin)})"
-            couplings[follower] = _coupling(follower, leader, lambda key: plugin.findtext(key) or None, what)
+            ratio, offset = plugin.findtext("multiplier") or "1", plugin.findtext("offset") or "0"
+            couplings[follower] = _coupling(follower, leader, ratio, offset, what)
     return list(couplings.values())
 
 
-def _coupling(joint: str, master: str, read: Callable[[str], str | None], what: str) -> Coupling:
-    ratio, offset = (
-        numbers(default if (text := read(key)) is None else text, 1, f"{key} of {what}")[0]
-        for key, default in (("multiplier", "1"), ("offset", "0"))
-    )
-    return Coupling(joint, ((master, ratio),), offset)
+def _coupling(joint: str, master: str, multiplier: str, offset: str, what: str) -> Coupling:
+    (ratio,) = numbers(multiplier, 1, f"multiplier of {what}")
+    (shift,) = numbers(offset, 1, f"offset of {what}")
+    return Coupling(joint, ((master, ratio),), shift)
 
 
 def _check_couplings(couplings: Sequence[Coupling], moving: Collection[str]) -> None:
