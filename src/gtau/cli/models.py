@@ -170,7 +170,7 @@ def _drafted(
     result: IdentifiedModel, sources: list[Path], robot: str | None, payloads: list[str] | None, folder: Path
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Return an experiment file, drafted from logs if need be, by default with the model's robot and commands."""
-    from gtau.robots.readers.native_text import native_text
+    from gtau.robots.readers.native import native_text
 
     if not is_log(sources[0]) or robot is not None:
         return experiment_of(sources, robot, payloads, None, None, folder, weigh=True)

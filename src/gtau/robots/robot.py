@@ -30,7 +30,8 @@ DRIVE = ("ia", "fv", "fs", "off")
 PLAIN_FRICTION = DRIVE[1:]
 STIFFNESS = "k"  # of a spring across a joint, or between two points
 PRELOAD, DAMPING = "f0", "c"  # force of a spring between two points at length zero, and its damping
-SPRING = (PRELOAD, STIFFNESS, DAMPING)
+SPRING_WORDS = {"preload": PRELOAD, "stiffness": STIFFNESS, "damping": DAMPING}
+SPRING = tuple(SPRING_WORDS.values())
 MOST_PARTS = 2000  # links, or rows of a table: humanoids with all their frames have some 300
 MOST_JOINTS = 200  # that move: 150 in one chain take 50 s and 1 GB, and both grow as the cube
 

@@ -1,4 +1,4 @@
-"""Tables of modified Denavit-Hartenberg parameters, as in the paper's Tables 1 and 2: CSV, and ``.par`` (OpenSYMORO)."""
+"""Tables of modified Denavit-Hartenberg parameters, as in the paper's Tables 1 and 2: CSV and OpenSYMORO's."""
 
 from __future__ import annotations
 
