@@ -32,10 +32,7 @@ TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the li
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[Parameter, ...]:
-    """List the names of the standard parameters: of each joint, 14 at most, 10 of each platform, and of the springs.
-
-    ``"inertial"`` leaves out rotor inertia, friction, offset and springs.
-    """
+    """List the standard parameters of joints, platforms and springs; ``"inertial"`` ones are of bodies alone."""
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
     joints: list[Parameter] = []
     for joint in robot.joints:
@@ -126,10 +123,7 @@ def torques(
 
 
 def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[WrenchFrame], wrenches: ca.SX) -> ca.SX:
-    """Express the forces ``J^T w`` (n,) of external wrenches at the actuated joints, by virtual power (eq. 14).
-
-    The motors' torques are less by these. ``wrenches`` (6 k,) are moment (N m) and force (N) of each frame.
-    """
+    """Express the forces ``J^T w`` (n,) of ``wrenches`` (6 k,), N m and N, at the actuated joints (eq. 14)."""
     frame = frames(layout, c)
     tau = []
     for k in range(J.shape[1]):

@@ -1,12 +1,8 @@
-"""Express positions, twists and accelerations of all bodies symbolically.
+"""Express positions, twists and accelerations of all bodies symbolically, at the bodies' origins and in their axes.
 
-Twists and accelerations are taken at a body's frame origin in the body's own axes, the form in which
-its inertial parameters are constant.
-
-``c`` is the configuration: all joint coordinates, then for every platform its position and, if it
-turns, a unit quaternion (w, x, y, z), which has no singular angles. ``y`` counts the velocities
-``yd``: all joint rates, then for every platform the components of its twist named by its degrees of
-freedom. The two differ only where a platform turns (paper, eq. 9: T).
+``c`` is the configuration: all joint coordinates, then for every platform its position and, if it turns, a unit
+quaternion (w, x, y, z). ``y`` counts the velocities ``yd``: all joint rates, then for every platform the components of
+its twist named by its degrees of freedom. The two differ only where a platform turns (paper, eq. 9: T).
 """
 
 from __future__ import annotations
@@ -15,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, repeat
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -150,8 +147,7 @@ class Coordinates:
 Vector = ca.SX  # (3, 1)
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """A frame's pose in its antecedent (``R``, ``p``) and in the base (``R_0``, ``p_0``)."""
 
     R: ca.SX
@@ -160,8 +156,7 @@ class Frame:
     p_0: Vector
 
 
-@dataclass(frozen=True)
-class Twist:
+class Twist(NamedTuple):
     """Angular and linear velocity, or acceleration."""
 
     angular: Vector
@@ -327,9 +322,8 @@ def accelerations(
         before, at, axis = accelerations[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
         omega = twist[joint.antecedent].angular
         angular = at.R.T @ before.angular
-        linear = at.R.T @ (
-            before.linear + ca.cross(before.angular, at.p) + ca.cross(omega, ca.cross(omega, at.p))
-        )  # fmt: skip
+        linear = before.linear + ca.cross(before.angular, at.p) + ca.cross(omega, ca.cross(omega, at.p))
+        linear = at.R.T @ linear
         turning = ca.cross(twist[joint.name].angular, axis) * yd[k]
         if joint.turns:
             angular = angular + axis * ydd[k] + turning

@@ -132,7 +132,7 @@ class Attachment:
 
     def at(self, placement: Placement) -> Attachment:
         """Attach the frame that is at ``placement`` in this one."""
-        return Attachment(self.body, compose(self.placement, placement))
+        return Attachment(self.body, placement if self.placement == Pose() else compose(self.placement, placement))
 
 
 @dataclass(frozen=True)

@@ -76,9 +76,7 @@ def _joints(rows: Sequence[_Row]) -> tuple[list[Joint], dict[str, Attachment]]:
                 f"joint '{row.name}' has the antecedent '{row.antecedent}', which is not a joint of an earlier row; "
                 "write 0 for the base, or move the antecedent's row up."
             )
-        before, at = frames[row.antecedent], Attachment(row.antecedent, row.placement)
-        if before != Attachment(row.antecedent):
-            at = before.at(row.placement)
+        at = frames[row.antecedent].at(row.placement)
         if row.sigma != 2:
             kind: JointKind = "prismatic" if row.sigma else "revolute"
             joints.append(Joint(row.name, at.body, kind, at.placement, actuated=row.mu == 1))
