@@ -31,14 +31,13 @@ BLOCK = 2048  # samples whose motion is computed together: enough to amortise Py
 class Regressor:
     """Columns of ``IDM_st``: entry k, structurally non-zero, is in row ``rows[k]`` (joint) and column ``columns[k]``.
 
-    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J; ``compiled`` is its
-    program, where it has other symbols too.
+    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J; and in ``parameters``.
     """
 
     names: tuple[str, ...]
     inputs: list[ca.SX]
     matrix: ca.SX
-    compiled: Program | None = None
+    parameters: tuple[ca.SX, ...] = ()
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -53,7 +52,7 @@ class Regressor:
     @cached_property
     def program(self) -> Program:
         """Program that maps the inputs of a sample to its entries."""
-        return self.compiled or compile_program(self.inputs, [self.matrix.nz[:]])
+        return compile_program(self.inputs, [self.matrix.nz[:]], self.parameters)
 
     @cached_property
     def summed(self) -> Program:
@@ -241,13 +240,11 @@ class InverseDynamics:
         names = tuple(names)
         if names in self._gravity:
             return self._gravity[names]
-        (c, yd, ydd, passive), J = self.symbols
-        gravity, values = ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
-        chi = {name: ca.SX(1, 1) for name in self.parameter_names} | dict(zip(names, ca.vertsplit(values), strict=True))
-        tau = torques(self.layout, c, ca.SX(*yd.shape), ca.SX(*ydd.shape), J, chi, gravity)
-        matrix = ca.jacobian(tau, gravity)
-        program = compile_program([c, yd, ydd, passive], [matrix.nz[:]], [values])
-        self._gravity[names] = Regressor(("x", "y", "z"), [c, yd, ydd, passive], matrix, program)
+        inputs, J = self.symbols
+        still, gravity, values = ca.SX(self.layout.n_y, 1), ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
+        chi = dict.fromkeys(self.parameter_names, ca.SX(1, 1)) | dict(zip(names, ca.vertsplit(values), strict=True))
+        tau = torques(self.layout, inputs[0], still, still, J, chi, gravity)
+        self._gravity[names] = Regressor(("x", "y", "z"), inputs, ca.jacobian(tau, gravity), (values,))
         return self._gravity[names]
 
     @property

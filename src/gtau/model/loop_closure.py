@@ -102,7 +102,7 @@ def loop_errors(layout: Coordinates) -> LoopErrors:
 
 
 def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Minimise the loop errors by Levenberg-Marquardt from ``c`` (n_c,); only ``moving`` coordinates of yd move."""
+    """Minimise the loop errors by Levenberg-Marquardt from ``c`` (n_c,), with the ``moving`` coordinates of yd."""
     damping, stalled = 1e-3, 0
     error, G = errors(c)
     for _ in range(200):
@@ -167,7 +167,7 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLO
 def _unwound(errors: LoopErrors, given: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """Remove full turns from a configuration, except for coupled joints, whose couplings would no longer hold."""
     robot, unwound = errors.layout.robot, solved.copy()
-    coupled = {name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+    coupled = {name for coupling in robot.couplings for name in coupling.terms}
     turning = [k for k, joint in enumerate(robot.joints) if joint.turns and joint.name not in coupled]
     unwound[turning] = given[turning] + within_a_turn(solved[turning] - given[turning])
     return unwound
@@ -196,10 +196,7 @@ def limit_excess(joint: Joint, value: float) -> float:
 
 
 def well_conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
-    """Move a closed configuration (n_c,) step by step until it is well conditioned or stops improving.
-
-    Steps are projected displacements of single coordinates, which, other than a basis, do not depend on the processor.
-    """
+    """Move a closed configuration (n_c,) step by step until it is well conditioned or stops improving."""
     condition, size, limited = errors.condition(c), STEP, _outside(errors, c)
     while condition > WELL_CONDITIONED and size > STEP / 10:
         best = float(f"{condition:.3g}"), c
@@ -224,7 +221,7 @@ def with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
     """List displacements (n_y,) that keep the loops closed, their largest entries 1; motors' first."""
-    looped = errors.looped
+    looped = errors.looped  # projections of single coordinates, other than a basis, do not depend on the processor
     _, sigma, Vt = np.linalg.svd(errors(c)[1][:, looped])
     null = Vt[int((sigma > 1e-7).sum()) :]
     projector = null.T @ null
@@ -235,7 +232,7 @@ def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
         if size >= 0.1 and not any(alike):
             directions.append(projector[k] / np.abs(projector[k]).max())
     steps = np.zeros((len(directions), errors.layout.n_y))
-    steps[:, looped] = np.reshape(directions, (len(directions), looped.size))
+    steps[:, looped] = np.reshape(directions, (-1, looped.size))
     return list(steps)
 
 

@@ -1,8 +1,4 @@
-"""The robot: a spanning tree of one-dof joints, optional free platforms, and closures.
-
-A serial arm is the case without closures; nothing else in the package distinguishes the two.
-Everything here is frozen data; the mathematics is in :mod:`gtau.model`.
-"""
+"""The robot: a spanning tree of one-dof joints, optional free platforms, and closures, as frozen data."""
 
 from __future__ import annotations
 
@@ -85,11 +81,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that moves with others, ``q = sum of ratio * q_other + offset``.
-
-    Gears, mimic joints, and motors that move several joints: such a motor is an actuated joint of its own, and the
-    joints that it moves are passive.
-    """
+    """A joint that moves with others, ``q = sum of ratio * q_other + offset``: by gears, or by one motor of several."""
 
     joint: str
     ratios: tuple[tuple[str, float], ...]
@@ -162,11 +154,9 @@ class Spring:
 class RobotFile:
     """Content of a robot's file beside the robot itself; robots compare only the ``source``.
 
-    ``notes`` state, a sentence each, what a reader found odd or decided for the user. Without ``home_given`` the homes
-    of joints and platforms are only starting points of a search. ``constants`` are the named numbers, and ``inertias``
-    the stated inertial parameters of bodies and rotors by name, SI units, with which estimates are compared.
-    ``rounding`` is the rounding of the numbers from which placements are computed; without it, the file states the
-    placements themselves.
+    ``notes`` state what a reader found odd or decided for the user, ``inertias`` the parameters of bodies and rotors by
+    name, SI units. Without ``home_given`` homes are only starting points of a search. ``rounding`` is of the numbers
+    from which a reader computes placements; without it, the file states the placements themselves.
     """
 
     source: str = ""
@@ -383,11 +373,9 @@ def _coupling_problems(what: str, coupling: Coupling, joints: Collection[str]) -
 
 
 def _palm(robot: Robot, links: list[str]) -> str:
-    """Find the link that carries the fingers if the last of the ``links`` with a mass is one of them; else that link.
-
-    Fingers are branches of an arm: another one has as many joints, or three others are alike as beside a thumb, and
-    none has more joints than the arm before them, unlike the arms of a torso, and legs.
-    """
+    """Find the link that carries the fingers, if the last of the ``links`` with a mass is one; else that link."""
+    # Fingers are branches of an arm: another one has as many joints, or three others are alike as beside a thumb, and
+    # none has more joints than the arm before them, unlike the arms of a torso, and legs.
     before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
     for joint in robot.joints:
         before[joint.name] = (*before.get(joint.antecedent, ()), joint.name)

@@ -61,10 +61,7 @@ class Program:
     fixed: tuple[np.ndarray, np.ndarray]
 
     def __call__(self, *inputs: np.ndarray, parameters: np.ndarray = NONE) -> np.ndarray:
-        """Evaluate samples along the last axis: (inputs, N), given in one or more arrays, to (outputs, N).
-
-        ``parameters`` (parameters,) are common to all samples.
-        """
+        """Evaluate samples: (inputs, N), in one or more arrays, and common ``parameters`` to (outputs, N)."""
         from gtau.model.interpreter.kernel import evaluate
 
         sources, samples = self._sources(inputs)
@@ -73,10 +70,7 @@ class Program:
         return result
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
-        """Put the outputs, in ``order`` (outputs,), of every sample at ``places`` (outputs,) of its row of ``table``.
-
-        ``table`` is (N, columns), in C order, and the places rise.
-        """
+        """Put the outputs, in ``order``, of every sample at rising ``places`` of its row of ``table`` (N, columns)."""
         from gtau.model.interpreter.kernel import evaluate, scatter
 
         sources, samples = self._sources(inputs)
@@ -131,8 +125,7 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
     """Compile instructions that compute the stacked dense ``outputs`` from the stacked ``inputs``.
 
     Inputs are symbols, stacked column by column; of outputs all entries are, structural zeros included. ``parameters``
-    are symbols with values common to all samples. The program takes (sum of the inputs' entries, N) and gives (sum of
-    the outputs' entries, N). Raises ValueError on an operation that the interpreter does not support.
+    are symbols with values common to all samples. Raises ValueError on an operation that it does not support.
     """
     x, p, y = ca.veccat(*inputs), ca.veccat(*parameters), ca.densify(ca.veccat(*outputs))
     return _program(ca.Function("program", [ca.vertcat(x, p)], [ca.cse(y)]), p.numel())
@@ -140,11 +133,7 @@ def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Seque
 
 @dataclass(slots=True)
 class Instruction:
-    """An operation on values, which are numbered: the inputs, then the results of the instructions.
-
-    A sum, whose ``operation`` is empty, has ``terms`` (signs and values) and ``products`` (signs and pairs of values)
-    in place of ``arguments``.
-    """
+    """An operation on numbered values; a sum, whose ``operation`` is empty, has signed terms and products of values."""
 
     operation: str
     results: list[int]
@@ -306,10 +295,8 @@ def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]
 
 
 def _allocated(listing: list[Instruction]) -> tuple[int, dict[int, int]]:
-    """Allocate registers: their number, and the register of each result, the one that became free last.
-
-    An instruction must not write where it reads: loops over overlapping rows are not vectorised.
-    """
+    """Allocate registers: their number, and the register of each result, the one that became free last."""
+    # an instruction must not write where it reads: loops over overlapping rows are not vectorised
     last: dict[int, int] = {}
     for k, instruction in enumerate(listing):
         last.update(dict.fromkeys(instruction.operands + instruction.results, k))
@@ -342,11 +329,8 @@ _cores = cache(lambda: os.cpu_count() or 1)
 
 
 def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
-    """Call ``work(start, stop)`` for stretches that together are ``samples``.
-
-    In threads, where each gets at least ``worth`` samples; the results do not depend on their number. Work that
-    is itself done by one of them is not shared again.
-    """
+    """Call ``work(start, stop)`` for stretches of the ``samples``, in threads where each gets ``worth`` at least."""
+    # what a thread does is not shared again
     parts = 1 if hasattr(_inside, "pool") else min(threads(), samples // worth)
     if parts < 2:
         work(0, samples)
@@ -363,9 +347,6 @@ def _pool(process: int, workers: int) -> ThreadPoolExecutor:
 
 @contextmanager
 def single_threaded_blas() -> Iterator[None]:
-    """Run BLAS and OpenMP in one thread, as a context or a decorator.
-
-    On small matrices and busy cores, threads mainly wait for each other (a QR takes 100 times longer).
-    """
+    """Run BLAS and OpenMP in one thread: on small matrices and busy cores, threads mainly wait for each other."""
     with threadpool_limits(limits=1):
         yield

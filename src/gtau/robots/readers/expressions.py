@@ -1,7 +1,4 @@
-"""Evaluate arithmetic in the numbers of a robot file, such as ``pi/2``, ``-(a + d4)/2`` or ``q - a``.
-
-The text is parsed by Python's grammar, and only listed nodes are evaluated; nothing is executed.
-"""
+"""Evaluate arithmetic in the numbers of a robot file, such as ``pi/2`` or ``q - a``; nothing is executed."""
 
 from __future__ import annotations
 
@@ -36,9 +33,8 @@ AffineInQ = tuple[float, float]
 def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
     """Evaluate an expression to a finite number.
 
-    It consists of numbers, ``pi``, constants by their ``names``, ``+ - * / **``, parentheses and the functions ``sqrt
-    sin cos tan asin acos atan atan2 deg`` (``deg`` converts degrees to radians). Raises ValueError, with the correct
-    form, for other texts or a value that is not finite.
+    It consists of numbers, ``pi``, constants by their ``names``, ``+ - * / **``, parentheses and ``FUNCTIONS``. Raises
+    ValueError, with the correct form, for other texts or a value that is not finite.
     """
     coefficient, constant = linear(text, names)
     if coefficient != 0.0:

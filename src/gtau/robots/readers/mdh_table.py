@@ -86,12 +86,11 @@ def _joints(rows: Sequence[_Row]) -> tuple[list[Joint], dict[str, Attachment]]:
 
 
 def read_mdh_csv(path: str | Path) -> Robot:
-    """Read a serial or tree robot from a table of MDH parameters.
+    """Read a serial or tree robot from a table of MDH parameters, with gravity along -z.
 
-    The header is ``j,a,mu,sigma,gamma,b,alpha,d,theta,r``, columns in any order: joint, antecedent (``0`` is the base),
-    1 for a motor, 0 revolute, 1 prismatic or 2 fixed, and the parameters, rad and m. Cells are numbers or arithmetic
-    such as ``pi/2``; ``theta`` or ``r`` of a joint may be written with its coordinate, ``q - a`` or ``q13 - a`` where
-    13 is the joint's name. Lines ``name = value`` before the header give constants. Gravity is along -z.
+    The header names the ``COLUMNS`` in any order: joint, antecedent (``0`` is the base), 1 for a motor, 0 revolute, 1
+    prismatic or 2 fixed, and the parameters, rad and m. Cells are numbers or arithmetic such as ``pi/2``; ``theta`` or
+    ``r`` of joint 13 may be ``q13 - a`` or ``q - a``. Lines ``name = value`` before the header give constants.
     """
     path = Path(path)
     with errors_at(path):
@@ -181,10 +180,9 @@ def _csv_row(number: int, cells: list[str], header: list[str], constants: dict[s
 def read_par(path: str | Path) -> Robot:
     """Read a robot from a parameter file of OpenSYMORO.
 
-    Joints are named by their numbers. A loop is cut at a joint beyond the number of links: its frame becomes a massless
-    link, welded to the fixed frame on the other side. Symbols in lengths and angles need values on separate lines,
-    ``D3 = 0.45``. Joints with ``mu = 1`` are actuated, or all joints of an open chain without such a ``mu``. Gravity
-    that is not given as numbers is 9.80665 m/s2 along -z. Notes mention both defaults.
+    A loop is cut at a joint beyond the number of links: its frame becomes a massless link, welded to the fixed frame on
+    the other side. Symbols in lengths and angles need values on separate lines, ``D3 = 0.45``. Joints with ``mu = 1``
+    are actuated, or all joints of an open chain without such a ``mu``; gravity without numbers is along -z.
     """
     path = Path(path)
     with errors_at(path):

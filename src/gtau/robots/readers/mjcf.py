@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,30 +25,24 @@ from gtau.robots.readers.mjcf_drives import (
     site_springs,
     tied_tendons,
 )
-from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
+from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, mujoco, name_in
 from gtau.robots.readers.source import Base, BaseChoice
 from gtau.robots.readers.xml_document import read_xml
 from gtau.robots.robot import GROUND, Joint, Robot, RobotFile, base_rows
-
-if TYPE_CHECKING:
-    import mujoco
 
 HOME = "home"
 """Name of the keyframe with the home pose; the default is MuJoCo's reference configuration."""
 
 
 def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
-    """Read a robot from an MJCF file.
+    """Read a robot from an MJCF file; joint coordinates are MuJoCo's ``qpos``.
 
-    Hinges and slides are joints; a ball becomes three revolute joints, about x, y and z, with massless links in
-    between; a free body held by closures becomes a platform. Bodies without joints become part of their carriers. The
-    equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, as do narrow limits of fixed
-    tendons. Joints with an actuator are actuated, or, without actuators, all joints that are not coupled. Joints that a
-    fixed tendon pulls are held. A joint with a stiffness has a spring, as do the bodies of two sites with a straight
-    tendon between them. A ``base`` fixes free bodies that carry joints, as in the file, or, with ``rpy``, along the
-    axes of the world; ``"floating"`` makes the one free body a floating base.
-
-    Joint coordinates are MuJoCo's ``qpos``. Notes list omitted elements and effects of the simulator alone.
+    A ball becomes three revolute joints, about x, y and z, with massless links in between; a free body held by closures
+    becomes a platform. The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, as do
+    narrow limits of fixed tendons. Joints with an actuator are actuated, or, without actuators, all joints that are not
+    coupled; joints that a fixed tendon pulls are held. Stiff joints and straight tendons between two sites are springs.
+    A ``base`` fixes free bodies that carry joints, as in the file, or, with ``rpy``, along the axes of the world;
+    ``"floating"`` makes the one free body a floating base. Notes list what is left out.
     """
     path = Path(path)
     with errors_at(path):
@@ -124,8 +117,6 @@ def _gravity(model: mujoco.MjModel) -> tuple[float, float, float]:
 
 
 def _weightless(model: mujoco.MjModel) -> bool:
-    import mujoco
-
     return bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from gtau.robots.floating import base_joints, turning
 from gtau.robots.parameter import Parameter, RigidBody, lumped
 from gtau.robots.placement import pose_of, rounded, turn
 from gtau.robots.readers.mjcf_drives import attached_site
-from gtau.robots.readers.mjcf_file import MjcfFile, name_in, pose_in, rotation_in
+from gtau.robots.readers.mjcf_file import MjcfFile, mujoco, name_in, pose_in, rotation_in
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import position_limits
 from gtau.robots.robot import (
@@ -30,9 +29,6 @@ from gtau.robots.robot import (
     base_rows,
 )
 
-if TYPE_CHECKING:
-    import mujoco
-
 
 @dataclass
 class Bodies:
@@ -47,8 +43,6 @@ class Bodies:
 
 def read_bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> Bodies:
     """Read the tree of a compiled model with its home at ``qpos``."""
-    import mujoco
-
     bodies = Bodies()
     carriers = set[int]()  # ancestors of bodies with joints
     for body in map(int, model.jnt_bodyid):
@@ -92,8 +86,6 @@ def _joints(
     model: mujoco.MjModel, number: int, at: Attachment, qpos: np.ndarray, last: bool
 ) -> tuple[list[Joint], Attachment]:
     """Make the joint of a body whose frame is at `at` before its motion; return the frame's attachment after it."""
-    import mujoco
-
     name, start = name_in(model, "joint", number), int(model.jnt_qposadr[number])
     kind, axis, anchor = model.jnt_type[number], model.jnt_axis[number], model.jnt_pos[number]
     slides, reference = kind == mujoco.mjtJoint.mjJNT_SLIDE, Pose()
@@ -125,12 +117,7 @@ def _joints(
 
 
 def read_equalities(model: mujoco.MjModel, carried: Mapping[int, Attachment]) -> tuple[list[Closure], list[Coupling]]:
-    """Read closures and couplings; ``carried`` places the frames of the bodies.
-
-    A coupling with no other joint holds its joint at a position.
-    """
-    import mujoco
-
+    """Read closures and couplings, those of one joint alone hold it; ``carried`` places the frames of the bodies."""
     closures, couplings, tie = [], [], mujoco.mjtEq
     for number in range(model.neq):
         kind, data = tie(int(model.eq_type[number])), model.eq_data[number]
@@ -158,8 +145,6 @@ def _ends(
     model: mujoco.MjModel, number: int, ends: tuple[int, int], carried: Mapping[int, Attachment]
 ) -> tuple[Attachment, Attachment]:
     """Place the two frames that an equality ``connect`` or ``weld`` ties: sites, or points and poses on bodies."""
-    import mujoco
-
     data = model.eq_data[number]
     if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
         return attached_site(model, ends[0], carried), attached_site(model, ends[1], carried)

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.parts import listed
 from gtau.robots.placement import rounded
-from gtau.robots.readers.mjcf_file import MjcfFile, name_in, pose_in, straight_tendons
+from gtau.robots.readers.mjcf_file import MjcfFile, mujoco, name_in, pose_in, straight_tendons
 from gtau.robots.robot import (
     DAMPING,
     GROUND,
@@ -26,9 +25,6 @@ from gtau.robots.robot import (
     Spring,
 )
 
-if TYPE_CHECKING:
-    import mujoco
-
 PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
 """Largest play of a joint within the limits of a tendon at which the joint follows others.
 
@@ -39,8 +35,6 @@ No file with slides was at hand; MuJoCo's grippers have joint limits of 20 to 50
 
 def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     """Read the joints of the fixed tendons and their coefficients in the tendon's length."""
-    import mujoco
-
     tendons: dict[str, dict[str, float]] = {}
     for tendon in spec.tendons:
         for part in tendon.path:
@@ -57,7 +51,6 @@ def actuators(spec: mujoco.MjSpec) -> list[mujoco.MjsActuator]:
 
 def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
     """Compute the largest forces, N or N m, of the actuators on each joint, by the smaller ends of their ranges."""
-    import mujoco
 
     def most(limited: int, ends: np.ndarray, factor: float = 1.0) -> float:
         return float(np.abs(factor * ends).min()) if _is_limited(spec, limited, ends) else np.inf
@@ -77,8 +70,6 @@ def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
 
 def _is_spring(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
     """Return whether an actuator pulls a straight tendon by an uncontrolled force, affine in length and speed."""
-    import mujoco
-
     affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
     pulls = affine and actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON
     return bool(pulls and actuator.target in straight_tendons(spec))
@@ -121,8 +112,6 @@ def attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attach
 
 def tied_tendons(file: MjcfFile) -> list[Coupling]:
     """Couple the joints of two fixed tendons that an active equality ties, or of one whose length it keeps constant."""
-    import mujoco
-
     tendons, couplings = fixed_tendons(file.spec), []
     for equality in file.spec.equalities:
         if equality.type != mujoco.mjtEq.mjEQ_TENDON or not equality.active:
@@ -177,8 +166,6 @@ def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[
 
 
 def _is_limited(spec: mujoco.MjSpec, limited: int, ends: np.ndarray) -> bool:
-    import mujoco
-
     if limited == mujoco.mjtLimited.mjLIMITED_AUTO:
         return bool(spec.compiler.autolimits and np.any(ends))
     return bool(limited == mujoco.mjtLimited.mjLIMITED_TRUE)
@@ -197,8 +184,6 @@ class Motors:
 
 def read_motors(file: MjcfFile, kinds: Mapping[str, JointKind]) -> Motors:
     """Read the actuators; a tendon's becomes a shaft at the tendon's length, if no other actuator drives a joint."""
-    import mujoco
-
     tendons, others, pulling = fixed_tendons(file.spec), [], []
     motors = Motors(set(), set(), [], [], [])
     joint_types = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)

@@ -174,7 +174,7 @@ def _from_urdf(path: Path, base: BaseChoice) -> Robot:
 
 
 def _described(name: str) -> Path | None:
-    """Find the file of a robot by its name there, such as ``panda_description`` or ``panda``; None if unknown."""
+    """Find the file of a robot of robot_descriptions, such as ``panda_description`` or ``panda``; None if unknown."""
     spec = find_spec(PACKAGE) if name.isidentifier() else None
     folders = [Path(place) for place in (spec.submodule_search_locations or ())] if spec else []
     modules = [folder / f"{stem}.py" for folder in folders for stem in (name, f"{name}_description")]
@@ -241,8 +241,7 @@ def _value(node: ast.expr, known: Mapping[str, Value], repositories: Mapping[str
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
     """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's frame.
 
-    The ``frame`` is empty for the body's frame, a link of the URDF ``file``, the six numbers ``x y z roll pitch yaw``
-    (m, rad) from the body's frame, or a pose.
+    The ``frame`` is empty for the body's, a link of the URDF ``file``, ``x y z roll pitch yaw`` (m, rad), or a pose.
     """
     body_frame = f"the frame of '{body}'"
     if isinstance(frame, Pose):

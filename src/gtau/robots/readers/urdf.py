@@ -1,6 +1,6 @@
 """URDF files: geometry and limits of serial arms and trees, and of loops, in the file or described beside it.
 
-Masses and inertias in the file are kept for comparison with the identified ones. Loops are written in the elements
+Loops are written in the elements
 ``<loop>`` (generalized_rbda), ``<loop_joint>`` (Isaac Sim), ``<drake:ball_constraint>`` or a ``<joint>`` that Gazebo
 adds to its model; what ties links otherwise is refused by name. Or they are in a YAML file, as in the Gepetto models of
 parallel robots: ``closed_loop`` lists pairs of frames that a loop ties, ``type`` their kind (``3d`` or ``6d``, the
@@ -49,9 +49,8 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
 
     Links on fixed joints become part of their carriers. Joints are listed depth first in the order of the file; each
     keeps its name, and its link has the same name. A joint that mimics another is passive and coupled to it. Gravity is
-    along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths below 1e-10 m, are exact;
-    rounded angles (1.5708) are replaced by exact ones, with a note. A velocity or effort limit of 0 means unknown. With
-    a ``base`` a floating joint is fixed, and its child becomes the ground, which may float.
+    along -z of the root link. Rounded angles (1.5708) are replaced by exact ones, with a note. A velocity or effort
+    limit of 0 means unknown. With a ``base`` a floating joint is fixed, and its child becomes the ground.
     """
     path = Path(path)
     tree = read_urdf_tree(path, {}, base)
@@ -107,11 +106,10 @@ def _with_motors(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[Sequence[
 
 
 def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
-    """Remove the motors of six joints that carry all others and represent a floating base.
+    """Remove the motors, unknown in a URDF, of six joints that carry all others and represent a floating base.
 
-    A URDF does not define which joints have motors; ``robot`` has one at every joint that mimics no other. The six have
-    none if all other joints have a transmission (or ros2_control interface), an effort limit, or links with mass, and
-    the six do not. Transmissions take precedence.
+    The six have none if all other joints have a transmission (or ros2_control interface), or else an effort limit, or
+    links with mass, and the six do not.
     """
     if len(robot.joints) <= 6:
         return robot
