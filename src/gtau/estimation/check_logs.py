@@ -36,8 +36,8 @@ from gtau.estimation.results.estimate import NearestPose, distances_along, neare
 from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity
 from gtau.model.base_parameters import Equations
-from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.program import single_threaded_blas
 from gtau.model.singularities import Distances, singular_distances
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot

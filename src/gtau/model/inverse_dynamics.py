@@ -15,9 +15,9 @@ import numpy as np
 from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
-from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates
 from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, displaced, follow, numbers
+from gtau.model.program import NONE, Program, compile_program, share
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot

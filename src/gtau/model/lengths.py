@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.closures import closure_expressions
-from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import SAME_LENGTH, Coordinates, constant, frames, placements, shifted, twists
+from gtau.model.program import Program, compile_program
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Mdh, Placement, Robot
 

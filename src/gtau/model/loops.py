@@ -15,9 +15,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.closures import closed_motion, newton_step
-from gtau.model.interpreter.program import Program, compile_program, share
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import closed_home
+from gtau.model.program import Program, compile_program, share
 from gtau.robots.robot import Robot
 
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
@@ -179,7 +179,7 @@ def _filled(
     loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int, shortest: float = SHORTEST
 ) -> np.ndarray:
     """Fill ``c`` from each of ``starts`` for ``length`` samples, or as many as can be reached; return how many were."""
-    from gtau.model.interpreter import kernel
+    from gtau.model import kernel
 
     filled = np.zeros(starts.size, dtype=np.int64)
 

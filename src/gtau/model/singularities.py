@@ -22,10 +22,10 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import constant, frames, twists
 from gtau.model.loops import CONDITION, Motion, advance, differentiate, joined
+from gtau.model.program import compile_program
 from gtau.robots.robot import Joint
 
 FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home

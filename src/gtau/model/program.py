@@ -2,7 +2,7 @@
 
 A symbolic function becomes a list of instructions on rows: sums of products, with few registers. An instruction is
 carried out for LANES samples before the next, so that these samples share the interpreter's own cost and the rows stay
-in the cache. The same compiled loops (:mod:`gtau.model.interpreter.kernel`) serve all robots.
+in the cache. The same compiled loops (:mod:`gtau.model.kernel`) serve all robots.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Program:
 
     def __call__(self, *inputs: np.ndarray, parameters: np.ndarray = NONE) -> np.ndarray:
         """Evaluate samples: (inputs, N), in one or more arrays, and common ``parameters`` to (outputs, N)."""
-        from gtau.model.interpreter.kernel import evaluate
+        from gtau.model.kernel import evaluate
 
         sources, samples = self._sources(inputs)
         result = self._results(samples)
@@ -71,7 +71,7 @@ class Program:
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
         """Put the outputs, in ``order``, of every sample at rising ``places`` of its row of ``table`` (N, columns)."""
-        from gtau.model.interpreter.kernel import evaluate, scatter
+        from gtau.model.kernel import evaluate, scatter
 
         sources, samples = self._sources(inputs)
 
@@ -102,7 +102,7 @@ class Program:
 
     def _sources(self, inputs: tuple[np.ndarray, ...]) -> tuple[tuple[np.ndarray, ...], int]:
         """Return the inputs as arrays, as many as the compiled loops take, and the number of samples."""
-        from gtau.model.interpreter.kernel import SOURCES
+        from gtau.model.kernel import SOURCES
 
         sources = [np.asarray(array, dtype=float, order="C") for array in inputs]
         samples = sources[0].shape[-1] if sources[0].ndim else 0
