@@ -84,14 +84,12 @@ def load_robot(
     """
     if isinstance(source, Robot):
         return source
-    if isinstance(source, RobotSource):
-        described, name = source, source.file
-    else:
-        options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
-        options["limits"] = dict(limits or {})
-        described, name = validate(RobotSource, Document("load_robot", options)), str(source)
-    robot = read_robot(described)
-    with errors_at(name):
+    if not isinstance(source, RobotSource):
+        options = {"joints": tuple(joints), "held": dict(held or {}), "limits": dict(limits or {})}
+        options |= {"file": str(source), "base": base}
+        source = validate(RobotSource, Document("load_robot", options))
+    robot = read_robot(source)
+    with errors_at(source.file):
         return close_home(robot)
 
 

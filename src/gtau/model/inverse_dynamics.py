@@ -140,9 +140,7 @@ class InverseDynamics:
         self.parameter_names = parameter_names(robot, parameters)
         self.actuated = robot.actuated
         self._kind = parameters
-        self._regressors: dict[tuple[str, ...], Regressor] = {}
-        self._gravity: dict[tuple[Parameter, ...], Regressor] = {}
-        self._wrenches: dict[tuple[WrenchFrame, ...], Regressor] = {}
+        self._regressors: dict[tuple[object, ...], Regressor] = {}
 
     def __reduce__(self) -> tuple[type[InverseDynamics], tuple[Robot, str]]:
         """Pickle the arguments of the model: compiled programs hold CasADi symbols, which cannot be pickled."""
@@ -206,14 +204,14 @@ class InverseDynamics:
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
         """Return the columns (n, 6 k) by which moments and forces on k bodies give torques ``J^T w``, eq. (14)."""
-        frames = tuple(frames)
-        if frames not in self._wrenches:
+        key = "wrenches", *frames
+        if key not in self._regressors:
             inputs, J = self.symbols
             wrench = ca.SX.sym("w", 6 * len(frames))
             matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
             names = tuple(Parameter(kind, frame.body) for frame in frames for kind in WRENCH)
-            self._wrenches[frames] = Regressor(names, inputs, matrix)
-        return self._wrenches[frames]
+            self._regressors[key] = Regressor(names, inputs, matrix)
+        return self._regressors[key]
 
     @cached_property
     def symbols(self) -> tuple[list[ca.SX], ca.SX]:
@@ -237,15 +235,15 @@ class InverseDynamics:
 
     def gravity_torques(self, names: Sequence[Parameter]) -> Regressor:
         """Return a regressor of gravity along the base axes, whose program takes values of ``names``, others zero."""
-        names = tuple(names)
-        if names in self._gravity:
-            return self._gravity[names]
+        key = "gravity", *names
+        if key in self._regressors:
+            return self._regressors[key]
         inputs, J = self.symbols
         still, gravity, values = ca.SX(self.layout.n_y, 1), ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
         chi = dict.fromkeys(self.parameter_names, ca.SX(1, 1)) | dict(zip(names, ca.vertsplit(values), strict=True))
         tau = torques(self.layout, inputs[0], still, still, J, chi, gravity)
-        self._gravity[names] = Regressor(("x", "y", "z"), inputs, ca.jacobian(tau, gravity), (values,))
-        return self._gravity[names]
+        self._regressors[key] = Regressor(("x", "y", "z"), inputs, ca.jacobian(tau, gravity), (values,))
+        return self._regressors[key]
 
     @property
     def full(self) -> Regressor:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, repeat
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,13 @@ from gtau.robots.placement import pose_of
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Platform, Pose, Robot
 
 SAME_LENGTH = 1e-6  # relative difference of lengths intended to be equal
+
+
+def _rotations() -> Any:
+    """Import SciPy's rotations only for robots with platforms."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
 
 
 @dataclass(frozen=True)
@@ -36,17 +43,13 @@ class PlatformSlots:
         """Compute the orientation (3, 3) of the platform at a configuration (n_c,)."""
         if self.quaternion is None:
             return self.platform.home.rotation
-        from scipy.spatial.transform import Rotation
-
-        return np.asarray(Rotation.from_quat(c[self.quaternion], scalar_first=True).as_matrix())
+        return np.asarray(_rotations().from_quat(c[self.quaternion], scalar_first=True).as_matrix())
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Compute the platform's displacement between configurations (n_c,), in its degrees of freedom, m and rad."""
         shifted, turned = after[self.position] - before[self.position], np.zeros(3)
         if self.quaternion is not None:
-            from scipy.spatial.transform import Rotation
-
-            turned = Rotation.from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
+            turned = _rotations().from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
         components = dict(zip(TRANSLATIONS + ROTATIONS, (*shifted, *turned), strict=True))
         return np.array([components[dof] for dof in self.platform.dof])
 
@@ -120,9 +123,7 @@ class Coordinates:
         for slots in self.platforms:
             c[slots.position] = slots.platform.home.position
             if slots.quaternion is not None:
-                from scipy.spatial.transform import Rotation
-
-                c[slots.quaternion] = Rotation.from_matrix(slots.platform.home.rotation).as_quat(scalar_first=True)
+                c[slots.quaternion] = _rotations().from_matrix(slots.platform.home.rotation).as_quat(scalar_first=True)
         return c
 
     def retract(self, c: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -137,10 +138,8 @@ class Coordinates:
             )
             moved[slots.position] += shift
             if slots.quaternion is not None:
-                from scipy.spatial.transform import Rotation
-
-                before = Rotation.from_quat(c[slots.quaternion].T, scalar_first=True)
-                moved[slots.quaternion] = (Rotation.from_rotvec(turn.T) * before).as_quat(scalar_first=True).T
+                before = _rotations().from_quat(c[slots.quaternion].T, scalar_first=True)
+                moved[slots.quaternion] = (_rotations().from_rotvec(turn.T) * before).as_quat(scalar_first=True).T
         return moved
 
 

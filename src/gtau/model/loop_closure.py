@@ -70,10 +70,10 @@ class LoopErrors:
         welds = sum(closure.kind == "weld" for closure in robot.closures)
         turned = iter(np.arccos(np.clip(1.0 - error[len(error) - welds :], -1.0, 1.0)))
         for number, closure in enumerate(robot.closures, start=1):
-            distance, angle = float(np.linalg.norm(error[start : start + 3])), 0.0
+            distance, angle = np.linalg.norm(error[start : start + 3]), 0.0
             start += 3
             if closure.kind == "weld":
-                angle = max(float(np.linalg.norm(error[start : start + 3])), float(next(turned)))
+                angle = max(np.linalg.norm(error[start : start + 3]), next(turned))
                 start += 3
             most, shift = max(distance, angle), 1e3 * distance * self.layout.length
             sizes = [f"{shift:.3g} mm"] * (distance > 1e-3 * most)

@@ -89,8 +89,11 @@ class Program:
         if parameters.shape != (self.parameters,):
             raise ValueError(f"expected {self.parameters} parameters, got shape {parameters.shape}")
         values = np.concatenate([self.constants, parameters])
-        rows = _aligned(self.inputs + len(values) + self.registers)
-        rows[self.inputs : self.inputs + len(values)] = values[:, None]
+        end = self.inputs + len(values)
+        memory = np.empty((end + self.registers) * LANES + 8)
+        first = -memory.ctypes.data % 64 // 8  # rows begin at cache lines, as whole vectors are loaded from them
+        rows = memory[first : len(memory) - 8 + first].reshape(-1, LANES)
+        rows[self.inputs : end] = values[:, None]
         return self.code, self.signs, rows
 
     def _results(self, samples: int) -> np.ndarray:
@@ -112,13 +115,6 @@ class Program:
         if len(sources) > SOURCES:
             sources[SOURCES - 1 :] = [np.concatenate(sources[SOURCES - 1 :])]
         return (*sources, *[np.empty((0, samples))] * (SOURCES - len(sources))), samples
-
-
-def _aligned(rows: int) -> np.ndarray:
-    """Allocate rows (rows, LANES) that begin at cache lines, as whole vectors are loaded from them."""
-    memory = np.empty(rows * LANES + 8)
-    first = -memory.ctypes.data % 64 // 8
-    return memory[first : first + rows * LANES].reshape(rows, LANES)
 
 
 def compile_program(inputs: list[ca.SX], outputs: list[ca.SX], parameters: Sequence[ca.SX] = ()) -> Program:
@@ -164,7 +160,7 @@ def _program(function: ca.Function, parameters: int) -> Program:
     """Translate a function of one vector, whose last ``parameters`` entries are the same for all samples."""
     inputs = function.numel_in() - parameters
     listing, constants, outputs = _read(function)
-    listing = _merged(_multiplied(listing, constants), outputs)
+    listing = _merged(listing, outputs)
     fixed = [k for k, value in enumerate(outputs) if value in constants]
     written: dict[int, int] = {}  # output of a first result
     first = {instruction.results[0] for instruction in listing}
@@ -241,29 +237,24 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
                     f"an expression has CasADi's operation {identity}, which the interpreter does not support"
                 )
             listing.append(instruction)
-    return listing, constants, outputs
+    return _multiplied(listing, constants, constant, fresh), constants, outputs
 
 
-def _multiplied(listing: list[Instruction], constants: dict[int, float]) -> list[Instruction]:
+def _multiplied(
+    listing: list[Instruction], constants: dict[int, float], constant: Callable[[float], int], fresh: Iterator[int]
+) -> list[Instruction]:
     """Replace division by constants, and by values that divide more than once, by far cheaper multiplication."""
     divides = Counter(instruction.arguments[1] for instruction in listing if instruction.operation == "DIV")
-    named = [*constants, *(value for instruction in listing for value in instruction.results)]
-    fresh = iter(range(1 + max(named, default=0), 2**31))
     reciprocal: dict[int, int] = {}
-    one = next((value for value, x in constants.items() if x == 1.0), None)
     multiplied = []
     for instruction in listing:
         if instruction.operation == "DIV":
             value, by = instruction.arguments
-            if by in constants and by not in reciprocal:
-                reciprocal[by] = next(fresh)
-                constants[reciprocal[by]] = 1.0 / constants[by]
+            if by in constants:
+                reciprocal[by] = constant(1.0 / constants[by])
             elif divides[by] > 1 and by not in reciprocal:
-                if one is None:
-                    one = next(fresh)
-                    constants[one] = 1.0
                 reciprocal[by] = next(fresh)
-                multiplied.append(Instruction("DIV", [reciprocal[by]], [one, by]))
+                multiplied.append(Instruction("DIV", [reciprocal[by]], [constant(1.0), by]))
             if by in reciprocal:
                 instruction = Instruction("", instruction.results, products=[(1.0, value, reciprocal[by])])
         multiplied.append(instruction)
@@ -322,10 +313,7 @@ def threads() -> int:
     try:
         return max(int(os.environ["GTAU_THREADS"]), 1)
     except (KeyError, ValueError):
-        return _cores()
-
-
-_cores = cache(lambda: os.cpu_count() or 1)
+        return os.cpu_count() or 1
 
 
 def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:

@@ -101,7 +101,7 @@ def _placement(placement: Placement) -> tuple[float, ...]:
 
 
 def _numbers(array: ArrayLike) -> tuple[float, ...]:
-    return tuple((np.round(array, SAME) + 0.0).ravel().tolist())
+    return tuple((np.round(np.asarray(array, dtype=float), SAME) + 0.0).ravel().tolist())
 
 
 def oddities(robot: Robot) -> tuple[str, ...]:
@@ -111,12 +111,11 @@ def oddities(robot: Robot) -> tuple[str, ...]:
 
 def tool_note(robot: Robot) -> tuple[str, ...]:
     """Note which body is assumed to carry the payload, if the file names none and several are possible."""
-    antecedents = {joint.antecedent for joint in robot.joints}
-    ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
+    links = [joint.name for joint in robot.joints if joint.has_mass]
+    ends = set(links).difference(joint.antecedent for joint in robot.joints)
     if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
         return ()
-    last = [joint.name for joint in robot.joints if joint.has_mass][-1:] == [robot.tool]
-    why = "the last link of the robot's file" if last else "which carries the fingers"
+    why = "the last link of the robot's file" if links[-1:] == [robot.tool] else "which carries the fingers"
     return (
         f"the payload is assumed to be on '{robot.tool}', {why}; if it is on another body, write"
         " 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",

@@ -93,7 +93,7 @@ def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[st
     """Add the stated inertias of locked links to the links that carry them; their rotors no longer turn."""
     stated = stated_inertias(robot)
     bodies = dict.fromkeys(name.body for name in stated if name.kind in INERTIAL)
-    summed = lumped((carried[body], rigid_body(stated, body)) for body in bodies)
+    summed = lumped((carried[body], rigid_body(robot.inertias, body)) for body in bodies)
     rotors = (name for name in stated if name.kind not in INERTIAL and carried[name.body].body == name.body)
     return (*summed.items(), *((name, stated[name]) for name in rotors))
 

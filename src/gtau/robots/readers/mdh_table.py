@@ -225,13 +225,10 @@ def _robot(text: str, path: Path) -> Robot:
 
 
 def _without_comments(text: str) -> str:
-    kept, *rest = text.split("(*")
-    for piece in rest:
-        _, end, after = piece.partition("*)")
-        if not end:
-            raise GtauError("a comment begins with '(*' and does not end with '*)'; close it.")
-        kept += after
-    return kept
+    text = re.sub(r"\(\*(?:(?!\(\*).)*?\*\)", "", text, flags=re.DOTALL)
+    if "(*" in text:
+        raise GtauError("a comment begins with '(*' and does not end with '*)'; close it.")
+    return text
 
 
 def _entries(text: str) -> dict[str, str]:
@@ -247,9 +244,7 @@ def _entries(text: str) -> dict[str, str]:
 
 
 def _integer(entries: Mapping[str, str], key: str) -> int:
-    text = entries.get(key.lower())
-    if text is None:
-        raise GtauError(f"{key} is missing; this is not a complete parameter file of OpenSYMORO.")
+    text = _entry(entries, key)
     if not text.isdecimal() or len(text) > 4:
         raise GtauError(f"{key} is '{text}'; write a number.")
     return int(text)
@@ -260,11 +255,15 @@ def _values(entries: Mapping[str, str]) -> dict[str, float]:
     return {key: evaluate(entries[key]) for key in others if re.fullmatch(r"[-+.\deE]+", entries[key])}
 
 
-def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:
-    if key not in entries:
+def _entry(entries: Mapping[str, str], key: str) -> str:
+    if key.lower() not in entries:
         raise GtauError(f"{key} is missing; this is not a complete parameter file of OpenSYMORO.")
+    return entries[key.lower()]
+
+
+def _list(entries: Mapping[str, str], key: str, count: int) -> list[str]:
     values: list[str] = []
-    depth, start, text = 0, 0, entries[key] + ","
+    depth, start, text = 0, 0, _entry(entries, key) + ","
     for position, character in enumerate(text):  # atan2(b, d) holds a comma
         depth += (character == "(") - (character == ")")
         if character == "," and depth == 0:

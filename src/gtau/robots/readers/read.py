@@ -210,13 +210,11 @@ def _parsed(module: Path) -> ast.Module:
 def _repositories(module: Path) -> dict[str, str]:
     """Find the folder of each repository, relative to the common folder."""
     repositories: dict[str, str] = {}
-    for node in ast.walk(_parsed(module)):
-        for key, value in zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ():
-            if isinstance(key, ast.Constant) and isinstance(value, ast.Call):
-                folders = [word.value for word in value.keywords if word.arg == "cache_path"]
-                repositories |= {
-                    str(key.value): str(folder.value) for folder in folders if isinstance(folder, ast.Constant)
-                }
+    tables = [node for node in ast.walk(_parsed(module)) if isinstance(node, ast.Dict)]
+    for key, value in (entry for table in tables for entry in zip(table.keys, table.values, strict=True)):
+        for word in value.keywords if isinstance(value, ast.Call) else ():
+            if word.arg == "cache_path" and isinstance(key, ast.Constant) and isinstance(word.value, ast.Constant):
+                repositories[str(key.value)] = str(word.value.value)
     return repositories
 
 
@@ -248,9 +246,8 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
         return f"a frame on '{body}'", frame
     if not frame:
         return body_frame, Pose()
-    words = frame.replace(",", " ").split()
     try:
-        numbers = [float(word) for word in words]
+        numbers = [float(word) for word in frame.replace(",", " ").split()]
     except ValueError:
         return frame, _link(body, frame, file)
     if len(numbers) != 6:

@@ -115,10 +115,9 @@ def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
         return robot
     joints = tuple(replace(joint, actuated=k >= 6) for k, joint in enumerate(robot.joints))
     six = drawn_base(replace(robot, joints=joints))
-    rest = set(robot.actuated).difference(six)
+    rest, driven = set(robot.actuated).difference(six), driven_joints(tree.root)
     if not six or not rest:
         return robot
-    driven = driven_joints(tree.root)
     if rest <= driven:
         drawn = driven.isdisjoint(six)
     else:
