@@ -21,9 +21,9 @@ from gtau.robots.robot import DRIVE, INERTIAL, Robot
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
 IDLE = 1e-10  # share of the largest column: a smaller one is rounding
 ROWS = 2  # of the regressor for each of its columns that are drawn at once
-SAMPLES = 60  # that are drawn at once at least: as many give the rank that 1500 do, on all robots of the catalog
+SAMPLES = 60  # drawn at once at least: they give the rank that 1500 do
 COUNTING, STEPS = "counting base parameters", 3  # of a draw: its regressor, factor and rank
-SQUARED_JOINTS = 40_000  # joints of a chain by joints whose equations take a minute: 0.25 min of 100, 4 min of 400
+SQUARED_JOINTS = 40_000  # whose equations take a minute: 0.25 min of 100, 4 min of 400
 DRAWS = 12  # after which the rank must have settled
 
 

@@ -24,7 +24,7 @@ from gtau.robots.robot import Robot
 
 P = ParamSpec("P")
 PATH = 65536  # samples whose loops are closed together, in parallel segments
-BLOCK = 2048  # samples whose motion is computed together: enough to amortise Python, few enough for the cache
+BLOCK = 2048  # samples computed together: enough to amortise Python, few enough for the cache
 
 
 @dataclass(frozen=True, eq=False)

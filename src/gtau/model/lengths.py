@@ -16,8 +16,8 @@ from gtau.robots.robot import Mdh, Placement, Robot
 
 # Measured on 17 robots of the catalog and of third-party robot files: the shortest length is 0.046 of the
 # characteristic length and the closest two differ by 0.0013, while rounding parts equal ones by 1e-13 at most.
-SHORT = 1e-4  # of the characteristic length: anything shorter is not intended as a length
-HOLDING = 1e-6  # of a length's change: largest closure error with which the closures still follow it
+SHORT = 1e-4  # of the characteristic length: anything shorter is no length
+HOLDING = 1e-6  # of a length's change: closure error with which the closures follow it
 CLOSED = 1e-11  # last correction of the passive coordinates, rad or characteristic lengths
 STEPS = 20
 

@@ -18,13 +18,13 @@ from gtau.robots.robot import Joint, Robot
 # Lengths are in characteristic lengths of the robot, angles in rad.
 CLOSED = 1e-11  # largest error of a loop that is closed
 STALLED = 15  # steps with little improvement, after which a start is abandoned
-NEAR = 1e-3  # a home displaced by less than this by the solution is the intended one: no note
+NEAR = 1e-3  # a home displaced by less is the intended one: no note
 FAR = 1.0  # largest admissible error of a home given in the file
-LIMITS = 1e-4  # rad or m: files round homes and limits, so one beyond a limit by less than this is within it
-WELL_CONDITIONED = 30.0  # condition number of the scaled passive columns that the home search aims for
+LIMITS = 1e-4  # rad or m by which a home may be beyond a limit, as files round both
+WELL_CONDITIONED = 30.0  # condition number that the home search aims for
 STEP = 0.1
 STARTS = 40
-MOTOR_DECIMALS = 6  # of the motors' positions in a home that was searched for: beyond them processors may differ
+MOTOR_DECIMALS = 6  # of a home that was searched for: beyond them processors may differ
 CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
 
@@ -221,7 +221,7 @@ def with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
     """List displacements (n_y,) that keep the loops closed, their largest entries 1; motors' first."""
-    looped = errors.looped  # projections of single coordinates, other than a basis, do not depend on the processor
+    looped = errors.looped  # whose projections do not depend on the processor
     _, sigma, Vt = np.linalg.svd(errors(c)[1][:, looped])
     null = Vt[int((sigma > 1e-7).sum()) :]
     projector = null.T @ null

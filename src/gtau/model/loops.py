@@ -24,7 +24,7 @@ CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as si
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
 CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
 REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
-SHORTEST = 2.0**-14  # of the way between two samples: if shorter steps are needed, there is no path
+SHORTEST = 2.0**-14  # of the way between two samples: in shorter steps there is no path
 SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samples
 SEGMENT = 16
 PATHS = 64  # that a thread follows at least
@@ -46,7 +46,7 @@ class Motion:
     yd: np.ndarray  # (n_y, N)
     ydd: np.ndarray
     J: np.ndarray  # dy/dq (n_y, n, N)
-    condition: np.ndarray  # (N,) condition number of the passive columns, lengths over the characteristic length
+    condition: np.ndarray  # (N,) of the scaled passive columns
 
     def __getitem__(self, samples: slice) -> Motion:
         """Select the motion at some of the samples."""
@@ -65,8 +65,8 @@ class Loops:
 
     layout: Coordinates
     home: np.ndarray  # (n_c,) solved
-    step: Program  # from c: after a step of Newton's method, largest correction, condition of the passive columns
-    fast_step: Program  # the same without the condition number
+    step: Program  # from c: the next one by Newton's method, correction, condition
+    fast_step: Program  # the same without the condition
     gap: Program  # largest residual less what angles of many turns are rounded by
     motion: Program  # from c, qd and qdd: condition number, yd, ydd and J (n_y, n)
 

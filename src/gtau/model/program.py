@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-LANES = 200  # samples: 200 and 264 are fastest of 72 to 520 on four robots; rows of a power of two thrash the cache
+LANES = 200  # samples: fastest of 72 to 520 on four robots; powers of two thrash the cache
 SHARE = 1024  # samples a thread at least
 NONE = np.zeros(0)
 
@@ -91,7 +91,7 @@ class Program:
         values = np.concatenate([self.constants, parameters])
         end = self.inputs + len(values)
         memory = np.empty((end + self.registers) * LANES + 8)
-        first = -memory.ctypes.data % 64 // 8  # rows begin at cache lines, as whole vectors are loaded from them
+        first = -memory.ctypes.data % 64 // 8  # rows begin at cache lines
         rows = memory[first : len(memory) - 8 + first].reshape(-1, LANES)
         rows[self.inputs : end] = values[:, None]
         return self.code, self.signs, rows
@@ -167,7 +167,7 @@ def _program(function: ca.Function, parameters: int) -> Program:
     for k, value in enumerate(outputs):
         if value in first and value not in written:
             written[value] = k
-        elif value not in constants:  # an input, a cosine, or what is an output already: copied
+        elif value not in constants:  # copied
             listing.append(Instruction("", [-1 - k], terms=[(1.0, value)]))
             written[-1 - k] = k
     used = sorted({value for instruction in listing for value in instruction.operands} & constants.keys())

@@ -22,14 +22,14 @@ from gtau.robots.placement import angles_of, digits_of, euler_angles, is_written
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Placement, Pose, Robot
 
 # Lengths are in characteristic lengths of the robot, angles in rad.
-DRAWN = 1e-2  # with three decimals, the worst of 40 planar loops: gap 3e-3, placements moved by 1.3e-3
-LITERAL = 1e-13  # gap of loops that close as they are written: on all robots of the catalog 8e-16 at most
-POSES = 12  # number of poses in which loops must close: more than the coordinates of a placement
+DRAWN = 1e-2  # the worst of 40 planar loops with three decimals: gap 3e-3
+LITERAL = 1e-13  # gap of loops as written: in the catalog 8e-16 at most
+POSES = 12  # in which loops must close: more than the coordinates of a placement
 SPREAD = 0.3  # of the motors around home
 HALVINGS = 6  # of the motors' steps, until a pose is within reach
-STRETCHED = 0.2  # share of home's smallest singular value below which a pose is out of reach, or nearly so
+STRETCHED = 0.2  # share of home's smallest singular value in poses out of reach
 STEPS = 12
-TURNS = 4  # roundings of one angle by which axes may be turned that are meant to be parallel or perpendicular
+TURNS = 4  # roundings of an angle by which axes may be off from parallel or perpendicular
 EXACT = 1e-14  # gap at which the placements are final
 MDH_ANGLES = (True, False, True, False, True, False)
 POSE_ANGLES = (False, False, False, True, True, True)
@@ -256,7 +256,7 @@ def _least(A: np.ndarray, b: np.ndarray, bound: np.ndarray, worst: float) -> np.
     x, free = np.zeros(bound.size), np.ones(bound.size, dtype=bool)
     while free.any():
         U, sigma, Vt = np.linalg.svd(A[:, free], full_matrices=False)
-        kept = sigma > max(1e-7, 10 * worst) * max(sigma.max(initial=0.0), 1.0)  # the others vanish as the loops close
+        kept = sigma > max(1e-7, 10 * worst) * max(sigma.max(initial=0.0), 1.0)
         x[free] = Vt[kept].T @ ((U[:, kept].T @ (b - A[:, ~free] @ x[~free])) / sigma[kept])
         beyond = free & (np.abs(x) > bound)
         if not beyond.any():

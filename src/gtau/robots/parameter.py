@@ -22,7 +22,7 @@ class Parameter(str):
     __slots__ = ("body", "kind", "regrouped", "run")
     kind: str  # mx, fs, gain
     body: str  # or joint or channel; empty for m of a payload
-    run: int | None  # number from 0 of the run in which a drifting parameter differs from its mean
+    run: int | None  # from 0, in which a drifting parameter differs
     regrouped: bool
 
     def __new__(cls, kind: str, body: str, run: int | None = None, regrouped: bool = False) -> Parameter:
@@ -71,8 +71,8 @@ class ParameterKind:
 
     symbol: str  # in the names of parameters
     words: str  # in notes on exports and on pages
-    units: tuple[str, str]  # at a revolute and a prismatic joint; of a temperature slope, per unit of temperature
-    latex: str = ""  # symbol in formulas, and in the head of a table, where it differs
+    units: tuple[str, str]  # at a revolute and a prismatic joint
+    latex: str = ""  # where the symbol differs there
     heading: str = ""
     nonnegative: bool = False  # by physics
     friction: Literal["", "plain", "term", "curve", "shape"] = ""

@@ -16,10 +16,10 @@ ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
 
 NEARLY = 1e-6  # rad: angles in single precision
 SHORT = 2e-3  # rad: 3.14 stands for pi
-MEANT = 1e-3  # rad: with fewer decimals, 0.79 or 0.26 need not stand for a multiple of pi/12
+MEANT = 1e-3  # rad: 0.79 or 0.26 need not stand for a multiple of pi/12
 STEP = pi / 12  # of angles that may be written short
 
-PRINTED = 5  # least significant digits that programs write; MuJoCo and others that print by %g write 6
+PRINTED = 5  # least significant digits that programs write; %g writes 6
 COMPUTED = 14  # least significant digits of computed numbers; 1 of 1,000 has fewer
 FEWEST = 3  # least decimals of rounded numbers, m or rad
 
@@ -220,7 +220,7 @@ class Digits:
 
     decimals: int
     significant: int  # where they limit the precision
-    turn: float = 0.0  # rad, largest rotation by rounding, where a reader computes placements from the numbers
+    turn: float = 0.0  # rad, where a reader computes placements
 
     def half_unit(self, number: float) -> float:
         """Return half a unit of the last digit of a number, 0 if the digits are unknown."""

@@ -25,11 +25,11 @@ DRIVE = ("ia", "fv", "fs", "off")
 """Rotor inertia, viscous and Coulomb friction, and offset of a joint."""
 PLAIN_FRICTION = DRIVE[1:]
 STIFFNESS = "k"  # of a spring across a joint, or between two points
-PRELOAD, DAMPING = "f0", "c"  # force of a spring between two points at length zero, and its damping
+PRELOAD, DAMPING = "f0", "c"  # of a spring between two points: force at length zero
 SPRING_WORDS = {"preload": PRELOAD, "stiffness": STIFFNESS, "damping": DAMPING}
 SPRING = tuple(SPRING_WORDS.values())
-MOST_PARTS = 2000  # links, or rows of a table: humanoids with all their frames have some 300
-MOST_JOINTS = 200  # that move: 150 in one chain take 50 s and 1 GB, and both grow as the cube
+MOST_PARTS = 2000  # links or rows: humanoids with all their frames have some 300
+MOST_JOINTS = 200  # 150 in one chain take 50 s and 1 GB, and both grow as the cube
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class Coupling:
 
 
 TRANSLATIONS, ROTATIONS = ("x", "y", "z"), ("rx", "ry", "rz")
-RATIO = 1e6  # of a coupling: a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 the rank of the closures fails
+RATIO = 1e6  # a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 the rank of the closures fails
 
 
 def base_rows(name: str) -> tuple[str, ...]:
@@ -387,6 +387,7 @@ def _palm(robot: Robot, links: list[str]) -> str:
                 lengths[chain[depth]] = max(lengths.get(chain[depth], 0), len(chain) - depth)
         alike = Counter(lengths.values())
         fingers = alike[lengths[last[depth]]] > 1 or max(alike.values()) > 2
-        if palm in links and fingers and max(lengths.values()) <= depth - len(robot.base):  # whose joints are no arm's
+        arm = depth - len(robot.base)
+        if palm in links and fingers and max(lengths.values()) <= arm:
             return palm
     return links[-1]

@@ -27,7 +27,7 @@ LARGEST_MESH = 64 * 2**20  # bytes
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
 TINY = 1e-9  # kg m2: smaller inertias belong to frames that have none
-SLACK = 1e-2  # excess of the largest principal moment over the sum of the others: files round to a few digits
+SLACK = 1e-2  # of the largest principal moment over the sum of the others, as files round
 HEAVIEST = 1000.0  # largest mass in kg, and over the median mass of the file
 SHOWN = 4  # bodies that a note lists
 

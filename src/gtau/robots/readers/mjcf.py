@@ -172,7 +172,7 @@ def _is_braked(model: mujoco.MjModel, free: int) -> bool:
 
 def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:
     """Hold the joints that no modelled element moves."""
-    chains: dict[str, set[str]] = {GROUND: set()}  # of joints, from the ground to each one
+    chains: dict[str, set[str]] = {GROUND: set()}  # a joint's, from the ground
     for joint in robot.joints:
         chains[joint.name] = chains[joint.antecedent] | {joint.name}
     roots = [joint.name for joint in robot.joints if joint.antecedent == GROUND]
@@ -180,7 +180,7 @@ def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: Abstra
     groups, driven = _groups(robot, chains), set(robot.actuated)
     moved = driven.union(*(group for group in groups if group & driven))
     linked = set(pulled).union(*(group for group in groups if group & pulled and group.isdisjoint(driven)))
-    scenery = set[str]().union(*(tree for tree in trees if tree.isdisjoint(moved)))  # such as doors and targets
+    scenery = set[str]().union(*(tree for tree in trees if tree.isdisjoint(moved)))  # doors, targets
     carrying = [set.intersection(*(chains[name] for name in tree & moved)) for tree in trees if tree & moved]
     rolling = set[str]().union(*carrying) - moved if isinstance(base, Base) else set[str]()
     for names, why in (
@@ -212,7 +212,7 @@ class _Bodies:
 
     joints: list[Joint] = field(default_factory=list)
     platforms: list[Platform] = field(default_factory=list)
-    carried: dict[int, Attachment] = field(default_factory=lambda: {0: Attachment(GROUND)})  # frame of each body
+    carried: dict[int, Attachment] = field(default_factory=lambda: {0: Attachment(GROUND)})
     floating: str = ""
     notes: list[str] = field(default_factory=list)
 

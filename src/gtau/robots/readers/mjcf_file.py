@@ -55,7 +55,7 @@ NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "qpos", "gravity", "polycoef", "coef", "
 
 def _check_numbers(roots: Iterable[Element]) -> None:
     """Refuse implausible numbers, some of which MuJoCo accepts with or without a warning."""
-    for element in (part for root in roots for part in root.iter() if part.tag != "flag"):  # its gravity is a word
+    for element in (part for root in roots for part in root.iter() if part.tag != "flag"):
         for key in NUMBERS:
             text = element.get(key, "")
             if decimals(text, endless=key in RANGES) is None:
@@ -116,7 +116,7 @@ def _states_masses(spec: mujoco.MjSpec) -> bool:
 def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
     """Return whether a shape adds to the inertia of a moving body."""
     body, rule = geom.parent, mujoco.mjtInertiaFromGeom
-    compiler = getattr(body, "compiler", spec.compiler)  # a model that is attached has its own since MuJoCo 4
+    compiler = getattr(body, "compiler", spec.compiler)  # of its own since MuJoCo 4
     first, last = compiler.inertiagrouprange
     if compiler.inertiafromgeom == rule.mjINERTIAFROMGEOM_AUTO:
         counts = not body.explicitinertial
@@ -142,7 +142,7 @@ def _reduce(spec: mujoco.MjSpec, sites: Iterable[str], masses: bool) -> list[str
             if kind == "geoms" and masses and _weighs(element, spec):
                 meshes.add(element.meshname)
                 element.material = ""
-                element.contype = element.conaffinity = 0  # without contacts, meshes need no convex hull
+                element.contype = element.conaffinity = 0  # else meshes need a hull
             elif kind != "meshes" or element.name not in meshes:
                 spec.delete(element)
     kept = {name for equality in spec.equalities for name in (equality.name1, equality.name2)}.union(sites)
@@ -204,7 +204,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
 def _compiled(path: Path, sites: Iterable[str], masses: bool) -> tuple[mujoco.MjModel, list[str], bool]:
     """Read a file again (a copy would lack invalid equalities), reduce and compile it; return model, notes, masses."""
     spec = mujoco.MjSpec.from_file(str(path))
-    spec.compiler.fusestatic &= spec.compiler.settotalmass > 0  # which leaves out what is fused to the ground
+    spec.compiler.fusestatic &= spec.compiler.settotalmass > 0
     notes = [*_with_exact_orientations(spec), *_reduce(spec, sites, masses)]
     with catch_warnings():
         simplefilter("ignore")  # deprecated attributes

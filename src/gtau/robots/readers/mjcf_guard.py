@@ -23,9 +23,9 @@ from gtau.documents.files import regular
 from gtau.errors import GtauError
 from gtau.robots.readers.xml_document import line_of, read_xml
 
-MOST_FILES = 100  # that a file includes or attaches; the files of hands and humanoids have fewer than ten
+MOST_FILES = 100  # hands and humanoids have fewer than ten
 MOST_BODIES = 2000  # with copies: more keep the compiler busy for minutes
-MOST_ELEMENTS = 20 * MOST_BODIES  # a body of a robot has about five joints, shapes and sites
+MOST_ELEMENTS = 20 * MOST_BODIES  # a body has about five
 LARGEST_SIZE = 8192  # points along a side of a height field or texture: 256 MiB
 COPYING = ("replicate", "composite", "flexcomp")
 NESTED = ("worldbody", "body", "frame", "include", *COPYING)
@@ -65,10 +65,10 @@ for line in sys.stdin:
         said = "MemoryError" if isinstance(error, MemoryError) else str(error)
     print(json.dumps(said), flush=True)
 """
-NO_MEMORY = ("MemoryError", "allocate memory", "unknown exception")  # the last is what its C++ makes of it
+NO_MEMORY = ("MemoryError", "allocate memory", "unknown exception")  # as its C++ says
 
 _lock = threading.Lock()
-_readers: dict[int, subprocess.Popen[str]] = {}  # by the process that started it, which may have been forked
+_readers: dict[int, subprocess.Popen[str]] = {}  # by process, as it may fork
 
 
 def bounded(root: Element, path: Path) -> list[Element]:
@@ -135,7 +135,7 @@ def _check_copies(root: Element, path: Path, files: Files) -> None:
     """Refuse files that ask for more copies of a body, or of what it holds, than a robot can have."""
 
     def copies(element: Element, whole: bool) -> float:
-        if element.tag == "include":  # a file that is included twice, MuJoCo refuses
+        if element.tag == "include":  # twice, MuJoCo refuses
             element = once.pop((path.parent / element.get("file", "")).resolve(), element)
         inside = sum(copies(child, whole) for child in element if whole or child.tag in NESTED)
         if element.tag not in COPYING:
@@ -192,7 +192,7 @@ def _reader(without: tuple[str, ...]) -> subprocess.Popen[str]:
     reader = _readers.get(os.getpid())
     if reader is None or reader.poll() is not None:
         options = json.dumps([sys.path, int(PATIENCE), MEMORY, without])
-        few = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}  # threads reserve memory on machines of many cores
+        few = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}  # threads reserve memory
         reader = _readers[os.getpid()] = subprocess.Popen(
             [sys.executable, "-ISc", READER, options], env=os.environ | few, text=True, start_new_session=True,
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,

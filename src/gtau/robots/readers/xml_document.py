@@ -70,7 +70,7 @@ def line_of(element: Element) -> int:
 
 DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 ENDLESS = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE | re.ASCII)
-LARGEST = 1e9  # SI units: no length, angle or mass of a robot comes near; files write 1e16 and more for 'no limit'
+LARGEST = 1e9  # SI units: no number of a robot comes near; 1e16 and more mean 'no limit'
 
 
 def decimals(text: str, endless: bool = False) -> list[float] | None:
