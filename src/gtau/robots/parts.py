@@ -94,7 +94,8 @@ def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[st
     stated = stated_inertias(robot)
     bodies = dict.fromkeys(name.body for name in stated if name.kind in INERTIAL)
     summed = lumped((carried[body], rigid_body(robot.inertias, body)) for body in bodies)
-    rotors = (name for name in stated if name.kind not in INERTIAL and carried[name.body].body == name.body)
+    turning = {body for body, at in carried.items() if at.body == body}
+    rotors = (name for name in stated if name.kind not in INERTIAL and name.body in turning)
     return (*summed.items(), *((name, stated[name]) for name in rotors))
 
 
