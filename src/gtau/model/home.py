@@ -85,8 +85,8 @@ def load_robot(
     if isinstance(source, Robot):
         return source
     if not isinstance(source, RobotSource):
-        options = {"joints": tuple(joints), "held": dict(held or {}), "limits": dict(limits or {})}
-        options |= {"file": str(source), "base": base}
+        options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints)}
+        options |= {"held": dict(held or {}), "limits": dict(limits or {})}
         source = validate(RobotSource, Document("load_robot", options))
     robot = read_robot(source)
     with errors_at(source.file):

@@ -67,13 +67,13 @@ class LoopErrors:
     def gap(self, c: np.ndarray) -> str:
         """Find the loop with the largest closure error at ``c`` (n_c,), and that error."""
         robot, start, gaps, error = self.layout.robot, 0, [], self(c)[0]
-        welds = sum(closure.kind == "weld" for closure in robot.closures)
+        welds = sum(tie.kind == "weld" for tie in robot.closures)
         turned = iter(np.arccos(np.clip(1.0 - error[len(error) - welds :], -1.0, 1.0)))
         for number, closure in enumerate(robot.closures, start=1):
-            distance, angle = np.linalg.norm(error[start : start + 3]), 0.0
+            distance, angle = float(np.linalg.norm(error[start : start + 3])), 0.0
             start += 3
             if closure.kind == "weld":
-                angle = max(np.linalg.norm(error[start : start + 3]), next(turned))
+                angle = float(np.fmax(np.linalg.norm(error[start : start + 3]), next(turned)))
                 start += 3
             most, shift = max(distance, angle), 1e3 * distance * self.layout.length
             sizes = [f"{shift:.3g} mm"] * (distance > 1e-3 * most)
@@ -167,7 +167,7 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLO
 def _unwound(errors: LoopErrors, given: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """Remove full turns from a configuration, except for coupled joints, whose couplings would no longer hold."""
     robot, unwound = errors.layout.robot, solved.copy()
-    coupled = {name for coupling in robot.couplings for name in coupling.terms}
+    coupled = {name for tie in robot.couplings for name in tie.terms}
     turning = [k for k, joint in enumerate(robot.joints) if joint.turns and joint.name not in coupled]
     unwound[turning] = given[turning] + within_a_turn(solved[turning] - given[turning])
     return unwound

@@ -74,7 +74,7 @@ class Loops:
     def rows(self) -> int:
         """Number of closure equations."""
         robot = self.layout.robot
-        return sum(6 if closure.kind == "weld" else 3 for closure in robot.closures) + len(robot.couplings)
+        return sum(6 if tie.kind == "weld" else 3 for tie in robot.closures) + len(robot.couplings)
 
     def condition(self, c: np.ndarray) -> np.ndarray:
         """Compute the condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""

@@ -66,7 +66,7 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
 
 def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
     """Select the coordinates of yd that close the loops, redundant motors too; None if more than equations."""
-    welds = sum(closure.kind == "weld" for closure in errors.layout.robot.closures)
+    welds = sum(tie.kind == "weld" for tie in errors.layout.robot.closures)
     passive, G = errors.passive, errors(home)[1]
     G = G[: len(G) - welds]
     if len(G) < passive.size or not passive.size:

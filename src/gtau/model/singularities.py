@@ -127,7 +127,7 @@ def tool_jacobian(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
     layout, robot, length = idm.layout, idm.robot, idm.layout.length
     n, passive = len(layout.actuated), layout.passive
     (c, _, _, symbols), J = idm.symbols
-    ends = [end for closure in robot.closures if closure.kind == "connect" for end in (closure.a, closure.b)]
+    ends = [end for tie in robot.closures if tie.kind == "connect" for end in (tie.a, tie.b)]
     points = [] if robot.platforms else [end.placement.position for end in ends if end.body == robot.tool]
     speeds = ca.SX.sym("qd", n)
     twist = twists(layout, frames(layout, c), J @ speeds)[robot.tool]

@@ -75,7 +75,7 @@ def drawn_base(robot: Robot) -> tuple[str, ...]:
         before = following[0].name
     names = tuple(joint.name for joint in six)
     ends = {GROUND, *names[:-1]}.intersection(end.body for end in robot.ends)
-    coupled = {name for coupling in robot.couplings for name in coupling.terms}
+    coupled = {name for tie in robot.couplings for name in tie.terms}
     axes = ([joint.axis for joint in six if joint.kind == kind] for kind in ("prismatic", "revolute"))
     spanning = all(len(directions) == 3 and np.linalg.matrix_rank(directions) == 3 for directions in axes)
     return names if spanning and not ends and coupled.isdisjoint(names) else ()

@@ -32,7 +32,7 @@ def characteristic_length(robot: Robot) -> float:
 def places_on(robot: Robot, body: str) -> list[np.ndarray]:
     """List the origins (3,), m, of the frames of joints and closures on a body, in its frame."""
     joints = [joint.placement.position for joint in robot.joints if joint.antecedent == body]
-    ends = (end for closure in robot.closures for end in (closure.a, closure.b))
+    ends = (end for tie in robot.closures for end in (tie.a, tie.b))
     return joints + [end.placement.position for end in ends if end.body == body]
 
 
@@ -54,7 +54,7 @@ def moved_ends(
     robot: Robot, moved: Callable[[Attachment], Attachment]
 ) -> tuple[tuple[Closure, ...], tuple[Spring, ...]]:
     """Move both ends of all closures and springs."""
-    closures = tuple(replace(closure, a=moved(closure.a), b=moved(closure.b)) for closure in robot.closures)
+    closures = tuple(replace(tie, a=moved(tie.a), b=moved(tie.b)) for tie in robot.closures)
     return closures, tuple(replace(spring, a=moved(spring.a), b=moved(spring.b)) for spring in robot.springs)
 
 

@@ -77,7 +77,7 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
     return replace(
         robot,
         joints=tuple(_heavy(joint) if joint.name in heavy else joint for joint in joints),
-        closures=tuple(closure for closure in closures if closure.a.body != closure.b.body),
+        closures=tuple(tie for tie in closures if tie.a.body != tie.b.body),
         couplings=tuple(_couplings(robot, positions)),
         springs=tuple(spring for spring in springs if spring.a.body != spring.b.body),
         named_tool="" if tool == GROUND else tool,
@@ -196,7 +196,7 @@ def _on_ball(robot: Robot) -> Robot:
     for joint in robot.joints:
         placed[joint.name] = _after(joint, placed[joint.antecedent].at(joint.placement), joint.home)
     for rod in robot.platforms:
-        ties = [closure for closure in robot.closures if rod.name in (closure.a.body, closure.b.body)]
+        ties = [tie for tie in robot.closures if rod.name in (tie.a.body, tie.b.body)]
         carried = [tie for tie in ties if not placed.keys().isdisjoint((tie.a.body, tie.b.body))]
         sprung = any(rod.name in (spring.a.body, spring.b.body) for spring in robot.springs)
         if [tie.kind for tie in ties] != ["connect", "connect"] or not carried or sprung:
@@ -206,7 +206,7 @@ def _on_ball(robot: Robot) -> Robot:
         ball = turning(rod.name, point.body, pose_of(turned, point.placement.position), "xyz")
         at = {body: Attachment(body) for body in (GROUND, *robot.bodies)}
         at[rod.name] = Attachment(rod.name, pose_of(np.eye(3), -end.placement.position))
-        rest = replace(robot, closures=tuple(closure for closure in robot.closures if closure is not carried[0]))
+        rest = replace(robot, closures=tuple(tie for tie in robot.closures if tie is not carried[0]))
         return replace(
             robot,
             joints=robot.joints + tuple(replace(joint, actuated=False) for joint in ball),
@@ -238,7 +238,7 @@ def _lone(robot: Robot, body: str) -> Joint | None:
     if all(joint.name != body for joint in robot.joints):
         return None
     uses = [joint.antecedent for joint in robot.joints] + [end.body for end in robot.ends]
-    uses += [name for coupling in robot.couplings for name in coupling.terms]
+    uses += [name for tie in robot.couplings for name in tie.terms]
     return robot.joint(body) if uses.count(body) == 1 else None
 
 

@@ -262,7 +262,7 @@ class Robot:
     @property
     def driven(self) -> frozenset[str]:
         """Names of the joints that a motor moves itself, or that are coupled to one."""
-        coupled = {name for coupling in self.couplings for name in coupling.terms}
+        coupled = {name for tie in self.couplings for name in tie.terms}
         return frozenset(coupled.union(self.actuated))
 
     def joint(self, name: str) -> Joint:

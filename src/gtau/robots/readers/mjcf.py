@@ -100,7 +100,7 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
     _check_motors(joints, driven - rows, bool(closures and not has_motors))
-    tied = {end.body for closure in closures for end in (closure.a, closure.b)}
+    tied = {end.body for tie in closures for end in (tie.a, tie.b)}
     loose = [platform.name for platform in bodies.platforms if platform.name not in tied]
     springs, notes = site_springs(file, bodies.carried)
     notes += [*file.notes, *left_out, *bodies.notes]
@@ -197,8 +197,8 @@ def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: Abstra
 def _groups(robot: Robot, chains: Mapping[str, set[str]]) -> list[set[str]]:
     """Group the joints (and platforms) that loops and couplings tie to each other."""
     chains = {**chains, **{platform.name: {platform.name} for platform in robot.platforms}}
-    ties = [set(coupling.terms) for coupling in robot.couplings]
-    ties += [chains[closure.a.body] ^ chains[closure.b.body] for closure in robot.closures]
+    ties = [set(tie.terms) for tie in robot.couplings]
+    ties += [chains[tie.a.body] ^ chains[tie.b.body] for tie in robot.closures]
     groups: list[set[str]] = []
     for tie in ties:
         apart = [group for group in groups if group.isdisjoint(tie)]
@@ -293,7 +293,7 @@ def _joints(
 
 
 def _equalities(model: mujoco.MjModel, carried: Mapping[int, Attachment]) -> tuple[list[Closure], list[Coupling]]:
-    """Read closures and couplings, those of one joint alone hold it; ``carried`` places the frames of the bodies."""
+    """Read closures and couplings, a coupling of one joint where it is held; ``carried`` places the bodies' frames."""
     closures, couplings, tie = [], [], mujoco.mjtEq
     for number in range(model.neq):
         kind, data = tie(int(model.eq_type[number])), model.eq_data[number]

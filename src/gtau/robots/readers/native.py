@@ -76,7 +76,7 @@ def _with_exact_angles(robot: Robot) -> Robot:
         return Attachment(at.body, exact(at.body, at.placement))
 
     joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
-    closures = tuple(replace(closure, a=end(closure.a), b=end(closure.b)) for closure in robot.closures)
+    closures = tuple(replace(tie, a=end(tie.a), b=end(tie.b)) for tie in robot.closures)
     notes = short_angles_note(changes)
     return replace(robot, joints=joints, closures=closures).noted(*notes) if notes else robot
 

@@ -90,7 +90,7 @@ def _with_motors(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[Sequence[
     carriers: dict[str, set[str]] = {GROUND: set()}
     for joint in tree.joints:
         carriers[joint.name] = carriers[joint.antecedent] | {joint.name}
-    branches = [carriers[closure.a.body] ^ carriers[closure.b.body] for closure in closures]
+    branches = [carriers[tie.a.body] ^ carriers[tie.b.body] for tie in closures]
     looped, before = set[str]().union(*branches), {joint.name: joint.antecedent for joint in tree.joints}
     motors, why = driven_joints(tree.root) & looped, "as their transmissions say"
     if not motors:

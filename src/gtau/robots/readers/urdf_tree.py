@@ -95,10 +95,10 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         joints, frames = _moving(ordered, types)
         couplings = [coupling for edge in ordered if (coupling := _mimic(edge))]
         moving = {joint.name for joint in joints}
-        in_gazebo = _mimics_of_gazebo(root, moving - {coupling.joint for coupling in couplings})
+        in_gazebo = _mimics_of_gazebo(root, moving - {tie.joint for tie in couplings})
         couplings += in_gazebo
         _check_couplings(couplings, moving)
-        slaves = {coupling.joint for coupling in couplings}
+        slaves = {tie.joint for tie in couplings}
         joints = [replace(joint, actuated=joint.name not in slaves) for joint in joints]
         notes = list(_limit_notes(ordered))
         notes += _transmission_notes(root, [joint.name for joint in joints if joint.actuated])
@@ -245,7 +245,7 @@ def _coupling(joint: str, master: str, multiplier: str, offset: str, what: str) 
 
 def _check_couplings(couplings: Sequence[Coupling], moving: Collection[str]) -> None:
     """Refuse couplings to joints that do not move, and circles."""
-    master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
+    master = {tie.joint: tie.ratios[0][0] for tie in couplings}
     for joint, leader in master.items():
         if leader not in moving:
             raise GtauError(
