@@ -170,7 +170,7 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
         method = "2sls"
     else:
         from gtau.model.home import load_robot
-        from gtau.robots.readers.native_text import native_text
+        from gtau.robots.readers.native import native_text
 
         (tmp_path / "five-bar").write_text(native_text(load_robot("five-bar")).replace("0.35", "0.36"))
         (tmp_path / "five-bar").rename(tmp_path / "other.yaml")

@@ -21,7 +21,7 @@ from gtau.estimation.results.model_file import model_text
 from gtau.fleet.workers import Mapper
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
-from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.native import native_text
 from gtau.signals.reading.experiment import Experiment, read_experiment
 
 

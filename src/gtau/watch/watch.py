@@ -15,7 +15,7 @@ from gtau.documents.validation import TEXT, read_group, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import accepted, judge, view_of
