@@ -1,7 +1,7 @@
 """Columns of a log on bodies: wrenches, the motion of a floating base, and a pose that tests the geometry.
 
-The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.floating`), row by row,
-so that later stages treat them like any other joint; wrenches on the base are wrenches on a body.
+The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.floating`); wrenches on
+the base are wrenches on a body.
 """
 
 from __future__ import annotations
@@ -24,11 +24,7 @@ Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class Wrench(Keys):
-    """Columns of an external force (N) and moment (N m).
-
-    The moment is that about the point ``at`` (m), in the axes of the wrench: the origin of a force plate, or of a
-    sensor on the body. Without columns of the moment it is zero there.
-    """
+    """Columns of an external force (N) and moment (N m; zero without columns) about the point ``at`` (m)."""
 
     force: Vector
     moment: Vector | None = None
@@ -64,10 +60,7 @@ class BodyWrench(Wrench):
 
 
 def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 0.0) -> np.ndarray:
-    """Convert logged columns (M, .) to moments and forces (M, 6 k) about the origins of the wrenches' axes.
-
-    The world is turned by ``yaw`` (rad) about the vertical.
-    """
+    """Convert logged columns (M, .) to moments and forces (M, 6 k) about the origins of the axes, the world turned."""
     turned, parts, start = turn(VERTICAL, yaw), [], 0
     for wrench in wrenches:
         f, m = values[:, start : start + 3], np.cross(wrench.at, values[:, start : start + 3])
@@ -92,8 +85,7 @@ UNIT = 0.01  # tolerance of a quaternion's norm: logs round to 2 digits and more
 class BaseColumns(Keys):
     """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
 
-    ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; an omitted one is constant.
-    ``yaw`` (rad) turns the world about the vertical.
+    ``position`` are x, y and z, ``quaternion`` w, x, y and z; an omitted one is constant. ``yaw`` (rad) turns the world.
     """
 
     body: str = "base"
@@ -141,11 +133,7 @@ class BaseColumns(Keys):
         return (*places, *(turned,) * 3)
 
     def positions(self, pose: np.ndarray) -> np.ndarray:
-        """Convert a pose (M, p) to positions (M, 6) of the six joints.
-
-        Raises GtauError where a quaternion's length is not 1, or the pitch is close to 90 degrees, where the angles of
-        the base are singular.
-        """
+        """Convert a pose (M, p) to positions (M, 6) of the six joints; refuse quaternions that give none."""
         p = pose[:, :3] if self.position else np.zeros((len(pose), 3))
         angles = np.zeros((len(pose), 3)) if self.quaternion is None else self._angles(pose[:, -4:])
         return np.hstack([p @ turn(VERTICAL, self.yaw).T, angles])
@@ -177,10 +165,9 @@ class BaseColumns(Keys):
 
 
 class Angles(Keys):
-    """Columns of Euler angles, one for each axis of a ``sequence``.
+    """Columns of Euler angles, one for each axis of a ``sequence``, intrinsic (``YZ``) or extrinsic (``xyz``, fixed axes).
 
-    Capitals denote intrinsic (body-fixed) axes (``YZ`` is Ry(first) Rz(second)), small letters extrinsic (fixed) ones
-    (``xyz`` is roll, pitch and yaw). With fewer than three columns the remaining angles are not logged.
+    With fewer than three columns the remaining angles are not logged.
     """
 
     sequence: str = Field(pattern="^([XYZ]{1,3}|[xyz]{1,3})$")
@@ -211,9 +198,8 @@ class Angles(Keys):
 class PoseColumns(Keys):
     """The logged components of the pose of a ``body`` (the tool, if left out).
 
-    ``source`` gives its origin: of the body in the base (``controller``), of a tool with unknown mounting
-    on the body, in the base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), both with
-    unknown placement.
+    ``source``: the pose of the body in the base (``controller``), of a tool with unknown mounting on the body, in the base
+    (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), both with unknown placement.
     """
 
     source: Literal["controller", "tool", "tracker"]

@@ -39,10 +39,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 
 
 def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill in the columns of a preset for the ``joints`` named; columns given by hand come first.
-
-    Raises ValueError, whose text gives the remedy, where there is no such preset, or its joints are missing.
-    """
+    """Fill in the columns of a preset for the ``joints`` named; columns given by hand come first. Raises ValueError."""
     given = {key: value for key, value in signals.items() if key != "joints"}
     preset = PRESETS.get(str(signals["preset"]))
     if preset is None:

@@ -14,10 +14,10 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
 from gtau.findings.words import counted, moment
-from gtau.signals.reading.notes import reading, repair
+from gtau.signals.reading.formats import reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
-from gtau.signals.storage import Store, block, blocks, spans, store
+from gtau.signals.storage import Store, block, blocks, spans, steps, store
 
 # After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.
 # At constant acceleration the factor is 6 after rest and 4 around a reversal.
@@ -46,9 +46,8 @@ Clips = Sequence[tuple[int, float]]
 class Held:
     """Sample-and-hold of a group of columns: of the positions, or of channels that a log updates together.
 
-    ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
-    ``quanta`` (n,) are the columns' smallest changes. ``stale`` counts the samples that repeat the one before, 0 where
-    noise and reversals explain all repeated values, so that all samples are new.
+    ``period`` is the usual number of samples from one value to the next; ``quanta`` (n,) are the columns' smallest
+    changes. ``stale`` counts the samples that repeat the one before, 0 where noise and reversals explain them all.
     """
 
     period: int
@@ -106,16 +105,15 @@ def _groups(samples: Samples) -> Iterator[tuple[str, slice]]:
 
 def _held(array: np.ndarray, columns: slice) -> Held:
     """Detect sample-and-hold of a group's columns (N, n), and count its stale samples."""
-    n = len(range(array.shape[1])[columns])
-    smallest = np.full(n, np.inf)
-    for part in blocks(array, before=1):
-        change = np.abs(np.diff(part[:, columns], axis=0))
-        smallest = np.minimum(smallest, np.min(change, axis=0, where=change > 0, initial=np.inf))
+    array = array[:, columns]
+    n = array.shape[1]
+    changes = (np.abs(step) for step in steps(array))
+    smallest = np.min([np.min(sizes, axis=0, where=sizes > 0, initial=np.inf) for sizes in changes], axis=0)
     quanta = np.where(np.isfinite(smallest), smallest, 1.0)
     lengths = np.zeros(LONGEST + 2, dtype=int)  # how many runs of equal samples before a jump there are of each length
     run, near = 1, 0
-    for part in blocks(array, before=1):
-        change = np.max(np.abs(np.diff(part[:, columns], axis=0)) / quanta, axis=1, initial=0.0)
+    for step in steps(array):
+        change = np.max(np.abs(step) / quanta, axis=1, initial=0.0)
         near += int(((change[:-1] > 0) & (change[:-1] < 1.5) & (change[1:] >= JUMP)).sum())
         ends = np.flatnonzero(change)
         if not ends.size:
@@ -125,7 +123,7 @@ def _held(array: np.ndarray, columns: slice) -> Held:
         lengths += np.bincount(np.minimum(runs, LONGEST + 1), minlength=len(lengths))
         run = len(change) - int(ends[-1])
     held = Held(_period(lengths[:-1]), quanta, stale=len(array))
-    stale = sum(int((~held.fresh(part[:, columns])).sum()) for part in blocks(array, before=1))
+    stale = sum(int((~held.fresh(part)).sum()) for part in blocks(array, before=1))
     # Noise of some quanta repeats a sample as often as it steps by one quantum in each of the other 3^n - 1 directions.
     chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
     return replace(held, stale=stale) if stale > chance else replace(held, period=1, stale=0)
@@ -146,10 +144,7 @@ def uniform(
 ) -> tuple[Samples, np.ndarray]:
     """Put samples taken at their ``instants`` onto the uniform grid of a clock that was ``given`` or found.
 
-    Also mark the commands (N, c) that were neither interpolated nor clipped.
-
-    The channels say by how much they lag, which is compensated. Raises GtauError where a gap is longer than 0.1 s and
-    three steps, or too many samples are missing.
+    Also mark the commands (N, c) that were neither interpolated nor clipped. The channels' delays are compensated.
     """
     count, c = len(instants) + clock.missing, len(samples.channels)
     shortest, longest, before = clock.extreme_steps(samples.time)
@@ -205,8 +200,10 @@ def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> 
     """List the notes on a clock that differs from the time column."""
     if not clock.regular:
         reason = "the time stamps are used, because a regular clock makes the positions no smoother"
-        steps = f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
-        text = f"resampled from {steps}: {'as preparation.clock says' if given else reason}"
+        irregular = (
+            f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
+        )
+        text = f"resampled from {irregular}: {'as preparation.clock says' if given else reason}"
         return [reading("irregular steps", text=text)]
     if not clock.late:
         return []
@@ -222,10 +219,7 @@ def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> 
 def _resampled(
     samples: Samples, clock: Clock, instants: np.ndarray, holds: Holds, clips: Clips, span: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Resample positions and commands (M, n) at the clock's samples; mark valid, missing and masked ones.
-
-    They are interpolated between fresh samples at ``instants``, of which there must be some before and after.
-    """
+    """Resample positions and commands (M, n) at the clock's samples of a span; mark valid, missing and masked ones."""
     from scipy.interpolate import CubicSpline
 
     grid = clock.time(*span)

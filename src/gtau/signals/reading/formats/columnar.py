@@ -30,10 +30,7 @@ DEPTH = 3  # folders between a file of frames and the data set
 
 
 def open_parquet(path: Path) -> LogTable:
-    """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
-
-    The folder may be a LeRobot data set.
-    """
+    """Find the columns of a Parquet file, of a folder of them (``part_2`` before ``part_10``), or of a data set."""
     import polars as pl
 
     parts = [path]
@@ -161,11 +158,7 @@ def _flat(names: Any) -> list[str]:
 
 @contextmanager
 def as_log(table: Any) -> Iterator[Path]:
-    """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log.
-
-    It is a frame of Polars or pandas, a mapping, or an array (N, columns), whose columns are numbered from 1 if
-    unnamed.
-    """
+    """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log."""
     with TemporaryDirectory(prefix="gtau-") as folder:
         path = Path(folder) / "table.parquet"
         _frame(table).write_parquet(path)

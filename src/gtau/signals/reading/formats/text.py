@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.signals.reading.formats import LogTable, numbers
-from gtau.signals.reading.notes import reading
-from gtau.signals.reading.written_units import unit_row
+from gtau.signals.reading.formats import LogTable, numbers, reading
+from gtau.signals.reading.units import unit_row
 from gtau.signals.storage import BYTES, block_size
 
 if TYPE_CHECKING:
@@ -35,11 +34,7 @@ BOM = b"\xef\xbb\xbf"
 
 
 def open_text(path: Path) -> LogTable:
-    """Find the columns of a text log.
-
-    Decimal commas are allowed except between comma separated columns. Text before the table is skipped and noted.
-    Without a header the columns are named by their number from 1.
-    """
+    """Find the columns of a text log, named by their number from 1 without a header; text before it is noted."""
     lines, first_byte = _first_lines(path)
     texts = [_decoded(line).lstrip("# ").rstrip("\r\n") for line in lines]
     fields = [_fields(text) for text in texts]
