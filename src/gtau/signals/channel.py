@@ -16,9 +16,9 @@ class ChannelKind:
 
     Messages call it ``name``, and all columns that a log updates together ``group``. ``calibration`` is its key under
     ``calibration`` of the signals, empty where the gain is unknown; on the ``link_side`` also that of its columns and
-    units. ``modelled``: a row of the model explains it. ``measures_joint``: such a signal never rests, and is clipped at a
-    limit. ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor and
-    gear, offset of the current), and has an offset and bearing friction of its own.
+    units. ``modelled``: a row of the model explains it. ``measures_joint``: such a signal never rests, and is clipped
+    at a limit. ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of
+    motor and gear, offset of the current), and has an offset and bearing friction of its own.
     """
 
     name: str
@@ -93,9 +93,10 @@ class SideValues:
 class Channel:
     """A motor, the torque sensor of a joint, a row of a floating base, or a component of a measured wrench.
 
-    ``name`` is the suffix of its own parameters (``off_2_sensor``), ``joint`` the joint or body, ``row`` the number of the
-    joint, or of the component. The ``unit`` is ``A``, or ``N m`` for the unit of the joint's torque; ``delay`` (s) is by
-    what it lagged behind the positions; ``std`` is the relative standard deviation of its scale, 0 where none is stated.
+    ``name`` is the suffix of its own parameters (``off_2_sensor``), ``joint`` the joint or body, ``row`` the number of
+    the joint, or of the component. The ``unit`` is ``A``, or ``N m`` for the unit of the joint's torque; ``delay`` (s)
+    is by what it lagged behind the positions; ``std`` is the relative standard deviation of its scale, 0 where none is
+    stated.
     """
 
     name: str

@@ -85,7 +85,8 @@ UNIT = 0.01  # tolerance of a quaternion's norm: logs round to 2 digits and more
 class BaseColumns(Keys):
     """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
 
-    ``position`` are x, y and z, ``quaternion`` w, x, y and z; an omitted one is constant. ``yaw`` (rad) turns the world.
+    ``position`` are x, y and z, ``quaternion`` w, x, y and z; an omitted one is constant. ``yaw`` (rad) turns the
+    world.
     """
 
     body: str = "base"
@@ -165,7 +166,7 @@ class BaseColumns(Keys):
 
 
 class Angles(Keys):
-    """Columns of Euler angles, one for each axis of a ``sequence``, intrinsic (``YZ``) or extrinsic (``xyz``, fixed axes).
+    """Columns of Euler angles, one for each axis of a ``sequence``, intrinsic (``YZ``) or extrinsic (``xyz``).
 
     With fewer than three columns the remaining angles are not logged.
     """
@@ -198,8 +199,8 @@ class Angles(Keys):
 class PoseColumns(Keys):
     """The logged components of the pose of a ``body`` (the tool, if left out).
 
-    ``source``: the pose of the body in the base (``controller``), of a tool with unknown mounting on the body, in the base
-    (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), both with unknown placement.
+    ``source``: the pose of the body in the base (``controller``), of a tool with unknown mounting on the body, in the
+    base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), both with unknown placement.
     """
 
     source: Literal["controller", "tool", "tracker"]

@@ -72,8 +72,8 @@ ODD = re.compile(
 class ColumnName:
     """A parsed column ``name``: its remainder without the joint, the joint's label, the kind and the unit.
 
-    ``kind`` is one of ``WORDS``, ``command`` (a current, torque or velocity), ``sensor`` (of torque), or None; ``motor`` is
-    a motor torque, or a column merely named after a motor; a ``reference`` is a setpoint.
+    ``kind`` is one of ``WORDS``, ``command`` (a current, torque or velocity), ``sensor`` (of torque), or None;
+    ``motor`` is a motor torque, or a column merely named after a motor; a ``reference`` is a setpoint.
     """
 
     name: str

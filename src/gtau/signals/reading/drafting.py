@@ -40,8 +40,8 @@ def draft_logs(
     """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
 
     ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
-    Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log; a ``preset`` gives the kind of commands and
-    whether torques include gravity.
+    Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log; a ``preset`` gives the kind of commands
+    and whether torques include gravity.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)

@@ -131,7 +131,8 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 class LogContents:
     """A log with its columns by kind, and the values of the first rows (N,) by column; ``rate`` (Hz) if described.
 
-    ``elsewhere`` are positions of other joints in other topics; ``velocity`` says which columns without names are velocities.
+    ``elsewhere`` are positions of other joints in other topics; ``velocity`` says which columns without names are
+    velocities.
     """
 
     table: LogTable

@@ -36,10 +36,7 @@ MOVING = 50.0  # steps of an encoder; a joint that covers less rests, and its co
 
 
 class Spell(NamedTuple):
-    """Samples of a channel with one ``value``, from ``begin`` to before ``end``.
-
-    Meanwhile its joint moves by ``moved``; ``jump`` is the larger change of the command at both ends.
-    """
+    """Samples of a channel with one ``value``: its joint moves by ``moved``, and it jumps by ``jump`` at an end."""
 
     channel: int
     begin: int

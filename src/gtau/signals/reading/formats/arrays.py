@@ -156,8 +156,8 @@ def _table(
 ) -> LogTable:
     """Make a table of named arrays, whose longer axis counts the samples; ``load`` opens some of them.
 
-    A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than ``WIDEST``, of
-    more axes or a single number is left out.
+    A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
+    ``WIDEST``, of more axes or a single number is left out.
     """
     places: dict[str, tuple[str, tuple[Any, ...]]] = {}  # array, and the index of a column in it
     rows: dict[str, int] = {}
