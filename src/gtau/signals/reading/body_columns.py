@@ -97,7 +97,7 @@ class BaseColumns(Keys):
 
     @model_validator(mode="after")
     def _each_column_once(self) -> BaseColumns:
-        columns = (*self.pose, *self.forces)
+        columns = (*self.pose, *(column for wrench in self.wrenches for column in wrench.columns))
         refuse_repeated(columns)
         if not columns:
             raise ValueError("it names no columns; give 'position' and 'quaternion', 'wrenches', or both")
@@ -116,15 +116,8 @@ class BaseColumns(Keys):
     @property
     def acting(self) -> tuple[BodyWrench, ...]:
         """Wrenches on the base, in the form used for any body."""
-        return tuple(
-            BodyWrench(**{**dict(wrench), "body": self.body, "axes": wrench.axes.replace("base", "body")})
-            for wrench in self.wrenches
-        )
-
-    @property
-    def forces(self) -> tuple[str, ...]:
-        """Columns of the wrenches, (w,)."""
-        return tuple(column for wrench in self.wrenches for column in wrench.columns)
+        named = ({"body": self.body, "axes": wrench.axes.replace("base", "body")} for wrench in self.wrenches)
+        return tuple(BodyWrench(**dict(wrench) | names) for wrench, names in zip(self.wrenches, named, strict=True))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -190,10 +183,8 @@ class Angles(Keys):
         """Three intrinsic axes, and the columns of the first angles."""
         fixed = self.sequence.islower()
         sequence = self.sequence[::-1].upper() if fixed else self.sequence
-        for axis in "ZYX":
-            if len(sequence) < 3 and axis not in sequence:
-                sequence += axis
-        return sequence, self.columns[::-1] if fixed else self.columns
+        sequence += "".join(axis for axis in "ZYX" if axis not in sequence)
+        return sequence[:3], self.columns[::-1] if fixed else self.columns
 
 
 class PoseColumns(Keys):
@@ -234,6 +225,6 @@ class PoseColumns(Keys):
     @property
     def columns(self) -> tuple[str, ...]:
         """All columns: of the position, then of turning angles, of w, x, y and z, or of the vector."""
-        angles = () if self.angles is None else self.angles.turning[1]
-        turned = () if self.quaternion is None else tuple(self.quaternion[axis] for axis in ("w", "x", "y", "z"))
-        return (*self.position.values(), *angles, *turned, *(self.rotation_vector or ()))
+        angles = self.angles.turning[1] if self.angles else ()
+        quaternion = [self.quaternion[axis] for axis in ("w", "x", "y", "z")] if self.quaternion else ()
+        return (*self.position.values(), *angles, *quaternion, *(self.rotation_vector or ()))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 
@@ -63,9 +63,8 @@ JOINT_WORDS = frozenset(
 SIGNAL_WORDS = NO_UNIT | COMMAND | JOINT_WORDS
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
 AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
-ODD = re.compile(
-    r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$"
-)  # brackets that may hold an unknown unit
+# brackets that may hold an unknown unit
+ODD = re.compile(r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$")
 
 
 @dataclass(frozen=True)
@@ -84,9 +83,9 @@ class ColumnName:
     unit: str | None
 
 
-def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = None) -> ColumnName:
-    """Parse the name of a column with the names of ``joints`` in it, and the ``unit`` that the log gives elsewhere."""
-    label, bare, words = "", name, list[str]()
+def split_name(name: str, joints: Sequence[str], unit: str | None) -> tuple[str, str, WrittenUnit | None]:
+    """Split a name into the joint in it, the rest (with ``#`` for the joint), and the unit, which may be known."""
+    label, bare = "", name
     for joint in sorted(joints, key=len, reverse=True):
         before = r"(?<!\d)" if joint.isdigit() else r"(?<![A-Za-z0-9])[A-Za-z]{0,3}?"  # q11; qleft as well as q_left
         match = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", name, re.IGNORECASE)
@@ -95,20 +94,28 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
             break
     bare, written = split_unit(bare)
     if unit:
-        written = read_unit(unit) or WrittenUnit(None, unit)
-    elif written is None and (odd := ODD.search(bare)) and NO_UNIT.isdisjoint(_words(odd[1])):
-        bare, written = bare[: odd.start()], WrittenUnit(None, odd[1])
-    stem = bare
-    if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
+        return label, bare, read_unit(unit) or WrittenUnit(None, unit)
+    if written is None and (odd := ODD.search(bare)) and NO_UNIT.isdisjoint(_words(odd[1])):
+        return label, bare[: odd.start()], WrittenUnit(None, odd[1])
+    return label, bare, written
+
+
+def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = None) -> ColumnName:
+    """Parse the name of a column with the names of ``joints`` in it, and the ``unit`` that the log gives elsewhere."""
+    label, bare, written = split_name(name, joints, unit)
+    stem, words = bare, list[str]()
+    if label:
+        pass
+    elif bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag
-    elif not label and (match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
+    elif match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare):  # LeRobot's positions
         label, stem, words = match[2], f"{match[1]}#]", ["position"]
-    elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
+    elif re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
         *topic, label, field = bare.split("/")
         stem, words = "/".join([*topic, "#", field]), _words(field)
-    elif not label and (match := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
+    elif match := re.search(r"^(.*?)(\d+)(\D*)$", bare):
         label, stem = match[2], f"{match[1]}#{match[3]}"
-    elif not label:
+    else:
         label, stem = _named(bare)
     words = words or _words(stem)
     kind = next((kind for kind in PRECEDENCE if not WORDS[kind].isdisjoint(words)), None)
@@ -151,7 +158,7 @@ class Group:
 
     kind: str | None
     stem: str
-    columns: Mapping[str, str]
+    columns: dict[str, str]
     reference: bool = False
     unit: str | None = None
 
@@ -173,18 +180,16 @@ def grouped(names: Sequence[ColumnName]) -> list[Group]:
     stems = Counter(name.stem.casefold() for name in names)
     renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := by_words(name))}
     stems += Counter(name.stem.casefold() for name in renamed.values())
-    groups: dict[str, dict[str, ColumnName]] = {}
+    groups: dict[str, Group] = {}
     for parsed in names:
         name = renamed.get(parsed, parsed)
         name = name if stems[name.stem.casefold()] > 1 else parsed
         stem = name.stem.casefold()
-        stem += f" [{name.unit}]" if name.label in groups.get(stem, ()) else ""
-        groups.setdefault(stem, {})[name.label] = name
-    firsts = [(next(iter(group.values())), group) for group in groups.values()]
-    return [
-        Group(first.kind, first.stem, {label: name.name for label, name in group.items()}, first.reference, first.unit)
-        for first, group in firsts
-    ]
+        if stem in groups and name.label in groups[stem].columns:
+            stem += f" [{name.unit}]"
+        group = groups.setdefault(stem, Group(name.kind, name.stem, {}, name.reference, name.unit))
+        group.columns[name.label] = name.name
+    return list(groups.values())
 
 
 def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
@@ -208,7 +213,7 @@ def _by_unit(kind: str | None, measures: str | None) -> str | None:
     """Correct the kind of a column, as its name says, by what its unit measures."""
     kept = {"position": "position velocity", "current": "current torque motor", "torque": "torque sensor motor"}
     taken = {"position": "motor command", "current": "command", "torque": "command current position"}
-    if measures in (None, "share"):
+    if measures is None or measures == "share":
         return kind
     if kind in (None, measures) or measures not in {"time", *kept} or kind in taken.get(measures, "").split():
         return measures
@@ -278,9 +283,8 @@ def matched(
     names = dict[str, str]()
     labels = {name: label for label, name in positions.columns.items()}
     if robot:
-        (positions, names), (commands, more) = (
-            renamed_labels(group, robot.actuated) for group in (positions, commands)
-        )
+        positions, names = renamed_labels(positions, robot.actuated)
+        commands, more = renamed_labels(commands, robot.actuated)
         names |= more
     pairs, how, by_order = _pairs(positions, commands, robot)
     how += "".join(f", {label} taken for {joint}" for label, joint in names.items())
@@ -292,18 +296,17 @@ def matched(
 def _pairs(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
     """Pair columns of positions and commands by joint; say how they were matched, and whether by their order alone."""
     common = [label for label in positions.columns if label in commands.columns]
-    pairs = {label: (positions.columns[label], commands.columns[label]) for label in common}
-    by_order = False
-    if not common and len(positions.columns) == len(commands.columns):
-        columns = zip(_ordered(positions.columns), _ordered(commands.columns), strict=True)
-        pairs = {q: (positions.columns[q], commands.columns[v]) for q, v in columns}
-        by_order = True
+    labels = [(label, label) for label in common]
+    by_order = not common and len(positions.columns) == len(commands.columns)
+    if by_order:
+        labels = list(zip(_ordered(positions.columns), _ordered(commands.columns), strict=True))
+    pairs = {q: (positions.columns[q], commands.columns[v]) for q, v in labels}
     if robot is None:
         named = {f"j{label or 1}" if label.isdigit() or not label else label: pair for label, pair in pairs.items()}
         return named, "joint names from the log", by_order
     joints = robot.actuated
-    known, unknown = [joint for joint in joints if joint in pairs], [name for name in pairs if name not in joints]
-    some = known and not robot.closures and not any(name.isdigit() for name in unknown)
+    known = [joint for joint in joints if joint in pairs]
+    some = known and not robot.closures and not any(name.isdigit() for name in pairs if name not in joints)
     if some or len(known) == len(joints):
         how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
         return {joint: pairs[joint] for joint in known}, how, by_order
@@ -323,9 +326,7 @@ def _pairs(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict
         by_number = tuple(sorted(joints, key=numbers.__getitem__))
         how = how if by_number == joints else "matched by the numbers in the joints' names"
         joints = by_number
-    ordered = _ordered(pairs)
-    assigned = {joint: pairs[label] for joint, label in zip(joints, ordered, strict=False)}
-    return assigned, how, True
+    return {joint: pairs[label] for joint, label in zip(joints, _ordered(pairs), strict=False)}, how, True
 
 
 def renamed_labels(group: Group, joints: Sequence[str]) -> tuple[Group, dict[str, str]]:

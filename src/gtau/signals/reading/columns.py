@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, FiniteFloat, Tag, create_model, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive, text_or_group
-from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
+from gtau.signals.channel import SENSOR, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns, refuse_repeated
 
 # Hz; of drives that are logged. Logs polled at 10 Hz reach 9; logs of 5 kHz in ms look like 5 Hz in s.
@@ -60,7 +60,9 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
 def _kind_of_time(value: Any) -> str:
     if isinstance(value, TwoClocks) or (isinstance(value, dict) and value.keys() & {"position", "command"}):
         return "clocks"
-    return "text" if isinstance(value, str) else "pair" if isinstance(value, (list, tuple)) else "group"
+    if isinstance(value, (list, tuple)):
+        return "pair"
+    return text_or_group(value)
 
 
 class SampleRate(Keys):
@@ -69,9 +71,9 @@ class SampleRate(Keys):
     rate: Positive
 
 
-TwoColumns = tuple[str, str]
-"""Columns of the seconds and of the nanoseconds."""
-TimeColumns = Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
+Column = Annotated[str, Tag("text")]
+TwoColumns = Annotated[tuple[str, str], Tag("pair")]  # of the seconds and of the nanoseconds
+TimeColumns = Annotated[Column | TwoColumns, Discriminator(_kind_of_time)]
 
 
 class TwoClocks(Keys):
@@ -81,9 +83,8 @@ class TwoClocks(Keys):
     command: TimeColumns
 
 
-def optional_keys(sensor: Any, side: Mapping[str, Any] | None = None) -> type[Keys]:
-    """Make a group with keys for sensors on the link side, of one type, and for side signals; None where left out."""
-    entries = {kind.calibration: sensor for kind in LINK_SIDE} | dict(side or {})
+def optional_keys(entries: Mapping[str, Any]) -> type[Keys]:
+    """Make a group whose keys are None where left out."""
     fields: Any = {key: (entry | None, None) for key, entry in entries.items()}
     return create_model("OptionalKeys", __base__=Keys, **fields)
 
@@ -91,23 +92,18 @@ def optional_keys(sensor: Any, side: Mapping[str, Any] | None = None) -> type[Ke
 Share = Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
 
 
-class Calibration(optional_keys(Share), Keys):  # type: ignore[misc]
-    """Relative standard deviations of readings: of each sensor on the link side, and of all wrenches together."""
+class Calibration(Keys):
+    """Relative standard deviations of readings: of each torque sensor, and of all wrenches together."""
 
+    joint_torque: Share | None = None
     wrenches: Share | None = None
 
 
-EXACT = Calibration()
-"""Sensors that read without an error of scale."""
+OneOrByJoint = Annotated[Column | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)]
+Side = optional_keys({signal.key: OneOrByJoint for signal in SIDE_SIGNALS})
 
 
-OneOrByJoint = Annotated[
-    Annotated[str, Tag("text")] | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)
-]
-SIDE = {signal.key: OneOrByJoint for signal in SIDE_SIGNALS}
-
-
-class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
+class Signals(Side):  # type: ignore[misc, valid-type]
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
@@ -118,20 +114,18 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
     """
 
     time: Annotated[
-        Annotated[str, Tag("text")]
-        | Annotated[TwoColumns, Tag("pair")]
-        | Annotated[TwoClocks, Tag("clocks")]
-        | Annotated[SampleRate, Tag("group")],
+        Column | TwoColumns | Annotated[TwoClocks, Tag("clocks")] | Annotated[SampleRate, Tag("group")],
         Discriminator(_kind_of_time),
     ]
     position: dict[str, str] = Field(min_length=1)
     current: dict[str, str] | None = None
     torque: dict[str, str] | None = None
     motor_torque: dict[str, str] | None = None
+    joint_torque: dict[str, str] | None = None
     gear_ratio: dict[str, FiniteFloat] | None = None
     base: BaseColumns | None = None
     wrenches: tuple[BodyWrench, ...] = ()
-    calibration: Calibration = EXACT
+    calibration: Calibration = Calibration()
     preset: str | None = None
     pose: PoseColumns | None = None
 
@@ -165,7 +159,7 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
         """Columns of the commands, then of the sensors on the link side, then of all wrenches."""
         return (
             *(self.command[joint] for joint in self.position),
-            *(column for kind in LINK_SIDE for column in self.sensors(kind).values()),
+            *self.sensors(SENSOR).values(),
             *(column for wrench in self.all_wrenches for column in wrench.columns),
         )
 
@@ -180,7 +174,7 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
         channels = channels_of(
             self.joints,
             self.base.joints if self.base else (),
-            {kind: tuple(self.sensors(kind)) for kind in LINK_SIDE},
+            {SENSOR: tuple(self.sensors(SENSOR))},
             [wrench.frame for wrench in self.all_wrenches],
             unit="A" if self.kind == "current" else "N m",
         )
@@ -208,7 +202,7 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
     def _preset(cls, data: Any) -> Any:
         return expanded(data) if isinstance(data, dict) and data.get("preset") else data
 
-    @field_validator("position", "current", "torque", "motor_torque", *(kind.calibration for kind in LINK_SIDE))
+    @field_validator("position", "current", "torque", "motor_torque", "joint_torque")
     @classmethod
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
@@ -260,17 +254,16 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
         for key, accuracy in self.calibration:
             if accuracy is not None and key not in measured:
                 raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
-        sensors = [(kind.calibration, getattr(self, kind.calibration) or {}) for kind in LINK_SIDE]
-        for key, joint, column in ((key, *entry) for key, columns in sensors for entry in columns.items()):
+        for joint, column in (self.joint_torque or {}).items():
             if joint not in self.position:
                 raise ValueError(
-                    f"'{key}' names the joint '{joint}', which has no position; correct the name, or remove the "
+                    f"'joint_torque' names the joint '{joint}', which has no position; correct the name, or remove the "
                     "sensor of a joint without motor"
                 )
             if column in self.command.values():
                 raise ValueError(
-                    f"the column '{column}' is given both as a {self.kind} and as a {key}; '{key}' is for sensors "
-                    "behind the gear, not for torques computed from motor currents"
+                    f"the column '{column}' is given both as a {self.kind} and as a joint_torque; 'joint_torque' is "
+                    "for sensors behind the gear, not for torques computed from motor currents"
                 )
         return self
 
@@ -294,5 +287,5 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
         return self
 
 
-def _columns(time: str | TwoColumns) -> tuple[str, ...]:
+def _columns(time: str | tuple[str, str]) -> tuple[str, ...]:
     return (time,) if isinstance(time, str) else time

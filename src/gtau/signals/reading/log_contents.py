@@ -173,9 +173,9 @@ class LogContents:
             elsewhere = [name.name for name in positions if name.label not in known]
         wanted = [name for name in names if name.kind not in (None, "other")] or names
         values = _values(path, [name.name for name in wanted], table)
-        for name in (name.name for name in wanted if name.kind != "time"):
-            if register := register_of(values[name]):
-                values[name] = register.signed(values[name])
+        for name in wanted:
+            if name.kind != "time" and (register := register_of(values[name.name])):
+                values[name.name] = register.signed(values[name.name])
         time = _time_columns(wanted, values)
         units = {name.name: name.unit for name in names if name.unit}
         return cls(table, values, time, tuple(_classified(groups, values, path)), rate, units, tuple(elsewhere))
@@ -196,25 +196,22 @@ class LogContents:
 
     def is_still(self, column: str) -> bool:
         """Return whether a column that was read never changes."""
-        values = self.values[column][np.isfinite(self.values[column])]
-        return not (values != values[:1]).any()
+        return _is_still(self.values[column][np.isfinite(self.values[column])])
 
     def group(self, kind: str) -> Group | None:
         """Return the columns of a kind: moving ones, then measured ones, the group with most joints first."""
-        groups = (group for group in self.groups if group.kind == kind)
 
         def rank(group: Group) -> tuple[bool, bool, int, bool]:
             return self._is_switch(group), group.reference, -len(group.columns), not has_word(group.stem, MEASURED)
 
-        readable = (group for group in groups if set(group.columns.values()) <= set(self.values))
-        return min(readable, key=rank, default=None)
+        groups = (group for group in self.groups if group.kind == kind)
+        return min((group for group in groups if {*group.columns.values()} <= {*self.values}), key=rank, default=None)
 
     def _is_switch(self, group: Group) -> bool:
         """Return whether no column of commands takes other values than one, or 0 and 1."""
-        columns = [(name, self.values[name]) for name in group.columns.values()]
-        return group.kind in COMMANDS and all(
-            self.is_still(name) or np.isin(values[np.isfinite(values)], (0, 1)).all() for name, values in columns
-        )
+        values = (self.values[name] for name in group.columns.values())
+        finite = (column[np.isfinite(column)] for column in values)
+        return group.kind in COMMANDS and all(_is_still(x) or np.isin(x, (0, 1)).all() for x in finite)
 
     def command_group(self) -> Group | None:
         """Select currents before torques, and torques of motors before torques of joints, which sensors may give."""
@@ -258,8 +255,9 @@ class LogContents:
         if written and written not in TIME_UNITS:
             return written, "unit as written in the log"
         for unit, factor in TIME_UNITS.items():
-            if step > 0 and LEAST_RATE <= 1 / (step * factor) <= LARGEST_RATE and written in (None, unit):
-                return unit, f"median step {step:.4g} {unit}, {1 / (step * factor):.4g} Hz"
+            rate = 1 / (step * factor) if step > 0 else 0.0
+            if LEAST_RATE <= rate <= LARGEST_RATE and written in (None, unit):
+                return unit, f"median step {step:.4g} {unit}, {rate:.4g} Hz"
         tried = written or "s, ms, us or ns"
         return written or "s", f"median step {step:.4g}: not a plausible sampling rate in {tried}; correct the column"
 
@@ -278,8 +276,8 @@ class LogContents:
     def _rates(self, positions: Group) -> list[float]:
         """Find the rates at which the velocities of the joints are the derivatives of their positions."""
         velocities = self.group("velocity")
-        pairs = [] if velocities is None else _pairs(positions, velocities, self.values)
-        return [rate for pair in pairs if (rate := rate_of_derivative(*pair)) is not None]
+        rates = [rate_of_derivative(*pair) for pair in _pairs(positions, velocities, self.values)]
+        return [rate for rate in rates if rate is not None]
 
     def slope(self, positions: Group) -> tuple[float | None, float]:
         """Compute the ratio of the positions' derivatives to the velocities, None if unknown, and the largest speed."""
@@ -323,6 +321,10 @@ def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray])
     return tuple((stamped or growing)[:1])
 
 
+def _is_still(values: np.ndarray) -> bool:
+    return not (values != values[:1]).any()
+
+
 def _grows(column: np.ndarray, forward: float = 1.0) -> bool:
     """Decide whether a column increases, by at least the share ``forward`` of its steps."""
     step = np.diff(column[np.isfinite(column)])
@@ -335,7 +337,7 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
     if len(groups) == 1 and groups[0].kind is None and (kind := _kind_of(path)):
         groups = [replace(groups[0], kind=kind)]
     for group in groups:
-        pairs = [] if positions is None or group.kind != "command" else list(_pairs(positions, group, values))
+        pairs = _pairs(positions, group if group.kind == "command" else None, values)
         distances = [(np.sqrt(np.nanmean((q - x) ** 2)), float(np.nanstd(q))) for q, x in pairs]
         if pairs and np.median([correlation(*pair) for pair in pairs]) > DERIVATIVE:
             yield replace(group, kind="velocity")
@@ -350,8 +352,11 @@ def _kind_of(path: Path) -> str | None:
     return kind if kind in ("position", "current", "torque") else None
 
 
-def _pairs(positions: Group, group: Group, values: Mapping[str, np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _pairs(
+    positions: Group | None, group: Group | None, values: Mapping[str, np.ndarray]
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Pair the columns of positions with columns of the same label, where both were read."""
-    for label, column in positions.columns.items():
-        if label in group.columns and column in values and group.columns[label] in values:
-            yield values[column], values[group.columns[label]]
+    if positions is None or group is None:
+        return []
+    pairs = [(column, group.columns.get(label, "")) for label, column in positions.columns.items()]
+    return [(values[q], values[other]) for q, other in pairs if q in values and other in values]

@@ -203,17 +203,17 @@ def data_sheet_notes(
     """Compare estimates of gains and ``ia``, their values and standard deviations by name, with data sheets."""
     notes = []
     for joint, drive in drives.items():
-        for what, expected, name, unit in (
-            ("gain", drive.gain, Parameter("gain", joint), f"{torque_unit(robot, joint)}/A"),
-            ("rotor inertia", drive.inertia, Parameter("ia", joint), unit_of("ia", robot, joint)),
-        ):
-            value, std = estimates.get(name, (None, None))
-            if expected is None or value is None:
+        gain, ia = ("gain", drive.gain, "gain"), ("rotor inertia", drive.inertia, "ia")
+        for what, sheet, kind in (gain, ia):
+            value, std = estimates.get(Parameter(kind, joint), (None, None))
+            if sheet is None or value is None:
                 continue
-            apart = float(abs(value - expected[0]) / np.hypot(expected[1], std or 0.0))
+            expected, spread = sheet
+            unit = f"{torque_unit(robot, joint)}/A" if kind == "gain" else unit_of(kind, robot, joint)
+            apart = float(abs(value - expected) / np.hypot(spread, std or 0.0))
             text = (
-                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} {unit} is by the data "
-                f"sheet (standard deviation {expected[1]:.2g}; apart by {apart:.1f} standard deviations)"
+                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected:.4g} {unit} is by the data "
+                f"sheet (standard deviation {spread:.2g}; apart by {apart:.1f} standard deviations)"
             )
             notes.append(Finding("data sheet", (joint,), text=text, grade=Grade.INFORMATION))
     return tuple(notes)

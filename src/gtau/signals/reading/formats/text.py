@@ -61,8 +61,8 @@ def open_text(path: Path) -> LogTable:
     first_byte += sum(map(len, lines[:begin]))
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
-        row, places = 0, {name: k for k, name in enumerate(columns)}
-        wanted = [places[name] for name in names]
+        places = {name: k for k, name in enumerate(columns)}
+        row, wanted = 0, [places[name] for name in names]
         for text, done in _whole_lines(path, first_byte):
             frame = _frame(table, separator, text, wanted)
             part = frame[max(rows.start - row, 0) : max(rows.stop - row, 0)]
@@ -74,15 +74,14 @@ def open_text(path: Path) -> LogTable:
 
     notes: tuple[Finding, ...] = ()
     below = range(begin if header is None else header + 1, begin)
-    unit_line = next((k for k in below if len(fields[k]) == width and unit_row(fields[k])), None)
-    units = dict(zip(columns, () if unit_line is None else unit_row(fields[unit_line]) or (), strict=False))
+    unit_rows = {k: units for k in below if len(fields[k]) == width and (units := unit_row(fields[k]))}
+    unit_line, written = next(iter(unit_rows.items()), (None, []))
     if skipped := [k + 1 for k in written if k < begin and k not in (header, unit_line)]:
         which = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
         names = "" if header is None else f", took the names of its columns from line {header + 1}"
         notes = (reading("skipped lines", text=f"skipped {which} before the table{names}"),)
-    table = LogTable(
-        path, columns, frames, begin + 1, notes, units={name: unit for name, unit in units.items() if unit}
-    )
+    units = {name: unit for name, unit in zip(columns, written, strict=False) if unit}
+    table = LogTable(path, columns, frames, begin + 1, notes, units=units)
     return table
 
 
@@ -203,13 +202,9 @@ def _frame(table: LogTable, separator: str, text: bytes, wanted: list[int]) -> p
         text = text[:end].rstrip(b"\r") + separator.encode() * lacking + text[end:]  # for all there are
 
     def read(text: bytes) -> pl.DataFrame:
+        schema, names = dict.fromkeys(columns, pl.String), sorted(columns[k] for k in wanted)
         return pl.read_csv(
-            text,
-            has_header=False,
-            separator=separator,
-            schema=dict.fromkeys(columns, pl.String),
-            columns=sorted(columns[k] for k in wanted),
-            raise_if_empty=False,
+            text, has_header=False, separator=separator, schema=schema, columns=names, raise_if_empty=False
         )
 
     try:
@@ -249,17 +244,12 @@ def _unreadable_line(table: LogTable, separator: str, reason: str) -> str:
     where = f"line {first}" if table.numbered else "the header"
     with path.open("rb") as file:
         for number, line in islice(enumerate(map(_decoded, file), start=1), first - 1, None):
-            fields = len(_split(line, separator)[0])
-            if fields > count:
-                return (
-                    f"{path}, line {number} has {fields} columns where {where} has {count}; correct or delete the line "
-                    "(a header must name every column)."
-                )
+            if (fields := len(_split(line, separator)[0])) > count:
+                advice = "correct or delete the line (a header must name every column)"
+                return f"{path}, line {number} has {fields} columns where {where} has {count}; {advice}."
             if "\ufffd" in line:
-                return (
-                    f"{path}, line {number} is not text: the log is damaged there; delete the line, or record the log "
-                    f"again."
-                )
+                advice = "delete the line, or record the log again"
+                return f"{path}, line {number} is not text: the log is damaged there; {advice}."
     return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."
 
 
