@@ -347,6 +347,5 @@ def _chain(robot: Robot) -> tuple[str, ...]:
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:
-    """Sort labels by number, if all have one."""
     labels = list(labels)
     return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels

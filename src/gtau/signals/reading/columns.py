@@ -189,8 +189,7 @@ class Signals(Side):  # type: ignore[misc, valid-type]
     @property
     def time_columns(self) -> tuple[str, ...]:
         """Columns of the positions' time, one or two, or none."""
-        time = self.time.position if isinstance(self.time, TwoClocks) else self.time
-        return () if isinstance(time, SampleRate) else _columns(time)
+        return _columns(self.time.position if isinstance(self.time, TwoClocks) else self.time)
 
     @property
     def command_time_columns(self) -> tuple[str, ...]:
@@ -287,5 +286,7 @@ class Signals(Side):  # type: ignore[misc, valid-type]
         return self
 
 
-def _columns(time: str | tuple[str, str]) -> tuple[str, ...]:
+def _columns(time: str | tuple[str, str] | SampleRate) -> tuple[str, ...]:
+    if isinstance(time, SampleRate):
+        return ()
     return (time,) if isinstance(time, str) else time

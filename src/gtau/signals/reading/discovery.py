@@ -173,7 +173,6 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
 
 
 def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
-    """List the points to confirm about joints, units, payloads, robot and unused columns, with what is assumed."""
     unused, how = draft.unused, draft.reasons.position
     order = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
     columns = ", ".join(f"{joint}: {column}" for joint, column in draft.signals.position.items())
@@ -199,7 +198,6 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
 
 
 def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:
-    """List the logs of the first run's positions and commands, often one, and the files of every run."""
     runs: list[tuple[Path, ...]] = [(path,) for path in paths]
     first, half = LogContents.read(paths[0], robot), len(paths) // 2
     if first.group("position"):
@@ -240,7 +238,6 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
 
 
 def _clock(log: LogContents, command_log: LogContents, positions: Group) -> tuple[Any, str, dict[str, str]]:
-    """Find the entry ``time`` of the signals, the reason, and points to confirm."""
     if not log.time and log.rate:
         how = f"no time column; {log.rate:g} Hz by the description of the data set (meta/info.json)"
         return {"rate": log.rate}, how, {}
@@ -296,7 +293,6 @@ def _unused(
     used: set[str],
     moving_base: bool,
 ) -> Unused:
-    """List the columns that are not ``used``, by what they may hold."""
     columns = [name for name in log.table.columns if name not in log.time]
     unused = [name for name in columns if name not in used]
     motion, wrenches = base_like(unused) if moving_base else (), wrench_like(unused)

@@ -226,7 +226,6 @@ def _payload(draft: Draft, log: Path) -> list[str]:
 
 
 def _signals(draft: Draft) -> Iterator[str]:
-    """Write the columns used."""
     signals, why = draft.signals, draft.reasons
     doubtful = not {"clock", "received", "velocities"}.isdisjoint(draft.open)
     time = signals.model_dump(mode="json")["time"]
@@ -240,7 +239,6 @@ def _signals(draft: Draft) -> Iterator[str]:
 
 
 def _unused(draft: Draft) -> Iterator[str]:
-    """Write the columns that are not used, as comments."""
     unused, velocity = draft.unused, draft.reasons.velocity
     for signal in SIDE_SIGNALS:
         if columns := unused.side.get(signal.key):
@@ -268,7 +266,6 @@ def _unused(draft: Draft) -> Iterator[str]:
 
 
 def _question(draft: Draft, *keys: str) -> str:
-    """Write the question on the first of these points that is open."""
     return next((CHECK + QUESTIONS[key] for key in keys if key in draft.open), "")
 
 
@@ -330,7 +327,6 @@ def _line(text: str, comment: str) -> str:
 
 
 def _by_joint(key: str, columns: Mapping[str, str], comment: str) -> list[str]:
-    """Write columns in braces, or on lines of their own where that would be too long."""
     flow = _flow(columns)
     if len(flow) < WIDTH:
         return [_line(f"  {key}: {flow}", comment)]

@@ -116,7 +116,6 @@ class LoggedRun(Part):
 
 
 def _placed(folder: Path, path: Path) -> Path:
-    """Join a path to a folder whose name is taken literally."""
     existing = beside(folder, path)
     return existing if existing.exists() else beside(Path(escape(str(folder))), path)
 

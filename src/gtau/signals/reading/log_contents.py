@@ -208,7 +208,6 @@ class LogContents:
         return min((group for group in groups if {*group.columns.values()} <= {*self.values}), key=rank, default=None)
 
     def _is_switch(self, group: Group) -> bool:
-        """Return whether no column of commands takes other values than one, or 0 and 1."""
         values = (self.values[name] for name in group.columns.values())
         finite = (column[np.isfinite(column)] for column in values)
         return group.kind in COMMANDS and all(_is_still(x) or np.isin(x, (0, 1)).all() for x in finite)
@@ -274,7 +273,6 @@ class LogContents:
         return float(nearest) if abs(nearest - rate) < 0.03 * nearest else float(f"{rate:.4g}"), reason
 
     def _rates(self, positions: Group) -> list[float]:
-        """Find the rates at which the velocities of the joints are the derivatives of their positions."""
         velocities = self.group("velocity")
         rates = [rate_of_derivative(*pair) for pair in _pairs(positions, velocities, self.values)]
         return [rate for rate in rates if rate is not None]
@@ -291,7 +289,6 @@ class LogContents:
 
 
 def _topics(table: LogTable) -> list[str]:
-    """List the topics of a bag, which have their own time stamps; nested topics first."""
     topics = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
     return sorted(topics, key=len, reverse=True)
 
@@ -326,7 +323,6 @@ def _is_still(values: np.ndarray) -> bool:
 
 
 def _grows(column: np.ndarray, forward: float = 1.0) -> bool:
-    """Decide whether a column increases, by at least the share ``forward`` of its steps."""
     step = np.diff(column[np.isfinite(column)])
     return len(step) > 0 and float((step >= 0).mean()) >= forward and float((step > 0).mean()) > 0.5
 
@@ -355,7 +351,6 @@ def _kind_of(path: Path) -> str | None:
 def _pairs(
     positions: Group | None, group: Group | None, values: Mapping[str, np.ndarray]
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Pair the columns of positions with columns of the same label, where both were read."""
     if positions is None or group is None:
         return []
     pairs = [(column, group.columns.get(label, "")) for label, column in positions.columns.items()]

@@ -191,12 +191,10 @@ def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
 
 
 def _modelled(signals: Signals) -> tuple[str, ...]:
-    """List the measured columns without those of wrenches."""
     return signals.measured[: len(signals.measured) - sum(len(wrench.columns) for wrench in signals.all_wrenches)]
 
 
 def _labels(signals: Signals) -> Iterator[str]:
-    """Name the columns of positions and channels, for messages."""
     base = signals.base
     yield from (*(base.labels if base else ()), *signals.position.values())
     yield from ["no motor"] * (len(base.joints) if base else 0)
@@ -205,11 +203,7 @@ def _labels(signals: Signals) -> Iterator[str]:
 
 
 def _timed(
-    files: Sequence[LogTable],
-    columns: Sequence[tuple[int, str]],
-    signals: Signals,
-    scale: float,
-    rows: range = ALL,
+    files: Sequence[LogTable], columns: Sequence[tuple[int, str]], signals: Signals, scale: float, rows: range = ALL
 ) -> Iterator[tuple[int, np.ndarray, float]]:
     """Yield the first row's number, columns of files (M, .) with the time in s behind them, and the fraction read."""
     names = [(k, name) for k, file in enumerate(files) for name in file.columns]
@@ -226,7 +220,6 @@ def _timed(
 
 
 def _seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
-    """Convert one column, or two with seconds and nanoseconds, to times (M,) in s."""
     return stamps[:, 0] * scale if stamps.shape[1] == 1 else stamps[:, 0] + stamps[:, 1] * 1e-9
 
 
@@ -308,7 +301,6 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
 
 
 def _distance(time: np.ndarray, stamps: np.ndarray) -> float:
-    """Compute the median distance in s from instants to the closest stamp."""
     after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
     return float(np.median(np.minimum(np.abs(time - stamps[after - 1]), np.abs(stamps[after] - time))))
 

@@ -159,68 +159,56 @@ def complete(
 ) -> Samples:
     """Collect the complete samples of a part of a log; its ``parts`` are blocks with the number of their first row."""
     n, wide = len(joints_of(channels)), len(columns) - 1  # columns before the time
-    stores = Store(), Store((n,)), Store((wide - n,)), Store(dtype=int)
+    stores = Store(), Store((n,)), Store((wide - n,)), *(Store(dtype=int) for _ in range(3))
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
-    incomplete, empty, bad_column, begin = _Rows(), _Rows(), 0, -1
+    begin, bad_column = -1, ""
     for row, values in part.of(parts):
         begin = row if begin < 0 else begin
         finite = np.isfinite(values)
         kept = finite.all(axis=1)
         nothing = ~finite[:, :wide].any(axis=1)
-        partly = np.flatnonzero(~kept & ~nothing)
-        if partly.size and not incomplete.count:
-            bad_column = int(np.argmin(finite[partly[0]]))
-        incomplete.add(row + partly)
-        empty.add(row + np.flatnonzero(nothing))
+        some = ~kept & ~nothing
+        if some.any() and not bad_column:
+            bad_column = columns[int(np.argmin(finite[np.argmax(some)]))]
         numbers += finite.sum(axis=0)
-        arrays = values[kept, wide], values[kept, :n], values[kept, n:wide], row + np.flatnonzero(kept)
-        for store, added in zip(stores, arrays, strict=True):
+        arrays = values[kept, wide], values[kept, :n], values[kept, n:wide]
+        places = (row + np.flatnonzero(which) for which in (kept, some, nothing))
+        for store, added in zip(stores, (*arrays, *places), strict=True):
             store.append(added)
-    time, position, command, rows = (store.array() for store in stores)
-    count = len(time) + incomplete.count
-    if empty.count <= MAX_MISSING * (count + empty.count):  # faults like others, such as a last row that was cut
-        count += empty.count
-        incomplete.first = sorted(incomplete.first + empty.first)[:5]
-        incomplete.count, empty = incomplete.count + empty.count, _Rows()
+    time, position, command, rows, incomplete, empty = (store.array() for store in stores)
+    count, without = len(time) + len(incomplete), len(empty)
+    if without <= MAX_MISSING * (count + without):  # faults like others, such as a last row that was cut
+        incomplete = np.sort(np.concatenate([incomplete, empty]))
+        count, without = count + without, 0
     if not count and (part.skip or part.label):
         raise GtauError(
             f"{name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: {part.end:g} s); "
             "correct these keys."
         )
     refuse_short(name, count)
-    if empty.count:
-        text = f"left out {counted(empty.count, 'row')} that hold only other signals"
+    if without:
+        text = f"left out {counted(without, 'row')} that hold only other signals"
         notes.append(reading("rows of other signals", text=text))
     for column, number in zip(columns, numbers.tolist(), strict=True):
         if not number:
             raise GtauError(_without_numbers(name, column, columns[-1], table.texts.get(column, "")))
-    if incomplete.count > MAX_MISSING * count:
+    lost = len(incomplete)
+    if lost > MAX_MISSING * count:
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
-        at_start = incomplete.count - leading <= MAX_MISSING * count
-        remedy = f"leave out its first rows (skip: {part.skip + leading})" if at_start else "correct or delete them"
-        column = columns[bad_column]
+        remedy = "correct or delete them"
+        if lost - leading <= MAX_MISSING * count:
+            remedy = f"leave out its first rows (skip: {part.skip + leading})"
+        column = bad_column or columns[0]
         entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
         raise GtauError(
-            f"{name} has {incomplete.count} of {count} rows with missing or non-numeric values (first in "
-            f"{table.places(incomplete.first, 1)}, column '{column}'{entry}); {remedy}, or record the log again."
+            f"{name} has {lost} of {count} rows with missing or non-numeric values (first in "
+            f"{table.places(incomplete, 1)}, column '{column}'{entry}); {remedy}, or record the log again."
         )
-    if incomplete.count:
-        places = table.places(incomplete.first, incomplete.count)
-        text = f"dropped {counted(incomplete.count, 'row')} with missing or non-numeric values ({places})"
-        notes.append(repair("rows without numbers", incomplete.count / count, text=text))
+    if lost:
+        text = f"dropped {counted(lost, 'row')} with missing or non-numeric values ({table.places(incomplete, lost)})"
+        notes.append(repair("rows without numbers", lost / count, text=text))
     origin = float(time[0]) - part.begin if len(time) else 0.0
     return Samples(name, channels, columns, table, part, origin, time, position, command, rows)
-
-
-class _Rows:
-    """Count of rows, and the first five of them."""
-
-    def __init__(self) -> None:
-        self.count, self.first = 0, list[int]()
-
-    def add(self, rows: np.ndarray) -> None:
-        self.count += len(rows)
-        self.first += rows[: 5 - len(self.first)].tolist()
 
 
 def _without_numbers(name: str, column: str, time: str, entry: str) -> str:
@@ -303,7 +291,8 @@ def with_signs(
             notes.append(reading("unsigned register", text=text, joints=names))
         if registers:
             signed[kind] = stored_like(array, (_signed(part, registers, counts) for part in blocks(array)))
-    return replace(samples, **signed)
+    position, command = signed.get("position", samples.position), signed.get("command", samples.command)
+    return replace(samples, position=position, command=command)
 
 
 def _count(array: np.ndarray, j: int, scale: float) -> float:

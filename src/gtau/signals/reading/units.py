@@ -63,7 +63,6 @@ def is_angle(text: str) -> bool:
 
 
 def _measured(text: str, kind: Kind) -> tuple[str, float]:
-    """Find the quantity that a unit measures, and its factor to SI."""
     quantities = QUANTITIES[kind]
     for quantity in quantities:
         if text in COMMON[quantity]:
@@ -301,9 +300,10 @@ def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
             return name[: match.start()].rstrip(" /") + name[match.end() :], unit
     if (quotient := QUOTIENT.fullmatch(name)) and (unit := read_unit(quotient[1])):
         return name[: quotient.start(1)].rstrip("/ "), unit
-    *_, word = (None, *WORD.finditer(name))
-    if word is None:
+    words = list(WORD.finditer(name))
+    if not words:
         return name, None
+    word = words[-1]
     unit = read_unit(word[1].replace("_", ""))
     if word[2]:
         unit = WrittenUnit("acceleration" if word[3] else "velocity", word[0])

@@ -248,7 +248,7 @@ def in_order(samples: Samples, notes: list[Finding], given: Given) -> Samples:
         by_time = scaled[np.argsort(np.delete(time, again), kind="stable")]
         if np.abs(np.diff(by_time, axis=0)).sum() > np.abs(np.diff(scaled, axis=0)).sum():
             return _without_repeated(replace(samples, time=latest), notes, given)
-        places = samples.table.places(samples.rows[moved[:5]].tolist(), len(moved))
+        places = samples.table.places(samples.rows[moved[:5]], len(moved))
         text = f"put {counted(len(moved), 'row')} in the order of their times ({places})"
         notes.append(repair("rows out of order", len(moved) / count, text=text))
     return _without_repeated(samples.with_arrays(lambda array: array[order]), notes, given)
@@ -282,7 +282,7 @@ def _without_repeated(samples: Samples, notes: list[Finding], given: Given) -> S
         repeated += (start + again + 1).tolist()
     if not repeated:
         return samples
-    places = samples.table.places(samples.rows[repeated[:5]].tolist(), len(repeated))
+    places = samples.table.places(samples.rows[repeated[:5]], len(repeated))
     text = f"dropped {counted(len(repeated), 'repeated row')} ({places})"
     notes.append(repair("repeated rows", len(repeated) / len(time), text=text))
     refuse_short(samples.name, len(time) - len(repeated))

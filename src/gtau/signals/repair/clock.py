@@ -104,7 +104,6 @@ class Clock:
 
 
 def _numbering(gaps: Gaps) -> Callable[[int, int], np.ndarray]:
-    """Enumerate samples by a regular clock, missing ones included, from one to before another."""
     at, missing = np.array(gaps, dtype=int).reshape(-1, 2).T
     before = np.concatenate([[0], np.cumsum(missing)])  # each gap, and the end
 
@@ -219,7 +218,6 @@ def sampled_steps(time: np.ndarray) -> np.ndarray:
 
 
 def _parts(samples: int) -> list[tuple[int, int]]:
-    """Choose the parts of a log to evaluate: all of a short one, parts spread over a long one."""
     parts, size = LOOKED_AT
     if samples <= parts * size:
         return [(0, samples)]
@@ -277,7 +275,6 @@ def _noise(position: np.ndarray) -> np.ndarray:
 
 
 def _usual_steps(moved: np.ndarray) -> np.ndarray:
-    """Compute the median (M, n) of the steps around each of the positions' steps."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(moved, size=(NEIGHBOURS, 1), mode="nearest"))

@@ -12,7 +12,7 @@ from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
 from gtau.findings.words import counted
 from gtau.signals.reading.samples import Samples, extremes
-from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds
+from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds, long_runs
 from gtau.signals.storage import block, blocks, spans, steps
 
 Ends = tuple[np.ndarray, np.ndarray]  # smallest and largest values of the commands
@@ -36,13 +36,12 @@ MOVING = 50.0  # steps of an encoder; a joint that covers less rests, and its co
 
 
 class Spell(NamedTuple):
-    """Samples of a channel with one ``value``: its joint moves by ``moved``, and it jumps by ``jump`` at an end."""
+    """Samples of a channel with one ``value``; ``jump`` is the larger change of the command at both ends."""
 
     channel: int
     begin: int
     end: int
     value: float
-    moved: float
     jump: float
 
     @property
@@ -63,14 +62,16 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
     """Refuse commands that stay at a value while their joints move: motors that are off, columns that freeze."""
     channels, (first, last) = samples.channels, extremes(samples.position)
     equal: dict[int, list[Spell]] = {}
-    for spell in _spells(samples):
+    for spell in _spells(samples, np.zeros(len(channels))):
         equal.setdefault(spell.channel, []).append(spell)
 
     def in_motion(spell: Spell) -> bool:
         channel = channels[spell.channel]
-        enough = spell.samples > max(FROZEN, 2 * holds[channel.kind.group].longest)
-        lasts = instants[spell.end - 1] - instants[spell.begin]
-        return enough and lasts > STAYS and spell.moved > MOVED * (last - first)[channel.row]
+        row, lasts = channel.row, instants[spell.end - 1] - instants[spell.begin]
+        if lasts <= STAYS or spell.samples <= 2 * holds[channel.kind.group].longest:
+            return False
+        low, high = extremes(samples.position[spell.begin : spell.end, row : row + 1])
+        return bool(high[0] - low[0] > MOVED * (last - first)[row])
 
     spells = {j: list(filter(in_motion, spells)) for j, spells in equal.items()}
     acting = [j for j, channel in enumerate(channels) if channel.kind.measures_joint and not channel.kind.link_side]
@@ -99,7 +100,6 @@ def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends
 
 
 def _stays(samples: Samples, held: list[Spell]) -> str:
-    """Write where commands stay at a value: the longest spell, and others of its kind at other times."""
     parts: list[Spell] = []
     for spell in sorted(held, key=lambda spell: -spell.samples):
         if not parts or ((spell.value == 0) == (parts[0].value == 0) and not any(map(spell.beside, parts))):
@@ -120,41 +120,20 @@ def _stays(samples: Samples, held: list[Spell]) -> str:
     )
 
 
-def _spells(samples: Samples, noise: np.ndarray | None = None) -> Iterator[Spell]:
+def _spells(samples: Samples, noise: np.ndarray) -> Iterator[Spell]:
     """Yield the spells of more than FROZEN equal commands; commands below the ``noise`` (c,) of theirs count as 0."""
-    columns = [(j, channel.row) for j, channel in enumerate(samples.channels) if channel.kind.measures_joint]
-    running: dict[int, tuple[int, float, float, float, float]] = {}  # begin, value, lowest and highest position, before
+    command, last = samples.command, len(samples.time) - 1
 
-    def spell(j: int, begin: int, end: int, moved: float, *values: float) -> Iterator[Spell]:
-        before, value, after = values
-        if end - begin > FROZEN:
-            jump = max(abs(before - value), abs(after - value))
-            yield Spell(j, begin, end, float(value), float(moved), float(jump))
+    def value(k: int, j: int) -> float:
+        return float(command[k, j]) if abs(command[k, j]) >= noise[j] else 0.0
 
-    for start, stop in spans(len(samples.time)):
-        command, position = block(samples.command, start, stop), block(samples.position, start, stop)
-        for j, row in columns:
-            x = command[:, j] if noise is None else np.where(np.abs(command[:, j]) < noise[j], 0.0, command[:, j])
-            begins = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
-            low, high = (extreme.reduceat(position[:, row], begins) for extreme in (np.minimum, np.maximum))
-            begins += start
-            begin, value, least, most, before = running.get(j, (start, x[0], np.inf, -np.inf, x[0]))
-            values = x[begins - start]
-            if value == x[0]:
-                begins[0], low[0], high[0] = begin, min(low[0], least), max(high[0], most)
-            else:
-                yield from spell(j, begin, start, most - least, before, value, x[0])
-                before = value
-            values = np.r_[before, values]
-            for k in np.flatnonzero(np.diff(begins) > FROZEN):
-                yield from spell(j, int(begins[k]), int(begins[k + 1]), high[k] - low[k], *values[k : k + 3])
-            running[j] = int(begins[-1]), x[-1], low[-1], high[-1], values[-2]
-    for j, (begin, value, least, most, before) in running.items():
-        yield from spell(j, begin, len(samples.time), most - least, before, value, value)
+    for j, begin, end in long_runs(command, noise):
+        if samples.channels[j].kind.measures_joint:
+            here, before, after = (value(k, j) for k in (begin, max(begin - 1, 0), min(end, last)))
+            yield Spell(j, begin, end, here, max(abs(before - here), abs(after - here)))
 
 
 def _quanta(holds: Holds) -> np.ndarray:
-    """Return the smallest changes (c,) of the commands."""
     return np.concatenate([held.quanta for group, held in holds.items() if group != POSITIONS])
 
 
@@ -236,7 +215,7 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
             continue
         for level in (float(high), float(low)):
             at, beside = _counts_at(samples.command, j, level)
-            if at < max(CLIPPED_RUN, PILE_UP * beside) or _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
+            if at < max(CLIPPED_RUN, PILE_UP * beside) or not _moves_at(samples, j, channel.row, level):
                 continue
             if at > MAX_CLIPPED * count and level == low == 0.0:
                 raise GtauError(f"{what} is {UNSIGNED}.", source=samples.name)
@@ -254,7 +233,6 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
 
 
 def _counts_at(command: np.ndarray, j: int, level: float) -> tuple[int, int]:
-    """Count samples at an extreme value, and at the one next to it."""
     at, beside, nearest = 0, 0, np.inf
     for part in blocks(command):
         away = np.abs(part[:, j] - level)
@@ -266,18 +244,13 @@ def _counts_at(command: np.ndarray, j: int, level: float) -> tuple[int, int]:
     return at, beside
 
 
-def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
-    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
+def _moves_at(samples: Samples, j: int, mover: int, level: float) -> bool:
+    """Decide whether joint j moves for CLIPPED_RUN samples in which its command is at ``level``."""
     position, command, count = samples.position, samples.command, len(samples.time)
     least = 0.05 * np.sqrt(sum(np.sum(step[:, mover] ** 2) for step in steps(position)) / count)
-    longest = now = 0
-    for start, stop in spans(count, before=1):
+    for start, stop in spans(count, before=CLIPPED_RUN):
         speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
         at = (block(command, start, stop)[1:, j] == level) & (speed > least)
-        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
-        runs = edges[1::2] - edges[::2]
-        if runs.size and edges[0] == 0:
-            runs[0] += now
-        longest = max(longest, int(runs.max(initial=0)))
-        now = int(runs[-1]) if runs.size and at[-1] else 0
-    return longest
+        if np.any(np.convolve(at, np.ones(CLIPPED_RUN)) >= CLIPPED_RUN):
+            return True
+    return False

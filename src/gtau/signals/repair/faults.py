@@ -14,8 +14,8 @@ from gtau.findings.words import counted, moment
 from gtau.signals.reading.formats import repair
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
-from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
-from gtau.signals.storage import block, spans, stored_like, stride_of
+from gtau.signals.repair.resampling import MISSING_STEP, Held, long_runs
+from gtau.signals.storage import block, blocks, spans, stored_like, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
@@ -247,24 +247,17 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
 
     A joint that comes to rest slows down: refused is one that is constant after or before a step of its usual size.
     """
-    n, count = len(samples.joints), len(samples.time)
+    n, count, position = len(samples.joints), len(samples.time), samples.position
     stride, fast, usual = stride_of(count), [], []
-    since, into = np.zeros(n, dtype=int), np.zeros(n)  # the first sample of the present value, and the step to it
-    edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
-    for start, stop in spans(count, before=1):
-        position = block(samples.position, start, stop)
-        fresh = held.fresh(position)
-        at, steps = start + np.flatnonzero(fresh), np.diff(position[fresh], axis=0)
+    for part in blocks(position, before=1):
+        steps = np.diff(part[held.fresh(part)], axis=0)
         fast.append(np.abs(steps[::stride]))
         usual.append(np.abs(np.diff(steps, axis=0)[::stride]))
-        for j, moved in enumerate(map(np.flatnonzero, steps.T)):
-            changes, sizes = at[moved + 1], np.abs(steps[moved, j])
-            begin, end = np.r_[since[j], changes], np.r_[changes, stop]
-            edge = np.maximum(np.r_[into[j], sizes], np.r_[sizes, 0.0]) * (end - begin > FROZEN)
-            k = int(np.argmax(edge))
-            if edge[k] >= edges[j]:
-                edges[j], spells[j] = edge[k], (begin[k], end[k])
-            since[j], into[j] = begin[-1], np.r_[into[j], sizes][-1]
+    edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
+    for j, begin, end in long_runs(position):
+        edge = max((abs(position[k, j] - position[k - 1, j]) for k in (begin, end) if 0 < k < count), default=0.0)
+        if edge > edges[j]:
+            edges[j], spells[j] = edge, (begin, end)
     speeds, changes = (np.quantile(np.concatenate(parts), 0.999, axis=0) for parts in (fast, usual))
     sudden = (edges > FROZEN_QUANTA * held.quanta) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
     for j in np.flatnonzero(sudden).tolist():
@@ -273,7 +266,7 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
         if lasts > FROZEN_TIME and np.std(command[begin:end]) > FROZEN_CURRENT * np.std(command):
             raise GtauError(
                 f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
-                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
+                f"{position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
                 f"with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
                 f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
@@ -95,7 +96,6 @@ def holds_of(samples: Samples) -> Holds:
 
 
 def _groups(samples: Samples) -> Iterator[tuple[str, slice]]:
-    """List the groups of channels with their columns."""
     start = 0
     for group, channels in groupby(samples.channels, lambda channel: channel.kind.group):
         stop = start + len(list(channels))
@@ -137,6 +137,21 @@ def _period(lengths: np.ndarray) -> int:
     period = int(np.argmax(held))
     near = held[int(np.floor(0.75 * period)) : int(np.ceil(1.25 * period)) + 1].sum()
     return period if period > 1 and near > REGULAR * held.sum() else 1
+
+
+def long_runs(array: np.ndarray, noise: ArrayLike = 0.0) -> Iterator[tuple[int, int, int]]:
+    """Yield column, begin and end of runs of more than FROZEN equal values; those below the ``noise`` count as 0."""
+    count, columns = array.shape
+    begins = [0] * columns
+    for start, stop in spans(count, before=1):
+        part = block(array, start, stop)
+        part[np.abs(part) < noise] = 0.0
+        last = [count] if stop == count else []
+        for j, step in enumerate(np.diff(part, axis=0).T):
+            edges = np.r_[begins[j], start + 1 + np.flatnonzero(step), last].astype(int)
+            for k in np.flatnonzero(np.diff(edges) > FROZEN):
+                yield j, int(edges[k]), int(edges[k + 1])
+            begins[j] = int(edges[-1])
 
 
 def uniform(
@@ -197,7 +212,6 @@ def uniform(
 
 
 def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
-    """List the notes on a clock that differs from the time column."""
     if not clock.regular:
         reason = "the time stamps are used, because a regular clock makes the positions no smoother"
         irregular = (

@@ -51,7 +51,7 @@ class LogTable:
         """True where the log has no header, and its columns are named by their number."""
         return self.columns != () and self.columns == numbers(len(self.columns))
 
-    def places(self, rows: Sequence[int], count: int) -> str:
+    def places(self, rows: Sequence[int] | np.ndarray, count: int) -> str:
         """Describe where ``count`` rows are in the file; ``rows`` are the first."""
         first, word = (1, "row") if self.first_line is None else (self.first_line, "line")
         listed = ", ".join(str(int(row) + first) for row in rows[: min(count, 5)])
@@ -134,12 +134,7 @@ def reading(kind: str, text: str, advice: str = "", joints: Sequence[str] = ()) 
 
 
 def repair(
-    kind: str,
-    share: float,
-    text: str,
-    advice: str = "",
-    joints: Sequence[str] = (),
-    time: float | None = None,
+    kind: str, share: float, text: str, advice: str = "", joints: Sequence[str] = (), time: float | None = None
 ) -> Finding:
     """Note a repair of a ``share`` of the samples: a warning where it costs many of them."""
     return Finding(

@@ -100,7 +100,6 @@ def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str
 
 
 def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) -> dict[int, range]:
-    """Find the rows of each episode, where there are several."""
     import polars as pl
 
     if EPISODE not in schema or not schema[EPISODE].is_integer():
@@ -114,7 +113,6 @@ def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) 
 
 
 def _refuse_unusable(path: Path, name: str, kind: pl.DataType | None) -> None:
-    """Refuse a column that holds no numbers; an item of a column of lists has no kind of its own."""
     import polars as pl
 
     if kind is None or kind.is_numeric() or kind in (pl.String, pl.Boolean):

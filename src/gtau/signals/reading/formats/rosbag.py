@@ -29,7 +29,6 @@ STRING = "std_msgs/msg/String"
 
 
 def _reader(path: Path) -> Any:
-    """Open a bag; messages that it does not define are defined by ROS 2."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

@@ -74,14 +74,15 @@ def open_text(path: Path) -> LogTable:
 
     notes: tuple[Finding, ...] = ()
     below = range(begin if header is None else header + 1, begin)
-    unit_rows = {k: units for k in below if len(fields[k]) == width and (units := unit_row(fields[k]))}
-    unit_line, written = next(iter(unit_rows.items()), (None, []))
+    unit_rows = {k: unit_row(fields[k]) for k in below if len(fields[k]) == width}
+    unit_line = next((k for k, units in unit_rows.items() if units), -1)
+    written_units = zip(columns, unit_rows.get(unit_line) or (), strict=False)
     if skipped := [k + 1 for k in written if k < begin and k not in (header, unit_line)]:
         which = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
         names = "" if header is None else f", took the names of its columns from line {header + 1}"
         notes = (reading("skipped lines", text=f"skipped {which} before the table{names}"),)
-    units = {name: unit for name, unit in zip(columns, written, strict=False) if unit}
-    table = LogTable(path, columns, frames, begin + 1, notes, units=units)
+    by_column = {name: unit for name, unit in written_units if unit}
+    table = LogTable(path, columns, frames, begin + 1, notes, units=by_column)
     return table
 
 
@@ -105,13 +106,11 @@ def _first_lines(path: Path) -> tuple[list[bytes], int]:
 
 
 def _separator(text: str) -> str:
-    """Find the character that separates the fields of a line, outside quotes where it occurs there."""
     outside = re.sub(r'"[^"]*"', "", text)
     return next((character for part in (outside, text) for character in SEPARATORS if character in part), ",")
 
 
 def _fields(text: str) -> tuple[str, ...]:
-    """Split a line into fields, without the blanks and quotes around them."""
     fields, unquoted = _split(text, _separator(text))
     stripped = (field.strip() for field in fields)
     if unquoted:  # remaining quotes belong to a name
@@ -120,7 +119,6 @@ def _fields(text: str) -> tuple[str, ...]:
 
 
 def _is_row(fields: Sequence[str]) -> bool:
-    """Decide whether most of the fields are numbers, the first of them among these."""
     numbers = sum(is_number(field) for field in fields)
     rest = sum(field.lower() in MISSING for field in fields)
     begins = is_number(fields[0]) or fields[0].lower() in MISSING
