@@ -40,7 +40,7 @@ SENSOR = ChannelKind("torque sensor", "torque sensors", "joint_torque", link_sid
 WRENCH_COMPONENT = ChannelKind("wrench", "wrenches", "wrenches", modelled=False, measures_joint=False)
 
 LINK_SIDE = (SENSOR,)
-"""All kinds on the link side."""
+"""All kinds on the link side; their columns, units and calibration in files, and their channels follow from these."""
 
 
 def link_side_kind(name: str) -> ChannelKind:

@@ -183,12 +183,11 @@ class Run:
                 f"{', '.join(joints)}; give signals for exactly these."
             )
         place = [joints.index(joint) for joint in self.joints]
-        kept = [k for k, channel in enumerate(self.channels) if link_side or not channel.kind.link_side]
         rows = [place[channel.row] if channel.kind.modelled else channel.row for channel in self.channels]
-        order = sorted(
-            kept, key=lambda k: (not self.channels[k].kind.modelled, self.channels[k].kind.link_side, rows[k])
-        )
-        if order == list(range(len(self.channels))):
+        kinds = [channel.kind for channel in self.channels]
+        kept = [k for k, kind in enumerate(kinds) if link_side or not kind.link_side]
+        order = sorted(kept, key=lambda k: (not kinds[k].modelled, kinds[k].link_side, rows[k]))
+        if order == list(range(len(kinds))):
             return self
 
         def columns(array: np.ndarray, chosen: Sequence[int]) -> np.ndarray:
@@ -267,22 +266,12 @@ def read_parts(
     samples = read_logs(paths, signals, units, notes, part, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)
     samples = replace(samples, channels=channels)
-    side, runs = read_side_signals(paths, signals, units, part), []
+    side, runs = read_side_signals(paths, signals, units, part), list[Run]()
+    stem, load = paths[0].name if paths[0].is_dir() else paths[0].stem, as_payload(payload)
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
         checked, valid, whole_share, window, updates = check(piece, notes, settings.clock)
-        runs.append(
-            Run(
-                (paths[0].name if paths[0].is_dir() else paths[0].stem) + checked.part.label,
-                signals.joints,
-                checked.time,
-                checked.position,
-                checked.command,
-                signals.kind,
-                as_payload(payload),
-                valid=valid,
-                channels=channels,
-                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window, updates),
-            )
-        )
+        arrays = checked.time, checked.position, checked.command
+        log = Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window, updates)
+        runs.append(Run(stem + checked.part.label, signals.joints, *arrays, signals.kind, load, valid, channels, log))
         notes = []
     return tuple(runs)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, FiniteFloat, Tag, create_model, field_validator, model_validator
 
 from gtau.documents.validation import Keys, Positive, text_or_group
-from gtau.signals.channel import SENSOR, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, Channel, ChannelKind, SideSignal, channels_of
 from gtau.signals.reading.body_columns import BaseColumns, BodyWrench, PoseColumns, refuse_repeated
 
 # Hz; of drives that are logged. Logs polled at 10 Hz reach 9; logs of 5 kHz in ms look like 5 Hz in s.
@@ -89,21 +89,22 @@ def optional_keys(entries: Mapping[str, Any]) -> type[Keys]:
     return create_model("OptionalKeys", __base__=Keys, **fields)
 
 
+SENSORS = tuple(kind.calibration for kind in LINK_SIDE)
+"""Keys of sensors on the link side."""
 Share = Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
 
 
-class Calibration(Keys):
-    """Relative standard deviations of readings: of each torque sensor, and of all wrenches together."""
+class Calibration(optional_keys(dict.fromkeys(SENSORS, Share))):  # type: ignore[misc]
+    """Relative standard deviations of readings: of each sensor on the link side, and of all wrenches together."""
 
-    joint_torque: Share | None = None
     wrenches: Share | None = None
 
 
 OneOrByJoint = Annotated[Column | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)]
-Side = optional_keys({signal.key: OneOrByJoint for signal in SIDE_SIGNALS})
+Optional = dict.fromkeys(SENSORS, dict[str, str]) | {signal.key: OneOrByJoint for signal in SIDE_SIGNALS}
 
 
-class Signals(Side):  # type: ignore[misc, valid-type]
+class Signals(optional_keys(Optional)):  # type: ignore[misc]
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
@@ -121,7 +122,6 @@ class Signals(Side):  # type: ignore[misc, valid-type]
     current: dict[str, str] | None = None
     torque: dict[str, str] | None = None
     motor_torque: dict[str, str] | None = None
-    joint_torque: dict[str, str] | None = None
     gear_ratio: dict[str, FiniteFloat] | None = None
     base: BaseColumns | None = None
     wrenches: tuple[BodyWrench, ...] = ()
@@ -159,7 +159,7 @@ class Signals(Side):  # type: ignore[misc, valid-type]
         """Columns of the commands, then of the sensors on the link side, then of all wrenches."""
         return (
             *(self.command[joint] for joint in self.position),
-            *self.sensors(SENSOR).values(),
+            *(column for kind in LINK_SIDE for column in self.sensors(kind).values()),
             *(column for wrench in self.all_wrenches for column in wrench.columns),
         )
 
@@ -174,7 +174,7 @@ class Signals(Side):  # type: ignore[misc, valid-type]
         channels = channels_of(
             self.joints,
             self.base.joints if self.base else (),
-            {SENSOR: tuple(self.sensors(SENSOR))},
+            {kind: tuple(self.sensors(kind)) for kind in LINK_SIDE},
             [wrench.frame for wrench in self.all_wrenches],
             unit="A" if self.kind == "current" else "N m",
         )
@@ -201,7 +201,7 @@ class Signals(Side):  # type: ignore[misc, valid-type]
     def _preset(cls, data: Any) -> Any:
         return expanded(data) if isinstance(data, dict) and data.get("preset") else data
 
-    @field_validator("position", "current", "torque", "motor_torque", "joint_torque")
+    @field_validator("position", "current", "torque", "motor_torque", *SENSORS)
     @classmethod
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
@@ -253,16 +253,17 @@ class Signals(Side):  # type: ignore[misc, valid-type]
         for key, accuracy in self.calibration:
             if accuracy is not None and key not in measured:
                 raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
-        for joint, column in (self.joint_torque or {}).items():
+        sensors = [(name, *pair) for name in SENSORS for pair in (getattr(self, name) or {}).items()]
+        for key, joint, column in sensors:
             if joint not in self.position:
                 raise ValueError(
-                    f"'joint_torque' names the joint '{joint}', which has no position; correct the name, or remove the "
+                    f"'{key}' names the joint '{joint}', which has no position; correct the name, or remove the "
                     "sensor of a joint without motor"
                 )
             if column in self.command.values():
                 raise ValueError(
-                    f"the column '{column}' is given both as a {self.kind} and as a joint_torque; 'joint_torque' is "
-                    "for sensors behind the gear, not for torques computed from motor currents"
+                    f"the column '{column}' is given both as a {self.kind} and as a {key}; '{key}' is for sensors "
+                    "behind the gear, not for torques computed from motor currents"
                 )
         return self
 
@@ -279,7 +280,8 @@ class Signals(Side):  # type: ignore[misc, valid-type]
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        for key, joints in (("gear_ratio", {*ratios}), *((one.key, {*self.side_columns(one)}) for one in SIDE_SIGNALS)):
+        side = {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
+        for key, joints in {"gear_ratio": ratios, **side}.items():
             for joint in joints:
                 if joint not in self.position:
                     raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")

@@ -25,7 +25,7 @@ from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
-from gtau.signals.channel import SENSOR, SIDE_SIGNALS
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.reading.samples import Part
@@ -185,8 +185,11 @@ class Experiment(Keys):
             raise ValueError(f"a unit of '{absent}' is given, but the signals hold '{signals.kind}'; remove it")
         if units.time is not None and signals.rate is not None:
             raise ValueError("a unit of 'time' is given, but the signals hold no time column; remove it")
-        if units.joint_torque is not None and not signals.sensors(SENSOR):
-            raise ValueError("a unit of 'joint_torque' is given, but the signals hold no torque sensor; remove it")
+        for kind in LINK_SIDE:
+            if getattr(units, kind.calibration) is not None and not signals.sensors(kind):
+                raise ValueError(
+                    f"a unit of '{kind.calibration}' is given, but the signals hold no {kind.name}; remove it"
+                )
         side = {signal.key: signals.side_columns(signal) for signal in SIDE_SIGNALS}
         for key, columns in {"pose": signals.pose, "wrenches": signals.all_wrenches, **side}.items():
             if key in units.model_fields_set and not columns:

@@ -27,6 +27,7 @@ from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.reading.samples import refuse_short, register_of
+from gtau.signals.reading.units import COMMON
 
 DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
 ADDED = 50  # samples over which velocities are integrated
@@ -113,18 +114,15 @@ def unnamed_groups(
 
 
 ROWS = 200_000  # of a log that are evaluated
-
 # Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
 # Positions that lag by 20 to 120 ms on sines of up to 0.9 Hz: 0.02 to 0.14, references of a quadruped 0.23; currents
 # and torques of eight measured logs 1.2 to 1270.
 FOLLOWED = 0.3
-
-
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
 COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, by preference
 FORWARD = 0.98  # share of the steps of a time that are not back: a row out of order is sorted, or refused, at reading
 USUAL_RATES = 50, 60, 100, 125, 200, 250, 400, 500, 800, 1000, 2000, 4000, 5000, 8000  # Hz
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = COMMON["time"]
 
 
 @dataclass(frozen=True)
@@ -280,10 +278,11 @@ class LogContents:
     def slope(self, positions: Group) -> tuple[float | None, float]:
         """Compute the ratio of the positions' derivatives to the velocities, None if unknown, and the largest speed."""
         velocities, rates = self.group("velocity"), self._rates(positions)
-        if velocities is None or not rates or not self.time:
+        second = TIME_UNITS.get(self.time_unit()[0]) if self.time else None
+        if velocities is None or not rates or second is None:
             return None, 0.0
         time = self.seconds()
-        step = (np.nanmax(time) - np.nanmin(time)) * TIME_UNITS[self.time_unit()[0]] / max(len(time) - 1, 1)
+        step = (np.nanmax(time) - np.nanmin(time)) * second / max(len(time) - 1, 1)
         fastest = max(float(np.nanmax(np.abs(self.values[column]))) for column in velocities.columns.values())
         return 1 / (float(step) * float(np.median(rates))), fastest
 

@@ -18,7 +18,7 @@ from gtau.errors import GtauError, short
 from gtau.extensions import find
 from gtau.findings import Finding
 from gtau.findings.words import moment
-from gtau.signals.channel import SENSOR, SIDE_SIGNALS, SideValues
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.column_names import split_name
 from gtau.signals.reading.columns import PRESETS, Signals
@@ -161,7 +161,7 @@ def _refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: U
     written = {name: unit for file in files for name, unit in file.units.items()}
     columns = [("position", *pair) for pair in signals.position.items()]
     columns += [(signals.kind, *pair) for pair in signals.command.items()]
-    columns += [("joint_torque", *pair) for pair in signals.sensors(SENSOR).items()]
+    columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
     if len(signals.time_columns) == 1 and "units" not in PRESETS.get(signals.preset or "", {}):
         columns += [("time", "", column) for column in signals.time_columns]
     for key, joint, column in columns:

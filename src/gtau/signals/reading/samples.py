@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field, FiniteFloat, model_validator
@@ -110,7 +110,7 @@ class Samples:
 
     def with_arrays(self, change: Callable[[np.ndarray], np.ndarray]) -> Samples:
         """Return the samples with a change of all their arrays."""
-        arrays = {name: change(getattr(self, name)) for name in ("time", "position", "command", "rows")}
+        arrays: Any = {name: change(getattr(self, name)) for name in ("time", "position", "command", "rows")}
         return replace(self, **arrays)
 
     def piece(self, begin: int, end: int) -> Samples:

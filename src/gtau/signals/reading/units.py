@@ -17,9 +17,9 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.documents.yaml_document import Document
-from gtau.signals.channel import SENSOR, SIDE_SIGNALS
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
-from gtau.signals.reading.columns import PRESETS, Signals, optional_keys
+from gtau.signals.reading.columns import PRESETS, SENSORS, Signals, optional_keys
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 
@@ -153,10 +153,11 @@ def _one_or_by_joint(kind: Kind) -> Any:
     ]
 
 
-Side = optional_keys({signal.key: Literal[signal.units] for signal in SIDE_SIGNALS})
+Optional = dict.fromkeys(SENSORS, _one_or_by_joint("torque"))
+Optional |= {signal.key: Literal[signal.units] for signal in SIDE_SIGNALS}
 
 
-class Units(Side):  # type: ignore[misc, valid-type]
+class Units(optional_keys(Optional)):  # type: ignore[misc]
     """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
 
     ``joint_torque`` is the unit of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of
@@ -167,7 +168,6 @@ class Units(Side):  # type: ignore[misc, valid-type]
     position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
     current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
     torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
-    joint_torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
     rated: dict[str, Positive] = Field(default_factory=dict)
     base: BaseUnits = BaseUnits()
     pose: PoseUnits = PoseUnits()
@@ -201,8 +201,9 @@ class Units(Side):  # type: ignore[misc, valid-type]
         if signals.base:
             positions += self.base.scale(signals.base)
         commands = [self._command_factor(joint, signals) for joint in signals.position]
-        sensors = (self.stated("joint_torque", joint) or "N m" for joint in signals.sensors(SENSOR))
-        commands += [si_factor(unit, "torque") for unit in sensors]
+        for kind in LINK_SIDE:
+            units = (self.stated(kind.calibration, joint) or "N m" for joint in signals.sensors(kind))
+            commands += [si_factor(unit, "torque") for unit in units]
         for wrench in signals.all_wrenches:
             commands += self.wrenches.scale(wrench)
         preset = PRESETS[signals.preset] if signals.preset else {}

@@ -18,6 +18,7 @@ from gtau.findings.words import counted
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import listed_joints, reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, MIN_SAMPLES, Samples, extremes, refuse_short
+from gtau.signals.reading.units import COMMON
 from gtau.signals.repair.clock import Clock, Given, clock_of, sampled_steps
 from gtau.signals.repair.commands import (
     Ends,
@@ -40,7 +41,6 @@ SHORTEST, SHARE = 1.0, 0.1
 # shared logs of ten robots there is none, nor a gap.
 OFTEN, SLOW, ALIKE = 5.0, 0.2, 1.5
 AROUND = 4  # samples before and after a step from which speeds are taken
-FINER = {"ms": 1e3, "us": 1e6, "ns": 1e9}  # units of time in a second
 # s; maximum lateness of the stamps of packets or messages. In the shared logs it is 5 ms (a polled Panda).
 LATEST = 0.25
 LARGEST_VALUE = 1e9  # of any logged value; even encoder and converter counts are smaller
@@ -143,7 +143,8 @@ def _refuse_rates(samples: Samples, clock: Clock) -> None:
     if LEAST_RATE <= clock.rate <= LARGEST_RATE:
         return
     column = samples.columns[-1]
-    finer = (unit for unit, factor in FINER.items() if LEAST_RATE <= clock.rate * factor <= LARGEST_RATE)
+    times = COMMON["time"].items()
+    finer = (unit for unit, factor in times if factor < 1 and LEAST_RATE <= clock.rate / factor <= LARGEST_RATE)
     remedy = "write the controller's rate in Hz under signals.time"
     if column != "rate":
         remedy = (
