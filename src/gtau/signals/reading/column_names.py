@@ -144,7 +144,7 @@ def _named(name: str) -> tuple[str, str]:
     return name[start:stop], f"{name[:start]}#{name[stop:]}"
 
 
-def by_words(name: ColumnName) -> ColumnName | None:
+def _by_words(name: ColumnName) -> ColumnName | None:
     """Relabel a name by all its words that are not words of signals, and ``joint`` beside them; None without such."""
     label, stem = _named(name.stem.replace("#", name.label, 1))
     if label and (around := AROUND.search(stem)):
@@ -178,7 +178,7 @@ def grouped(names: Sequence[ColumnName]) -> list[Group]:
     """Group columns but time by their stems; a second column of a joint, in another unit, is separate."""
     names = [name for name in names if name.kind != "time"]
     stems = Counter(name.stem.casefold() for name in names)
-    renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := by_words(name))}
+    renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := _by_words(name))}
     stems += Counter(name.stem.casefold() for name in renamed.values())
     groups: dict[str, Group] = {}
     for parsed in names:

@@ -280,8 +280,9 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        side = {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
-        for key, joints in {"gear_ratio": ratios, **side}.items():
+        named: dict[str, Mapping[str, Any]] = {"gear_ratio": ratios}
+        named |= {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
+        for key, joints in named.items():
             for joint in joints:
                 if joint not in self.position:
                     raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")

@@ -102,7 +102,7 @@ class Samples:
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints."""
-        return joints_of(self.channels)
+        return _joints_of(self.channels)
 
     def place(self, sample: int) -> str:
         """Describe the location of a sample in the file."""
@@ -134,8 +134,7 @@ class Samples:
         return until if count - end < MIN_SAMPLES else f"two runs of that log, one with '{until}', one with '{since}'"
 
 
-def joints_of(channels: Iterable[Channel]) -> tuple[str, ...]:
-    """List the joints among channels, those of a floating base first."""
+def _joints_of(channels: Iterable[Channel]) -> tuple[str, ...]:
     return tuple(channel.joint for channel in channels if channel.kind.modelled and not channel.kind.link_side)
 
 
@@ -158,7 +157,7 @@ def complete(
     part: Part,
 ) -> Samples:
     """Collect the complete samples of a part of a log; its ``parts`` are blocks with the number of their first row."""
-    n, wide = len(joints_of(channels)), len(columns) - 1  # columns before the time
+    n, wide = len(_joints_of(channels)), len(columns) - 1  # columns before the time
     stores = Store(), Store((n,)), Store((wide - n,)), *(Store(dtype=int) for _ in range(3))
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
     begin, bad_column = -1, ""

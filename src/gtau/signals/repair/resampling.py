@@ -173,7 +173,7 @@ def uniform(
     clock_notes = _clock_notes(clock, shortest, longest, given)
     if clock.regular and not (clock.gaps or delay or any(held.stale for held in holds.values())):
         # The samples are on the grid already.
-        valid = store((unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
+        valid = store((_unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
         notes += clock_notes
         return replace(samples, time=time), valid
     stores, missing, masked = (Store((len(samples.joints),)), Store((c,)), Store((c,), bool)), 0, 0
@@ -252,7 +252,7 @@ def _resampled(
         new = later & holds[group].fresh(command[:, columns])
         for k in range(columns.start, columns.stop):
             values[:, k] = np.interp(grid + samples.channels[k].delay, known[new], command[new, k])
-    good = unclipped(command, clips)
+    good = _unclipped(command, clips)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(known) - 2)
     valid = ~masked[:, None] & good[before] & good[before + 1]
     return CubicSpline(known[fresh], position[fresh])(grid), values, valid, lacking, masked
@@ -267,8 +267,7 @@ def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
     return ~near & (step[before] > longest * (1 + 1e-9))
 
 
-def unclipped(command: np.ndarray, clips: Clips) -> np.ndarray:
-    """Mark where commands (M, n) are not clipped at a level."""
+def _unclipped(command: np.ndarray, clips: Clips) -> np.ndarray:
     good = np.ones(command.shape, dtype=bool)
     for j, level in clips:
         good[:, j] &= command[:, j] != level

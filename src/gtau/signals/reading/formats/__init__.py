@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -123,9 +123,9 @@ def common_length(path: Path, lengths: Mapping[str, int], more: int = 0) -> int:
     return max(lengths.values())
 
 
+# Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
+# except logs recorded by polling; 0.05 and more are refused. A choice between the two.
 COSTLY = 0.02
-"""Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
-except logs recorded by polling; 0.05 and more are refused. A choice between the two."""
 
 
 def reading(kind: str, text: str, advice: str = "", joints: Sequence[str] = ()) -> Finding:
@@ -137,16 +137,9 @@ def repair(
     kind: str, share: float, text: str, advice: str = "", joints: Sequence[str] = (), time: float | None = None
 ) -> Finding:
     """Note a repair of a ``share`` of the samples: a warning where it costs many of them."""
-    return Finding(
-        kind,
-        tuple(joints),
-        text=text,
-        advice=advice,
-        share=share,
-        time=time,
-        grade=Grade.WARNING if share > COSTLY else Grade.INFORMATION,
-        shown_as="repair",
-    )
+    grade = Grade.WARNING if share > COSTLY else Grade.INFORMATION
+    note = reading(kind, text, advice, joints)
+    return replace(note, share=share, time=time, grade=grade, shown_as="repair")
 
 
 def listed_joints(joints: Sequence[str]) -> str:

@@ -119,9 +119,9 @@ def _fields(text: str) -> tuple[str, ...]:
 
 
 def _is_row(fields: Sequence[str]) -> bool:
-    numbers = sum(is_number(field) for field in fields)
+    numbers = sum(_is_number(field) for field in fields)
     rest = sum(field.lower() in MISSING for field in fields)
-    begins = is_number(fields[0]) or fields[0].lower() in MISSING
+    begins = _is_number(fields[0]) or fields[0].lower() in MISSING
     return begins and numbers > 0 and 2 * (numbers + rest) > len(fields)
 
 
@@ -181,8 +181,7 @@ def _split(text: str, separator: str) -> tuple[list[str], bool]:
     return text.split() if separator == " " and text.strip() else text.split(separator), False
 
 
-def is_number(text: str) -> bool:
-    """Decide whether a field is a finite number or infinite, with a decimal point or comma."""
+def _is_number(text: str) -> bool:
     try:
         return float(text.replace(",", ".")) == float(text.replace(",", "."))
     except ValueError:
