@@ -29,7 +29,7 @@ from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.reading.samples import refuse_short, register_of
 from gtau.signals.reading.units import COMMON
 
-DERIVATIVE = 0.9  # _correlation with a numerical derivative from which a column is taken for the velocity
+DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
 ADDED = 50  # samples over which velocities are integrated
 WRAPS = 5.0  # steps that 95 % stay below; a larger one by a turn is a wrap (300 to 1000 of a Gen3), not a motion in deg
 
