@@ -220,8 +220,8 @@ def _without_numbers(name: str, column: str, time: str, entry: str) -> str:
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the smallest and largest value of every column."""
-    columns = [np.ascontiguousarray(part.T) for part in blocks(array)]
-    low, high = ([end(part, axis=1) for part in columns] for end in (np.min, np.max))
+    columns = (np.ascontiguousarray(part.T) for part in blocks(array))
+    low, high = zip(*((part.min(axis=1), part.max(axis=1)) for part in columns), strict=True)
     return np.min(low, axis=0), np.max(high, axis=0)
 
 
