@@ -87,10 +87,11 @@ class LoggedRun(Part):
         if info.context is None:
             return log
         _, folder = info.context
-        placed = tuple(_placed(folder, path) for path in log)
+        paths, literal = [beside(folder, path) for path in log], Path(escape(str(folder)))
+        pairs = zip(log, paths, strict=True)
+        placed = tuple(path if path.exists() else beside(literal, written) for written, path in pairs)
         matches = [_logs_at(path) for path in placed]
-        for written, logs in zip(log, matches, strict=True):
-            path = beside(folder, written)
+        for written, path, logs in zip(log, paths, matches, strict=True):
             if not logs and has_magic(str(written)):
                 raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
             for existing in logs or [path]:
@@ -113,11 +114,6 @@ class LoggedRun(Part):
         """List the runs, one for each match of the patterns."""
         pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
         return [self.model_copy(update={"log": logs}) for logs in pairs]
-
-
-def _placed(folder: Path, path: Path) -> Path:
-    existing = beside(folder, path)
-    return existing if existing.exists() else beside(Path(escape(str(folder))), path)
 
 
 def _logs_at(path: Path) -> list[Path]:

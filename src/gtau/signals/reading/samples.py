@@ -188,9 +188,12 @@ def complete(
     if without:
         text = f"left out {counted(without, 'row')} that hold only other signals"
         notes.append(reading("rows of other signals", text=text))
-    for column, number in zip(columns, numbers.tolist(), strict=True):
-        if not number:
-            raise GtauError(_without_numbers(name, column, columns[-1], table.texts.get(column, "")))
+    for column in (column for column, number in zip(columns, numbers.tolist(), strict=True) if not number):
+        entry, remedy = table.texts.get(column, ""), "give the column that holds them"
+        if column == columns[-1] and entry[:1].isdigit():
+            remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
+        begins = f" (it begins with '{entry}')" if entry else ""
+        raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
     lost = len(incomplete)
     if lost > MAX_MISSING * count:
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
@@ -208,14 +211,6 @@ def complete(
         notes.append(repair("rows without numbers", lost / count, text=text))
     origin = float(time[0]) - part.begin if len(time) else 0.0
     return Samples(name, channels, columns, table, part, origin, time, position, command, rows)
-
-
-def _without_numbers(name: str, column: str, time: str, entry: str) -> str:
-    remedy = "give the column that holds them"
-    if column == time and entry[:1].isdigit():
-        remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
-    begins = f" (it begins with '{entry}')" if entry else ""
-    return f"{name}, column '{column}' holds no number{begins}; {remedy}."
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.documents.yaml_document import Document
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
-from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
+from gtau.signals.reading.body_columns import BaseColumns, PoseColumns
 from gtau.signals.reading.columns import PRESETS, SENSORS, Signals, optional_keys
 
 Kind = Literal["time", "position", "current", "torque", "force"]
@@ -116,11 +116,6 @@ class WrenchUnits(Keys):
     force: Annotated[str, _checked("force")] = "N"
     moment: Annotated[str, _checked("torque")] = "N m"
 
-    def scale(self, wrench: Wrench) -> list[float]:
-        """Return the factors to SI units of a wrench's columns."""
-        moments = 3 if wrench.moment else 0
-        return [si_factor(self.force, "force")] * 3 + [si_factor(self.moment, "torque")] * moments
-
 
 class BaseUnits(Keys):
     """Unit of the position of a base."""
@@ -204,8 +199,9 @@ class Units(optional_keys(Optional)):  # type: ignore[misc]
         for kind in LINK_SIDE:
             units = (self.stated(kind.calibration, joint) or "N m" for joint in signals.sensors(kind))
             commands += [si_factor(unit, "torque") for unit in units]
+        force, moment = si_factor(self.wrenches.force, "force"), si_factor(self.wrenches.moment, "torque")
         for wrench in signals.all_wrenches:
-            commands += self.wrenches.scale(wrench)
+            commands += [force] * 3 + [moment] * len(wrench.moment or ())
         preset = PRESETS[signals.preset] if signals.preset else {}
         return positions, commands, si_factor(self.time or preset.get("units", {}).get("time", "s"), "time")
 

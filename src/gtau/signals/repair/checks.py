@@ -179,7 +179,13 @@ def parts_between_gaps(samples: Samples, notes: list[Finding], given: Given = No
     pieces = [samples.piece(begin, end) for begin, end in ends if end > begin]
     longest_piece = max(pieces, key=lambda piece: len(piece.time))
     enough = max(MIN_SAMPLES, int(SHARE * len(longest_piece.time)))
-    kept = [piece for piece in pieces if len(piece.time) >= enough and _moves(piece)] or [longest_piece]
+
+    def is_usable(piece: Samples) -> bool:
+        low, high = extremes(piece.position)
+        lasts = piece.time[-1] - piece.time[0]
+        return bool(len(piece.time) >= enough and lasts >= SHORTEST and (low < high).any())
+
+    kept = list(filter(is_usable, pieces)) or [longest_piece]
     lost, last = count - sum(len(piece.time) for piece in kept), min(gaps) - 1
     longest = max(float(samples.time[after] - samples.time[first - 1]) for first, after in gaps.items())
     time, s = float(samples.time[last]), "s" * (len(gaps) > 1)
@@ -193,11 +199,6 @@ def parts_between_gaps(samples: Samples, notes: list[Finding], given: Given = No
     advice = "log every cycle of the controller"
     notes.append(repair("log cut at gaps", lost / count, text=text, advice=advice, time=time))
     return kept
-
-
-def _moves(samples: Samples) -> bool:
-    low, high = extremes(samples.position)
-    return bool(samples.time[-1] - samples.time[0] >= SHORTEST and (low < high).any())
 
 
 def _dropouts(samples: Samples, shortest: float) -> dict[int, int]:

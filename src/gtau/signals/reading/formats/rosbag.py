@@ -97,15 +97,13 @@ def open_rosbag(path: Path) -> LogTable:
 def _values(bag: Any, connection: Any, received: int, raw: bytes) -> dict[str, float]:
     """Name the numbers in a message, and its receipt stamp."""
     message = bag.deserialize(raw, connection.msgtype)
-    values = dict(_numbers(message, "")) if connection.msgtype != JOINT_STATE else dict(_joint_values(message))
-    return values | {"received": received * 1e-9}
-
-
-def _joint_values(message: Any) -> Iterator[tuple[str, float]]:
-    yield "header/stamp", _seconds(message.header.stamp)
+    if connection.msgtype != JOINT_STATE:
+        return dict(_numbers(message, "")) | {"received": received * 1e-9}
+    values = {"header/stamp": _seconds(message.header.stamp)}
     for field in ("position", "velocity", "effort"):
-        for joint, value in zip(message.name, getattr(message, field), strict=False):
-            yield f"{joint}/{field}", float(value)
+        pairs = zip(message.name, getattr(message, field), strict=False)
+        values |= {f"{joint}/{field}": float(value) for joint, value in pairs}
+    return values | {"received": received * 1e-9}
 
 
 def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
