@@ -44,8 +44,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
 from gtau.signals.preparation.choice import moving_spectra
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
-from gtau.signals.reading.experiment import Experiment
-from gtau.signals.reading.logged_run import LoggedRun
+from gtau.signals.reading.experiment import Experiment, LoggedRun
 from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block_size
