@@ -17,8 +17,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.fleet import fleet
-from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
-from gtau.fleet.gains import fleet_table
+from gtau.fleet.fleet import Member, Report, fleet_table, identify_fleet, read_fleet
 from gtau.fleet.workers import serial_map
 from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
