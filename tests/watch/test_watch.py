@@ -27,9 +27,8 @@ from gtau.result import Result, identify
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import power
-from gtau.watch.quantities import unseen_zeros
-from gtau.watch.signal_faults import signal_faults
-from gtau.watch.statistics import LogStatistics, statistics_of
+from gtau.watch.causes import signal_faults
+from gtau.watch.statistics import LogStatistics, statistics_of, unseen_zeros
 from gtau.watch.watch import Watch
 
 NOISE = 0.02  # A

@@ -24,7 +24,7 @@ from gtau.errors import GtauError
 from gtau.signals.reading.logs import find_columns, is_log_folder
 from gtau.signals.run import Run
 from gtau.watch.history import now
-from gtau.watch.quantities import TooShort
+from gtau.watch.statistics import TooShort
 from gtau.watch.watch import Status, Watch
 
 SETTLED = 1.0  # s without changes after which a log of a folder counts as finished
