@@ -76,11 +76,7 @@ def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
 
 
 def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> tuple[dict[str, float], str]:
-    """Compute the rms difference from the identified torques over random states, per cent by joint, and a note on it.
-
-    No state is faster than the logs. ``expressed`` are the parameters that the target holds; the identified torques
-    include all friction terms.
-    """
+    """Compute the rms difference from the identified torques at random states, % by joint, and a note on it."""
     result, idm = model.result, model.result.idm
     motion = random_motion(idm, STATES, np.random.default_rng(0))
     logged = np.array([[result.logged_speeds.get(joint, 0.0)] for joint in idm.actuated])

@@ -147,10 +147,7 @@ def _difference(file_robot: Robot, robot: Robot) -> str:
 
 
 def into_urdf(result: IdentifiedModel, source: Path, out: Path) -> Exported:
-    """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives.
-
-    Raises GtauError without consistent parameters, or if the file describes another robot.
-    """
+    """Write a copy of the URDF ``source`` with identified inertias and friction, and the drives, into ``out``."""
     model = consistent_model(result, "URDF")
     if source.suffix.lower() != ".urdf":
         raise GtauError(f"{source} is no URDF; give the .urdf file that the robot came from.")
@@ -198,11 +195,7 @@ def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
 
 
 def into_mjcf(result: IdentifiedModel, source: Path, out: Path) -> Exported:
-    """Write a copy of the MJCF file ``source`` with identified inertias, friction and gears into ``out``.
-
-    Raises GtauError without consistent parameters, or if the file describes another robot or includes or repeats
-    bodies.
-    """
+    """Write a copy of the MJCF ``source`` with identified inertias, friction and gears into ``out``."""
     mujoco = mjcf.imported()
     model = consistent_model(result, "MJCF")
     file = input_file(source, result.robot)
@@ -312,7 +305,6 @@ def _put_springs(file: InputFile, model: ConsistentModel) -> list[str]:
 
 
 def _put_gears(file: InputFile, model: ConsistentModel) -> list[str]:
-    """Write drive gains as gears of motors; return notes on the actuators."""
     put, unchanged, notes = [], [], []
     for actuator in file.root.iterfind("actuator/*[@joint]"):
         joint = actuator.get("joint", "")

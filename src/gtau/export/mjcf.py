@@ -40,10 +40,7 @@ def export(result: IdentifiedModel, out: Path) -> Exported:
 def model_text(
     mujoco: ModuleType, model: ConsistentModel, delays: bool = False
 ) -> tuple[str, list[str], dict[str, float]]:
-    """Write a model as MJCF: text, notes on missing effects, and differences of torques; raises GtauError.
-
-    With ``delays``, these are written elsewhere and not noted as missing.
-    """
+    """Write a model as MJCF: text, notes (``delays`` are elsewhere), and differences of torques."""
     result = model.result
     spec, expressed = _spec(mujoco, model)
     layout, loops = result.idm.layout, result.idm.loops

@@ -90,10 +90,7 @@ class Target:
         return np.einsum("bk,bkij->bij", y[self.places], self.basis)
 
     def energy(self, y: np.ndarray, normal: bool = False) -> tuple[float, np.ndarray]:
-        """Compute the negative logarithm of the density up to a constant, and its gradient; inf outside the cone.
-
-        ``normal`` estimates have no tails.
-        """
+        """Compute the negative logarithm of the density and its gradient, inf outside the cone."""
         P = self.bodies(y)
         if y[self.positive].min(initial=1.0) <= 0 or np.linalg.eigvalsh(P)[:, 0].min() <= 0:
             return np.inf, np.zeros_like(y)
@@ -180,12 +177,7 @@ class Target:
 def target_of(
     result: IdentifiedModel, estimates: Mapping[Parameter, Estimate]
 ) -> tuple[Target, np.ndarray, np.ndarray]:
-    """Build the density of what was identified with ``consistent=True``.
-
-    Returns it for the standard parameters and the changes of the other ``estimates``, those to draw by their names in
-    the covariance, base parameters first; natural sizes (n,) of the standard parameters; and unknowns (n + r,) to
-    search from.
-    """
+    """Build the density of parameters and ``estimates``, with natural sizes (n,) and a start (n + r,)."""
     robot, base, names = result.robot, result.base, result.idm.parameter_names
     assert result.consistency is not None
     standard = np.array([result.consistency.standard[name] for name in names])

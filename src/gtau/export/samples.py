@@ -118,10 +118,7 @@ def _with(estimates: Mapping[Any, Estimate], values: Mapping[Any, float]) -> dic
 
 
 def draw(result: IdentifiedModel, count: int, seed: int = 0) -> Draws:
-    """Draw ``count`` models from the distribution identified with ``consistent=True``; a ``seed`` gives the same draws.
-
-    Raises GtauError where the result has no physically consistent parameters, or no standard deviations.
-    """
+    """Draw ``count`` models from the distribution identified with ``consistent=True``."""
     consistent_model(result, "samples")
     if not 0 < count <= 100_000:
         raise GtauError(f"the number of samples is {count}; ask for 1 to 100000.")

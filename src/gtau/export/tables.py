@@ -95,7 +95,6 @@ def export_latex(result: IdentifiedModel, out: Path) -> Exported:
 
 
 def _labels(names: Sequence[str], longest: int) -> dict[str, str]:
-    """Use the names if none is longer than ``longest``, or else numbers from 1."""
     brief = all(len(name) <= longest for name in names)
     return {name: name if brief else str(number) for number, name in enumerate(names, start=1)}
 
@@ -107,10 +106,7 @@ def _legend(label: Mapping[str, str]) -> str:
 
 
 def symbol(name: Parameter, label: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R.
-
-    ``label`` maps a body's name to its label.
-    """
+    """Write a parameter's name in the field's notation, with bodies called by their ``label``."""
     subscript = in_latex_index(label.get(name.body, name.body)) + ("R" if name.regrouped else "")
     if name.kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"

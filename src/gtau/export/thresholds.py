@@ -35,11 +35,7 @@ Residual = tuple[np.ndarray, np.ndarray, float]
 def export_thresholds(
     result: IdentifiedModel, runs: Sequence[Run], out: Path, hours: float = 8.0, observer: float | None = None
 ) -> Exported:
-    """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``.
-
-    The external torque is taken behind the low-pass of identification, or the momentum observer with a bandwidth of
-    ``observer`` Hz. Raises GtauError if the runs are too few, too short or too different.
-    """
+    """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``."""
     if len(runs) < 2 or not 0 < hours < np.inf:
         raise GtauError("list two runs without contact under 'validation', at least, and give hours above zero.")
     runs = [run.ordered(result.idm.actuated) for run in runs]

@@ -44,11 +44,7 @@ UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
 
 
 def export(result: IdentifiedModel, out: Path) -> Exported:
-    """Write ``NAME.urdf``, ``NAME.yaml`` where the robot has loops, and ``NAME_drives.yaml`` into ``out``.
-
-    A platform is the end of a chain with one passive joint per degree of freedom and massless links in between. Raises
-    GtauError without consistent parameters, or if a joint is coupled to more than one other.
-    """
+    """Write ``NAME.urdf``, ``NAME_drives.yaml``, and ``NAME.yaml`` where there are loops, into ``out``."""
     model, robot, name = consistent_model(result, "URDF"), result.robot, identifier(result.robot.name)
     texts = {f"{name}.urdf": '<?xml version="1.0"?>\n' + xml_text(_robot_element(model))}
     texts[f"{name}_drives.yaml"] = drives_text(model)

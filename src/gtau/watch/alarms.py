@@ -68,10 +68,7 @@ class View:
 
     @cached_property
     def odd(self) -> np.ndarray:
-        """Mask (N, m) of outliers: values of a single log, far from the other logs and beyond their tolerance.
-
-        A value is no outlier if the next log is far off on the same side. Too few logs are compared with the model.
-        """
+        """Mask (N, m) of values of a single log, far from the others (if few, the model) and beyond tolerance."""
         shown = np.isfinite(self.excess)
         few = shown.sum(axis=0) < FEWEST
         change = self.excess - np.where(few, self.reference, median(self.excess))
@@ -160,10 +157,7 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
 def judge(
     model: IdentifiedModel, view: View, log: LogStatistics, row: int, previous: Alarm | None
 ) -> tuple[Alarm | None, int | None]:
-    """Judge the robot after the log in a ``row``, given the previous alarm.
-
-    Returns the alarm or None, and the row since which the robot is repaired or None.
-    """
+    """Judge the robot after the log in a ``row``: the alarm, if any, and the row since which it is repaired."""
     if previous is not None and previous.kind == "log":
         previous = None
     if view.odd[row].any():
@@ -265,10 +259,7 @@ def _alarm(kind: str, model: IdentifiedModel, view: View, log: LogStatistics, co
 
 
 def week_of(view: View, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Average the logs of the last week, at least the last few, ``since`` a row.
-
-    Returns the means and half the 95 % intervals (m,), NaN without enough logs.
-    """
+    """Average the last week, at least a few logs, ``since`` a row: means and half the 95 % intervals (m,)."""
     days = view.logs.days
     seen = np.isfinite(view.counted) & (np.arange(len(days)) >= since)[:, None]
     recent = (days > days.max(initial=-np.inf) - WEEK)[:, None]

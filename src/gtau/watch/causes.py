@@ -254,10 +254,7 @@ def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
 def signal_faults(
     model: IdentifiedModel, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
 ) -> tuple[Cause, ...]:
-    """Name the fault that the samples of a log show.
-
-    Earlier logs had ``healthy`` charts (k,), mean velocities ``speed`` (n,) and ``uneven`` residuals (n,).
-    """
+    """Name the fault that the samples of a log show, given charts, speeds and unevenness of healthy logs."""
     run, parts = log.run.ordered(model.idm.actuated, link_side=False), list[tuple[np.ndarray, ...]]()
     friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
     usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
@@ -285,10 +282,7 @@ def _mean_squares(
 
 
 def _frozen(run: Run, speed: np.ndarray) -> Iterator[Cause]:
-    """Find joints that moved in earlier logs and whose position is now constant while the command is not.
-
-    The size of the fault is the share of the log with one position.
-    """
+    """Find joints that moved in earlier logs, whose position is constant while the command is not."""
     for j in np.flatnonzero(speed > 0):
         q, v = run.position[:, j], run.command[:, j]
         begins = np.flatnonzero(np.diff(q, prepend=np.nan) != 0)
@@ -325,10 +319,7 @@ def _position_fault(
     single: np.ndarray,
     joint: int,
 ) -> tuple[Cause, np.ndarray]:
-    """Fit friction and torque as functions of a joint's position, and compute the mean squared residuals (n,) then.
-
-    The one whose removal loses more likelihood is the cause.
-    """
+    """Fit friction and torque as functions of a joint's position: the likelier cause, and what it leaves (n,)."""
     joints, *rows = (np.concatenate(part) for part in zip(*parts, strict=True))
     q, direction, table = (part[joints == joint] for part in rows)
     shape = hats(q[:, None], np.linspace([q.min()], [q.max()], NODES))[:, 0].T @ STEPS

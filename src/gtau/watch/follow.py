@@ -86,10 +86,7 @@ def take(watch: Watch, log: Path, read: Read) -> Status | None:
 def follow(
     watch: Watch, source: Path, read: Read, seconds: float, ended: Callable[[], bool] = lambda: False
 ) -> Iterator[Status]:
-    """Add new logs of a source until ``ended``, which is asked when nothing is new; raises GtauError.
-
-    ``read`` reads a log; blocks of a growing log are ``seconds`` long.
-    """
+    """Add new logs, or blocks of ``seconds``, until ``ended``, asked when nothing is new; raises GtauError."""
     if not source.exists():
         raise GtauError(f"there is nothing to follow at {source}; give a folder or a growing text log.")
     with system_refusals(source, "give a folder or a growing text log"):

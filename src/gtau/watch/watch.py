@@ -228,10 +228,7 @@ class Watch:
 
     @takes(subject=TEXT)
     def undo(self, subject: str) -> None:
-        """Undo the last action on a log (forgotten, or first of an acknowledged alarm) or a maintenance date.
-
-        Raises GtauError if there is none.
-        """
+        """Undo the last action on a log or a maintenance date; raises GtauError if there is none."""
         events = [event for event in self.events if event.subject == subject and not event.undone]
         done = [event for event in events if "alarm" in (event.details or {})]  # actions of the user
         if not done:
