@@ -143,11 +143,7 @@ class FleetFile(Keys):
 
 
 def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
-    """List the robots of one fleet file, or of experiment files and patterns that match some.
-
-    They are named after the parts in which their paths differ. Raises GtauError if no file matches, or a fleet file is
-    wrong.
-    """
+    """List the robots of a fleet file, or of experiment files and patterns; raises GtauError."""
     files = _matches(map(Path, paths))
     if len(files) == 1:
         document, folder = read_yaml(files[0]), files[0].parent
@@ -314,11 +310,7 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
 
 
 def _median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, float]:
-    """Compute the weighted median of values, and their spread beyond their own standard deviations ``std`` (N,).
-
-    With this spread ``(value - median)^2 / (spread^2 + std^2)`` has the median of a chi-square variable, so it breaks
-    down only if half of the values are outliers.
-    """
+    """Compute the weighted median of values (N,), and their spread beyond their own standard deviations ``std``."""
     median, spread = float(np.median(values)), 0.0
     for _ in range(20):
         before = median, spread

@@ -173,11 +173,7 @@ class Watch:
         )
 
     def imagine(self, run: Run) -> None:
-        """Simulate healthy days, whose estimates scatter by the covariance of a log, to predict visible changes.
-
-        The simulated robot equals its model; real days scatter more. Raises GtauError if the log does not fit the
-        model.
-        """
+        """Simulate healthy days, which scatter by the covariance of a log, to predict visible changes."""
         log = statistics_of(self.model, run)
         values, vectors = np.linalg.eigh(log.covariance)
         root, rng = vectors * np.sqrt(np.maximum(values, 0.0)), np.random.default_rng(0)
