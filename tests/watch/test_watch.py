@@ -465,6 +465,21 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     assert "write it as 2026-03-28" in call(str(later), "--reset", "March").stderr
 
 
+def test_the_command_says_what_it_works_on(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gtau.cli.console.EVERY", 1e-3)  # s
+    monkeypatch.setattr("gtau.cli.watch.EVERY", 1e-3)
+    log = write_log(tmp_path / "day.csv", day(0))
+    common = [str(folder / "model.json"), "--experiment", str(folder / "experiment.yaml"), "--out", str(tmp_path / "h")]
+    power = CliRunner().invoke(app, ["watch", *common, str(log), "--power"])
+    assert "gtau: reading day.csv, 0 s" in power.stderr
+    usual = CliRunner().invoke(app, ["watch", *common, str(log)])
+    for stage in ("starting", "log day.csv", "writing the report"):
+        assert f"gtau: {stage}, 0 s" in usual.stderr
+    missing = CliRunner().invoke(app, ["watch", *common, "--reset", "2026-01-01", "--power"])
+    assert (missing.exit_code, missing.stdout) == (2, "")
+    assert "--power shows what the motion of a finished log can reveal; give one." in missing.stderr
+
+
 def test_a_worn_drive_is_replaced(model: Result, healthy: list[LogStatistics]) -> None:
     watch = watched(model, [*healthy, *days_of(model, 100, 3, gain=0.9)])
     assert state_of(watch.alarm, watch.events, True) == "replace"

@@ -140,7 +140,7 @@ def _difference(file_robot: Robot, robot: Robot) -> str:
     for one, other in zip(file_robot.joints, robot.joints, strict=True):
         if (one.antecedent, one.kind) != (other.antecedent, other.kind):
             return f"joint '{one.name}' has another parent or is of another kind"
-        a, b = (np.vstack([joint.placement.rotation, joint.placement.position, joint.axis]) for joint in (one, other))
+        a, b = (np.vstack([j.placement.rotation, j.placement.position, j.axis]) for j in (one, other))
         if np.abs(a - b).max() > SAME:
             return f"joint '{one.name}' is placed otherwise"
     return ""

@@ -49,7 +49,12 @@ def export(result: IdentifiedModel, out: Path) -> Exported:
     texts = {f"{name}.urdf": '<?xml version="1.0"?>\n' + xml_text(_robot_element(model))}
     texts[f"{name}_drives.yaml"] = drives_text(model)
     if robot.closures:
-        texts[f"{name}.yaml"] = _loops_text(robot)
+        loops = {  # as gtau and the Gepetto models of parallel robots write them
+            "closed_loop": [[f"closure_{k}_a", f"closure_{k}_b"] for k in range(1, len(robot.closures) + 1)],
+            "type": ["3d" if closure.kind == "connect" else "6d" for closure in robot.closures],
+            "name_mot": list(robot.actuated),
+        }
+        texts[f"{name}.yaml"] = yaml.safe_dump(loops, sort_keys=False)
     return with_notes(model, written(out, texts))
 
 
@@ -131,7 +136,7 @@ def _mimic(element: Element, coupling: Coupling) -> None:
             "one; export to c instead."
         )
     ((other, ratio),) = coupling.ratios
-    SubElement(element, "mimic", {"joint": other, "multiplier": digits(ratio), "offset": digits(coupling.offset)})
+    SubElement(element, "mimic", joint=other, multiplier=digits(ratio), offset=digits(coupling.offset))
 
 
 def _platform(root: Element, platform: Platform, turned: Pose, body: RigidBody) -> None:
@@ -168,33 +173,21 @@ def inertial_element(body: RigidBody) -> Element:
     return element
 
 
-def _loops_text(robot: Robot) -> str:
-    """Write the loops as gtau and the Gepetto models of parallel robots do."""
-    document = {
-        "closed_loop": [[f"closure_{k}_a", f"closure_{k}_b"] for k in range(1, len(robot.closures) + 1)],
-        "type": ["3d" if closure.kind == "connect" else "6d" for closure in robot.closures],
-        "name_mot": list(robot.actuated),
-    }
-    return str(yaml.safe_dump(document, sort_keys=False))
-
-
 def drives_text(model: ConsistentModel) -> str:
     """Write drive gains, rotor inertias and other drive data as YAML."""
     robot = model.result.robot
     document: dict[str, Any] = {"robot": robot.name, "joints": {}}
     for joint in robot.joints:
-        name, unit = joint.name, torque_unit(robot, joint.name)
-        quantities: dict[str, tuple[float | None, str]] = {
-            key: (model.of(kind, name) or None, unit_of(kind, robot, name))
-            for key, kind in (("armature", "ia"), ("offset", "off"), ("cubic_friction", "f3"))
-        }
+        name, given = joint.name, {}
         if name in model.gains:
-            gain = (model.gains[name], gain_unit(robot, name, model.result.kind))
-            quantities = {"drive_gain": gain, **quantities}
+            given["drive_gain"] = _quantity(model.gains[name], gain_unit(robot, name, model.result.kind))
+        for key, kind in (("armature", "ia"), ("offset", "off"), ("cubic_friction", "f3")):
+            if value := model.of(kind, name):
+                given[key] = _quantity(value, unit_of(kind, robot, name))
         if joint.spring is not None:
-            quantities["stiffness"] = (model.of(STIFFNESS, name), f"{unit}/{joint.unit}")
-            quantities["springref"] = (joint.spring, joint.unit)
-        given = {key: {"value": value, "unit": unit} for key, (value, unit) in quantities.items() if value is not None}
+            unit = f"{torque_unit(robot, name)}/{joint.unit}"
+            given["stiffness"] = _quantity(model.of(STIFFNESS, name), unit)
+            given["springref"] = _quantity(joint.spring, joint.unit)
         if given:
             document["joints"][name] = given
     if robot.springs:
@@ -210,6 +203,12 @@ def _spring_data(model: ConsistentModel, spring: Spring) -> dict[str, object]:
     for end in (spring.a, spring.b):
         parent, placement = _on(end.body, end.placement, _to_vertical(robot))
         ends.append({"link": parent, "xyz": [float(component) for component in placement.position]})
-    units = {kind: unit_of(kind, robot, spring.name) for kind in spring.parameters}
-    values = {KINDS[kind].words: {"value": model.of(kind, spring.name), "unit": unit} for kind, unit in units.items()}
+    values = {
+        KINDS[kind].words: _quantity(model.of(kind, spring.name), unit_of(kind, robot, spring.name))
+        for kind in spring.parameters
+    }
     return {"between": ends, **values}
+
+
+def _quantity(value: float, unit: str) -> dict[str, object]:
+    return {"value": value, "unit": unit}

@@ -210,7 +210,7 @@ def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | 
     member, known = item
     try:
         experiment = read_experiment(member.experiment, member.logs)
-        key = _inputs_key(experiment, method)
+        key = inputs_key(experiment, method)
         return key, "" if key == known else model_text(identify(experiment, options=options_of(method=method)))
     except GtauError as error:
         return GtauError(str(error))
@@ -223,14 +223,14 @@ def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | 
         )
 
 
-def _inputs_key(experiment: Experiment, method: str) -> str:
+def inputs_key(experiment: Experiment, method: str) -> str:
     """Compute the SHA-256 of all inputs of a model: program, method, robot, settings and logs by name and content."""
     settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
     key = hashlib.sha256(_program())
     for text in (method, settings, native_text(load_robot(experiment.robot).with_file(source=""))):
         key.update(text.encode() + b"\0")
     for path in (log for run in experiment.runs for log in run.log):
-        for file in in_order(path.iterdir()) if path.is_dir() else [path]:
+        for file in in_order(filter(Path.is_file, path.rglob("*"))) if path.is_dir() else [path]:
             key.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
     return key.hexdigest()
 

@@ -119,14 +119,15 @@ class View:
 def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History) -> View:
     """Select the logs that count, given the events: maintenance, forgotten and repaired logs, new references."""
     logs = history.logs(len(charts), len(model.robot.actuated))
-    friction = [chart.group == "friction" for chart in charts]
-    parts = [Quantity("friction", charts[k].joint, "1") if friction[k] else charts[k] for k in range(len(charts))]
+    parts = [chart._replace(kind=chart.group, unit="1") if chart.group == "friction" else chart for chart in charts]
     quantities = tuple(dict.fromkeys(parts))
     speed = dict(zip(model.robot.actuated, np.nan_to_num(median(logs.speeds), nan=1.0), strict=True))
-    S = np.zeros((len(charts), len(quantities)))  # combinations of charts
+    S, known = np.zeros((len(charts), len(quantities))), np.ones(len(charts))  # combinations of charts
     for k, chart in enumerate(charts):
         S[k, quantities.index(parts[k])] = speed[chart.joint] if chart.kind == "fv" else 1.0
-    total = np.array([identified(model, charts[k].name) if friction[k] else 1.0 for k in range(len(charts))]) @ S
+        if chart.group == "friction":
+            known[k] = identified(model, chart.name)
+    total = known @ S
     S /= np.where(total > 0, total, np.nan)
     shown = np.isfinite(logs.charts).astype(float) @ (S != 0) > 0
     values = np.where(shown, np.nan_to_num(logs.charts) @ S, np.nan)
@@ -136,9 +137,12 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
     tolerance = np.array([accepted.get(quantity.kind, np.inf) for quantity in quantities])
     vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
     tolerance[vague] = np.inf  # one log does not determine these; errors of the model are larger
-    gain_stds = {joint: (gain.std or 0.0) / abs(gain.value or 1.0) for joint, gain in model.drive_gains.items()}
-    model_std = np.array([gain_stds.get(quantity.joint, 0.0) * (quantity.kind == "gain") for quantity in quantities])
-    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), model_std, [])
+    model_std, reference = np.zeros((2, len(quantities)))
+    for k, quantity in enumerate(quantities):
+        if quantity.kind == "gain" and quantity.joint in model.drive_gains:
+            gain = model.drive_gains[quantity.joint]
+            model_std[k] = (gain.std or 0.0) / abs(gain.value or 1.0)
+    view = View(history.settings, logs, quantities, values, std, tolerance, reference, model_std, [])
     for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
             values[logs.dates < event.subject] = np.nan

@@ -127,13 +127,14 @@ def causes_of(
 
     def fit(*several: Hypothesis) -> list[tuple[float, Cause]]:
         """Fit one or two hypotheses together; return misfit and cause, or nothing if one is implausible."""
-        ends = np.cumsum([columns.shape[1] for *_, columns in several])[:-1]
-        sizes, halves, misfit = _fit(change, response @ np.hstack([columns for *_, columns in several]), len(complete))
+        columns = [columns for *_, columns in several]
+        ends = np.cumsum([part.shape[1] for part in columns])[:-1]
+        sizes, halves, misfit = _fit(change, response @ np.hstack(columns), len(complete))
         parts = zip(several, np.split(sizes, ends), np.split(halves, ends), strict=True)
-        causes = [cause for part in parts if (cause := _stated(model, log, heaviest, *part))]
-        if len(causes) < len(several):
+        first, *others = (_stated(model, log, heaviest, *part) for part in parts)
+        if first is None or None in others:
             return []
-        return [(misfit, causes[0].model_copy(update={"and_also": causes[1] if causes[1:] else None}))]
+        return [(misfit, first.model_copy(update={"and_also": others[0] if others else None}))]
 
     hypotheses = list(_hypotheses(model, log.quantities))
     fits = [fitted for hypothesis in hypotheses for fitted in fit(hypothesis)]
@@ -214,7 +215,8 @@ def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Ite
         if quantity.kind != "off":
             groups[quantity.group, quantity.joint].append(k)
     for (group, joint), members in groups.items():
-        yield group, joint, np.eye(len(quantities))[:, sorted(members, key=lambda k: quantities[k].kind not in LEADING)]
+        members.sort(key=lambda k: quantities[k].kind not in LEADING)
+        yield group, joint, np.eye(len(quantities))[:, members]
     if len({quantity.joint for quantity in quantities} - {""}) > 1:
         for kind, group in (("clock", "delay"), ("gain", "gain")):
             yield kind, "", np.array([[float(quantity.group == group)] for quantity in quantities])
@@ -330,10 +332,10 @@ def _position_fault(
     k = int(np.argmax([fit.lost_without([0]), fit.lost_without([1])]))
     squares, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own[0][part == k])
     squares[joint] = np.mean((columns @ fit.model.coefficients(fit.sizes, fit.at, 0)) ** 2)
-    name, rms = run.joints[joint], {error.joint: error.rms for error in model.residuals}
-    unit, size = torque_unit(model.robot, name), float(np.ptp(np.quantile(function, EXTREMES)) * (rms.get(name) or 1.0))
-    if k == 0:
-        text = f"rub of {name} (friction that differs by {size:.2g} {unit} along its range)"
-        return _cause("rub", name, size, text, unit), squares
-    text = f"ripple of {name} (torque that differs by {size:.2g} {unit} with its position)"
-    return _cause("ripple", name, size, text, unit), squares
+    name = run.joints[joint]
+    unit = torque_unit(model.robot, name)
+    rms = {error.joint: error.rms for error in model.residuals}.get(name) or 1.0
+    size = float(np.ptp(np.quantile(function, EXTREMES)) * rms)
+    kind, what, where = (("rub", "friction", "along its range"), ("ripple", "torque", "with its position"))[k]
+    text = f"{kind} of {name} ({what} that differs by {size:.2g} {unit} {where})"
+    return _cause(kind, name, size, text, unit), squares

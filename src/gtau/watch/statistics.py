@@ -276,10 +276,10 @@ def normal_equations(
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     if model.robot.floating:
         raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
+    name = f"run '{run.name}'"
     if run.kind != model.kind:
         raise GtauError(
-            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the "
-            "same kind."
+            f"{name} holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the same kind."
         )
     run = run.ordered(idm.actuated, link_side=False)
     check_wrenches(model.robot, run)
@@ -291,10 +291,10 @@ def normal_equations(
     if len(blocks) < FEWEST_ROWS:
         least = (run.time[-1] - run.time[0]) * FEWEST_ROWS / max(len(blocks), 1)
         raise TooShort(
-            f"run '{run.name}' gives {len(blocks)} rows a joint at the rate of the identification, {FEWEST_ROWS} are "
+            f"{name} gives {len(blocks)} rows a joint at the rate of the identification, {FEWEST_ROWS} are "
             f"needed; give at least {np.ceil(least):.0f} s of motion."
         )
-    chi = loaded_parameters(model, run.payload, f"run '{run.name}'")
+    chi = loaded_parameters(model, run.payload, name)
     load = np.array(transmitted(np, base.standard, chi))
     friction = friction_along(model, prepared, chi)
     quantities, payload = quantities_of(model)
@@ -317,8 +317,8 @@ def normal_equations(
     count = rows.sum(axis=0)
     if not (count >= FEWEST_ROWS).any():
         raise GtauError(
-            f"run '{run.name}' has at most {count.max()} usable rows a joint, away from its reversals and gaps; give a "
-            "longer log."
+            f"{name} has at most {count.max()} usable rows a joint, away from its reversals and gaps; "
+            "give a longer log."
         )
     return G, rows, way / np.maximum(count, 1)
 

@@ -161,14 +161,16 @@ class Watch:
         """The state after the log that was added last."""
         logs, at = self.view.logs, int(np.argmax(self.view.logs.ids))
         phase = "baseline" if self.count <= self.settings.baseline else "watching"
-        charts = zip(self.settings.charts, logs.charts[at].tolist(), logs.std[at].tolist(), strict=True)
-        shown = [(name, value, std) for name, value, std in charts if np.isfinite(value)]
+        values, std = (
+            dict(zip(self.settings.charts, row[at].tolist(), strict=True)) for row in (logs.charts, logs.std)
+        )
+        shown = [name for name in values if np.isfinite(values[name])]
         return Status(
             log=logs.names[at],
             date=logs.dates[at],
             phase="aside" if self.view.odd[at].any() else phase,
-            values={name: value for name, value, _ in shown},
-            std={name: std for name, _, std in shown},
+            values={name: values[name] for name in shown},
+            std={name: std[name] for name in shown},
             alarm=self.alarm,
         )
 
