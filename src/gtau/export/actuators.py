@@ -120,11 +120,12 @@ def _actuators(model: ConsistentModel) -> list[Actuator]:
         gain = replace(result.drive_gains[joint], value=model.gains[joint])
         chosen = {kind: model.of(kind, joint) for kind in ("ia", "fv", "fs", "f3", "off")}
         rows = np.flatnonzero(base.matrix[:, result.idm.parameter_names.index(Parameter("ia", joint))])
-        regrouped, armature = base.names[rows[0]] if len(rows) else "", None
+        names, armature = [base.names[row] for row in rows], None
         if len(rows) == 1 and np.count_nonzero(base.matrix[rows[0]]) == 1:  # a base parameter itself
-            estimate = result.parameters[regrouped]
+            estimate = result.parameters[names[0]]
             if estimate.value is not None:
                 armature = replace(estimate, value=chosen["ia"])
+        regrouped = names[0] if names else ""
         actuators.append(Actuator(joint, limits, gain, delay, chosen, armature, regrouped))
     return actuators
 

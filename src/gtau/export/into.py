@@ -172,9 +172,9 @@ def into_urdf(result: IdentifiedModel, source: Path, out: Path) -> Exported:
     notes = []
     if lumped:
         notes = [f"links on fixed joints are part of those that carry them, and have no inertia: {', '.join(lumped)}"]
-    drives = f"{identifier(result.robot.name)}_drives.yaml"
-    files = written(out, {source.name: file.text(), drives: urdf.drives_text(model)})
-    return urdf.with_notes(model, files, notes, "the robot's own YAML file")
+    texts: dict[str, str | bytes] = {source.name: file.text()}
+    texts[f"{identifier(result.robot.name)}_drives.yaml"] = urdf.drives_text(model)
+    return urdf.with_notes(model, written(out, texts), notes, "the robot's own YAML file")
 
 
 def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
