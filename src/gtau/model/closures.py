@@ -134,9 +134,8 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
     index = {joint.name: k for k, joint in enumerate(robot.joints)}
     for coupling in robot.couplings:
         row = np.zeros(layout.n_y)
-        row[index[coupling.joint]] = 1.0
-        for name, ratio in coupling.ratios:
-            row[index[name]] = -ratio
+        for name, factor in coupling.terms.items():
+            row[index[name]] = factor
         size = np.linalg.norm(row * layout.unit)
         residual.append((ca.dot(constant(row[: len(index)]), c[: len(index)]) - coupling.offset) / size)
         velocity.append(ca.dot(constant(row), yd) / size)

@@ -137,8 +137,7 @@ def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Couplin
         held = [name for name in terms if name in positions]
         offset = coupling.offset - sum(terms.pop(name) * positions[name] for name in held)
         if terms:
-            (first, factor), *others = terms.items()
-            yield Coupling(first, tuple((name, -term / factor) for name, term in others), offset / factor)
+            yield Coupling.solved(terms, next(iter(terms)), offset)
 
 
 def listed(names: Sequence[str]) -> str:

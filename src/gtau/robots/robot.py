@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -91,6 +91,13 @@ class Coupling:
     def terms(self) -> dict[str, float]:
         """Factors of the joints in the sum that equals the offset."""
         return {self.joint: 1.0} | {name: -ratio for name, ratio in self.ratios}
+
+    @classmethod
+    def solved(cls, terms: Mapping[str, float], joint: str, total: float) -> Coupling:
+        """Give a ``joint`` from the others whose sum with it, by the factors in ``terms``, is the ``total``."""
+        factor = terms[joint]
+        others = {name: -value / factor for name, value in terms.items() if value and name != joint}
+        return cls(joint, tuple(others.items()), total / factor)
 
 
 TRANSLATIONS, ROTATIONS = ("x", "y", "z"), ("rx", "ry", "rz")

@@ -129,16 +129,8 @@ def tied_tendons(file: MjcfFile) -> list[Coupling]:
         for name, value in terms.items():
             constant += value * float(file.model.qpos0[int(file.model.joint(name).qposadr[0])])
         leading = next(name for name, value in terms.items() if value)
-        couplings.append(_solved(terms, leading, constant))
+        couplings.append(Coupling.solved(terms, leading, constant))
     return couplings
-
-
-def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
-    """Make the coupling that gives a joint from the others whose sum, each by its factor, is a length."""
-    others = {name: value for name, value in terms.items() if value}
-    factor = others.pop(joint)
-    ratios = tuple((name, -value / factor) for name, value in others.items())
-    return Coupling(joint, ratios, length / factor)
 
 
 def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[str]) -> Iterator[tuple[Coupling, str]]:
@@ -155,7 +147,7 @@ def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[
             play, (most, unit) = (high - low) / abs(terms[joint]), PLAY[kinds[joint]]
             if play <= most:
                 known |= {joint}
-                coupling = _solved(terms, joint, (low + high) / 2)
+                coupling = Coupling.solved(terms, joint, (low + high) / 2)
                 others = listed([name for name, _ in coupling.ratios])
                 yield (
                     coupling,

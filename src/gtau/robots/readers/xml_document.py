@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import errors
@@ -36,7 +37,7 @@ def read_xml(path: Path) -> Element:
         raise GtauError(f"this is not valid XML ({error}); correct the file.") from None
     level = [root]
     for _ in range(MAX_DEPTH):
-        level = [child for element in level for child in element]
+        level = list(chain(*level))
     if level:
         raise GtauError(f"elements are nested more than {MAX_DEPTH} levels deep; check the file.")
     return root
