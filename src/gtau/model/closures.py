@@ -121,7 +121,8 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
     residual, velocity, gamma = [], [], []
     for closure in robot.closures:
         (R_a, p_a), (R_b, p_b) = attached_frame(closure.a, frame), attached_frame(closure.b, frame)
-        v_a, v_b = attached_velocity(closure.a, frame, twist), attached_velocity(closure.b, frame, twist)
+        v_a = attached_velocity(closure.a, frame, twist)
+        v_b = attached_velocity(closure.b, frame, twist)
         a_a, a_b = (_acceleration(end, frame, twist, still) for end in (closure.a, closure.b))
         residual.append((p_a - p_b) / length)
         velocity.append((v_a.linear - v_b.linear) / length)

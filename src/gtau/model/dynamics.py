@@ -103,7 +103,8 @@ def torques(
     tau, n_joints = [], len(robot.joints)
     for k in range(J.shape[1]):
         partial = twists(layout, frame, J[:, k])
-        power, moved = ca.SX(0), [(row, robot.joints[row]) for row in J[:, k].sparsity().row() if row < n_joints]
+        power = ca.SX(0)
+        moved = [(row, robot.joints[row]) for row in J[:, k].sparsity().row() if row < n_joints]
         for body in massive:  # eqs. (13) and (14): for a platform, D^T tau_p along the columns of J_p
             if not partial[body].moves:
                 continue
@@ -130,7 +131,8 @@ def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[
         partial = twists(layout, frame, J[:, k])
         power = ca.SX(0)
         for number, (body, in_world) in enumerate(frames_of):
-            moment, force = wrenches[6 * number : 6 * number + 3], wrenches[6 * number + 3 : 6 * number + 6]
+            moment = wrenches[6 * number : 6 * number + 3]
+            force = wrenches[6 * number + 3 : 6 * number + 6]
             angular, linear = partial[body].angular, partial[body].linear
             if in_world:
                 angular, linear = frame[body].R_0 @ angular, frame[body].R_0 @ linear

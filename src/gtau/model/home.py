@@ -187,7 +187,8 @@ def _displacements(errors: LoopErrors, given: np.ndarray, home: np.ndarray) -> s
         text = f"joint '{joint.name}' from {given[k]:.4g} to {home[k]:.4g} {joint.unit}"
         parts.append((not joint.actuated, -apart[k], text))
     for slots in layout.platforms:
-        change, angular = slots.displacement(given, home), layout.angular[slots.rates]
+        change = slots.displacement(given, home)
+        angular = layout.angular[slots.rates]
         shift, turn = (float(np.linalg.norm(change[which])) for which in (~angular, angular))
         sizes = [f"{1e3 * shift:.4g} mm"] * (shift > NEAR * layout.length)
         sizes += [f"{np.degrees(turn):.4g} degrees"] * (turn > NEAR)

@@ -265,7 +265,8 @@ class InverseDynamics:
         GtauError
             The loops cannot be closed, or a pose is too close to a singularity.
         """
-        W, full = np.zeros((len(q), len(self.actuated), len(self.parameter_names))), self.full
+        W = np.zeros((len(q), len(self.actuated), len(self.parameter_names)))
+        full = self.full
         _ = full.program  # compiled before threads need it
         self._for_blocks(q, qd, qdd, lambda block, motion: full.fill(self.layout, motion, W[block]))
         return W

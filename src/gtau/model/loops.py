@@ -83,7 +83,8 @@ class Loops:
     @cached_property
     def scale(self) -> np.ndarray:
         """Factors (n_c,) by which entries of c become rad, or lengths over the robot's; zero for actuated ones."""
-        layout, scale = self.layout, np.full(self.layout.n_c, 1.0 / self.layout.length)
+        layout = self.layout
+        scale = np.full(self.layout.n_c, 1.0 / self.layout.length)
         scale[np.flatnonzero(layout.angular[: len(layout.robot.joints)])] = 1.0
         scale[layout.actuated] = 0.0
         for slots in layout.platforms:
@@ -192,7 +193,8 @@ def _filled(
 
 def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
     """Fill ``c`` from each of ``starts`` for ``length`` samples; return those that were not reached."""
-    ends, filled = np.minimum(starts + length, q.shape[1]), _filled(loops, q, c, starts, length)
+    ends = np.minimum(starts + length, q.shape[1])
+    filled = _filled(loops, q, c, starts, length)
     return set().union(*map(range, starts + filled, ends))
 
 
@@ -218,7 +220,8 @@ def differentiate(loops: Loops, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, 
     singular = condition >= CONDITION
     if singular.any():
         worst = int(np.argmax(condition))
-        label, pose = (labels or numbers())(worst), pose_words(layout.robot, c[layout.actuated, worst])
+        label = (labels or numbers())(worst)
+        pose = pose_words(layout.robot, c[layout.actuated, worst])
         raise GtauError(
             f"robot '{layout.robot.name}': at {label} ({pose}) the pose is too close to a singularity of type 2, "
             "where passive joints can move although the actuated ones stand still "

@@ -175,7 +175,8 @@ def _program(function: ca.Function, parameters: int) -> Program:
     row = {value: value for value in range(inputs)} | {value: inputs + k for k, value in enumerate(used)}
     row |= {inputs + k: inputs + len(used) + k for k in range(parameters)}
     row |= {value: inputs + len(used) + parameters + register for value, register in stands.items()}
-    code, signs = np.zeros((len(listing), 10), dtype=np.uint32), np.ones((len(listing), 4))
+    code = np.zeros((len(listing), 10), dtype=np.uint32)
+    signs = np.ones((len(listing), 4))
     for line, sign, instruction in zip(code, signs, listing, strict=True):
         result, *second = instruction.results  # the cosine takes the place of a second operand
         rows = [row[value] for value in (*instruction.operands, *second)]
@@ -205,7 +206,8 @@ def _read(function: ca.Function) -> tuple[list[Instruction], dict[int, float], l
 
     for k in range(function.n_instructions()):
         identity = function.instruction_id(k)
-        arguments, results = function.instruction_input(k), function.instruction_output(k)
+        arguments = function.instruction_input(k)
+        results = function.instruction_output(k)
         if identity == ca.OP_CONST:
             held[results[0]] = constant(function.instruction_constant(k))
         elif identity == ca.OP_INPUT:

@@ -53,7 +53,8 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
     if not LITERAL < max(*gaps, tilt) < DRAWN:
         return robot
     varied = _varied(errors.layout, places, carrying, pairs)
-    written, grounded = bounds * nonzero, np.array([[place.body == GROUND] for place in places.values()])
+    written = bounds * nonzero
+    grounded = np.array([[place.body == GROUND] for place in places.values()])
     open_loops = max(gaps) >= LITERAL
     for aligned, bound in product((True, False), (written * grounded, written, bounds)):
         if not open_loops and not (aligned and pairs):
@@ -159,7 +160,8 @@ def _bounds(robot: Robot, placements: list[Placement], joints: list[Joint]) -> t
     remainder = np.where(angular, np.abs(numbers - np.round(numbers / (pi / 12)) * (pi / 12)), np.abs(numbers))
     nonzero = remainder > CLOSED
     axes = [component for joint in joints for component in joint.axis]
-    lengths, angles = digits_of(numbers[~angular]), digits_of([*numbers[angular & nonzero], *axes])
+    lengths = digits_of(numbers[~angular])
+    angles = digits_of([*numbers[angular & nonzero], *axes])
     written, unit = np.vectorize(is_written)(numbers), 1.0
     rounding = robot.file.rounding
     if rounding is None:
@@ -191,7 +193,8 @@ def _aligned(
     axes = np.array([function(pose).full() for pose in poses])
     tolerance = min(DRAWN, TURNS * float(bounds[:, 3:].max()))
     cross = np.cross(axes[:, :, None], axes[:, None])
-    crossed, along = np.linalg.norm(cross, axis=-1).max(axis=0), np.abs(axes @ axes.transpose(0, 2, 1)).max(axis=0)
+    crossed = np.linalg.norm(cross, axis=-1).max(axis=0)
+    along = np.abs(axes @ axes.transpose(0, 2, 1)).max(axis=0)
     first = [int(np.argmax(row <= max(tolerance, LITERAL))) for row in crossed]
     pairs = [(k, j, True) for j, k in enumerate(first) if k < j]
     kinds = sorted(set(first))
@@ -205,7 +208,8 @@ def _varied(
 ) -> ca.Function:
     """Compile from c and changes (6 places,): errors of loops and axes with their Jacobians, and slopes by changes."""
     c, yd, change = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("change", 6 * len(places))
-    computed, parts = layout.robot.file.rounding is not None, ca.vertsplit(change, 6)
+    computed = layout.robot.file.rounding is not None
+    parts = ca.vertsplit(change, 6)
     placements = {
         name: _varied_placement(place.placement, part, computed)
         for (name, place), part in zip(places.items(), parts, strict=True)

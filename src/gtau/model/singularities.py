@@ -104,7 +104,8 @@ def singular_distances(idm: InverseDynamics) -> Distances:
     layout, jacobian = idm.layout, tool_jacobian(idm)
     # the rank of J_t at most poses, and its largest singular value there
     s = np.linalg.svd(jacobian(random_motion(idm, POSES, np.random.default_rng(0))), compute_uv=False)
-    rank, largest = int((s > NO_MOTION * s.max()).sum(axis=1).max()), float(s.max())
+    rank = int((s > NO_MOTION * s.max()).sum(axis=1).max())
+    largest = float(s.max())
 
     def distances(motion: Motion) -> np.ndarray:
         s = np.linalg.svd(jacobian(motion), compute_uv=False)[:, :rank]

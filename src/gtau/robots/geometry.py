@@ -37,7 +37,7 @@ def places_on(robot: Robot, body: str) -> list[np.ndarray]:
 
 
 def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
-    """Bound the frames on a body by a ball: centre (3,) and radius, m, in its frame; tell if the chain ends here."""
+    """Bound the frames on a body by a ball: centre (3,) and radius, m, in its frame; and whether it ends a chain."""
     points = places_on(robot, body)
     frames = np.array([np.zeros(3), *points])
     centre = (frames.min(axis=0) + frames.max(axis=0)) / 2

@@ -266,7 +266,8 @@ def _joints(
     kind, axis, anchor = model.jnt_type[number], model.jnt_axis[number], model.jnt_pos[number]
     slides, reference = kind == mujoco.mjtJoint.mjJNT_SLIDE, Pose()
     if slides:
-        anchor, reference = np.zeros(3), pose_of(np.eye(3), -axis * model.qpos0[start])
+        anchor = np.zeros(3)
+        reference = pose_of(np.eye(3), -axis * model.qpos0[start])
     elif kind == mujoco.mjtJoint.mjJNT_HINGE:
         reference = pose_of(turn(axis, -model.qpos0[start]), np.zeros(3))
     placement = at.at(pose_of(np.eye(3), anchor)).at(reference).placement

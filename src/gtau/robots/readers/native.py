@@ -100,7 +100,8 @@ def _constants(document: Document) -> dict[str, float]:
 
 def native_text(robot: Robot) -> str:
     """Write a robot as the text of a robot file (YAML), from which `read_native` reads an equal one."""
-    passive, moving = bool(robot.closures or robot.couplings), robot.joints[len(robot.base) :]
+    passive = bool(robot.closures or robot.couplings)
+    moving = robot.joints[len(robot.base) :]
     homes = {place.name: {"dof": list(place.dof), "home": _pose_data(place.home)} for place in robot.platforms}
     ties = [{str(tie.kind): [_attachment_data(tie.a), _attachment_data(tie.b)]} for tie in robot.closures]
     couplings = [

@@ -91,7 +91,8 @@ def _with_motors(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[Sequence[
     for joint in tree.joints:
         carriers[joint.name] = carriers[joint.antecedent] | {joint.name}
     branches = [carriers[tie.a.body] ^ carriers[tie.b.body] for tie in closures]
-    looped, before = set[str]().union(*branches), {joint.name: joint.antecedent for joint in tree.joints}
+    looped = set[str]().union(*branches)
+    before = {joint.name: joint.antecedent for joint in tree.joints}
     motors, why = driven_joints(tree.root) & looped, "as their transmissions say"
     if not motors:
         motors = {joint for branch in branches for joint in branch if before[joint] not in branch}
@@ -121,7 +122,8 @@ def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
     if rest <= driven:
         drawn = driven.isdisjoint(six)
     else:
-        strong, heavy = {joint.name for joint in robot.joints if joint.limits.effort}, _heavy(tree)
+        strong = {joint.name for joint in robot.joints if joint.limits.effort}
+        heavy = _heavy(tree)
         drawn = (rest <= strong and strong.isdisjoint(six)) or (rest <= heavy and heavy.isdisjoint(six[:-1]))
     if not drawn:
         return robot
@@ -270,6 +272,7 @@ def _sides_in_gazebo(tree: UrdfTree, joint: Element, what: str) -> list[Attachme
     drawn: dict[str, Placement] = {GROUND: Pose()}
     for moving in tree.joints:
         drawn[moving.name] = compose(drawn[moving.antecedent], moving.placement)
-    there, R = compose(drawn[child.body], child.placement), drawn[parent.body].rotation.T
+    there = compose(drawn[child.body], child.placement)
+    R = drawn[parent.body].rotation.T
     from_parent = pose_of(R @ there.rotation, R @ (there.position - drawn[parent.body].position))
     return [replace(parent, placement=from_parent), child]

@@ -232,7 +232,8 @@ def _mimics_of_gazebo(root: Element, free: Collection[str]) -> list[Coupling]:
         leader = (plugin.findtext("joint") or plugin.findtext("jointName") or "").strip()
         if leader and follower in free:
             what = f"<plugin> of mimicJoint '{follower}' (line {line_of(plugin)})"
-            ratio, offset = plugin.findtext("multiplier") or "1", plugin.findtext("offset") or "0"
+            ratio = plugin.findtext("multiplier") or "1"
+            offset = plugin.findtext("offset") or "0"
             couplings[follower] = _coupling(follower, leader, ratio, offset, what)
     return list(couplings.values())
 
