@@ -96,7 +96,8 @@ def closed_motion(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
     actuated, passive, unit = layout.actuated.tolist(), layout.passive.tolist(), layout.unit[layout.passive]
     _, velocity, gamma = closure_expressions(layout, _on_unit_quaternions(layout, given), yd)
     G_p, G_a = _scaled(layout, velocity, yd)
-    qd, qdd = ca.SX.sym("qd", len(actuated)), ca.SX.sym("qdd", len(actuated))
+    qd = ca.SX.sym("qd", len(actuated))
+    qdd = ca.SX.sym("qdd", len(actuated))
     J = ca.SX(layout.n_y, len(actuated))
     J[actuated, :] = ca.SX.eye(len(actuated))
     J_passive, condition = solve(G_p, -G_a, refine=True)

@@ -47,7 +47,8 @@ class PlatformSlots:
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Compute the platform's displacement between configurations (n_c,), in its degrees of freedom, m and rad."""
-        shifted, turned = after[self.position] - before[self.position], np.zeros(3)
+        shifted = after[self.position] - before[self.position]
+        turned = np.zeros(3)
         if self.quaternion is not None:
             turned = _rotations().from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
         components = dict(zip(TRANSLATIONS + ROTATIONS, (*shifted, *turned), strict=True))

@@ -70,12 +70,14 @@ class LoopErrors:
         welds = sum(tie.kind == "weld" for tie in robot.closures)
         turned = iter(np.arccos(np.clip(1.0 - error[len(error) - welds :], -1.0, 1.0)))
         for number, closure in enumerate(robot.closures, start=1):
-            distance, angle = float(np.linalg.norm(error[start : start + 3])), 0.0
+            distance = float(np.linalg.norm(error[start : start + 3]))
+            angle = 0.0
             start += 3
             if closure.kind == "weld":
                 angle = float(np.fmax(np.linalg.norm(error[start : start + 3]), next(turned)))
                 start += 3
-            most, shift = max(distance, angle), 1e3 * distance * self.layout.length
+            most = max(distance, angle)
+            shift = 1e3 * distance * self.layout.length
             sizes = [f"{shift:.3g} mm"] * (distance > 1e-3 * most)
             sizes += [f"{np.degrees(angle):.3g} degrees"] * (angle > 1e-3 * most)
             name = f"closure {number} ('{closure.a.body}' to '{closure.b.body}') stays open by {' and '.join(sizes)}"
@@ -86,7 +88,8 @@ class LoopErrors:
 
     def apart(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Compute the distance between the scaled coordinates (n_y,) of two configurations, modulo full turns."""
-        layout, joints = self.layout, slice(len(self.layout.robot.joints))
+        layout = self.layout
+        joints = slice(len(self.layout.robot.joints))
         distance = np.zeros(layout.n_y)
         change = after[joints] - before[joints]
         distance[joints] = np.where(layout.angular[joints], within_a_turn(change), change)

@@ -97,7 +97,8 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         for joint in (*bodies.joints, *motors.shafts)
     )
     couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
-    rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
+    rows = set(base_rows(bodies.floating))
+    has_motors = bool(actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
     _check_motors(joints, driven - rows, bool(closures and not has_motors))
     tied = {end.body for tie in closures for end in (tie.a, tie.b)}
@@ -262,7 +263,8 @@ def _joints(
     model: mujoco.MjModel, number: int, at: Attachment, qpos: np.ndarray, last: bool
 ) -> tuple[list[Joint], Attachment]:
     """Make the joint of a body whose frame is at `at` before its motion; return the frame's attachment after it."""
-    name, start = name_in(model, "joint", number), int(model.jnt_qposadr[number])
+    name = name_in(model, "joint", number)
+    start = int(model.jnt_qposadr[number])
     kind, axis, anchor = model.jnt_type[number], model.jnt_axis[number], model.jnt_pos[number]
     slides, reference = kind == mujoco.mjtJoint.mjJNT_SLIDE, Pose()
     if slides:
@@ -297,7 +299,8 @@ def _equalities(model: mujoco.MjModel, carried: Mapping[int, Attachment]) -> tup
     """Read closures and couplings, a coupling of one joint where it is held; ``carried`` places the bodies' frames."""
     closures, couplings, tie = [], [], mujoco.mjtEq
     for number in range(model.neq):
-        kind, data = tie(int(model.eq_type[number])), model.eq_data[number]
+        kind = tie(int(model.eq_type[number]))
+        data = model.eq_data[number]
         ends = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
         if kind in (tie.mjEQ_CONNECT, tie.mjEQ_WELD):
             a, b = _ends(model, number, ends, carried)

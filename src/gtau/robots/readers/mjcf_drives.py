@@ -78,7 +78,8 @@ def _is_spring(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
 def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[list[Spring], list[str]]:
     """Read the straight springs between sites of different bodies, and note tendons that are other springs."""
     model, springs, notes = file.model, list[Spring](), list[str]()
-    straight, forces = straight_tendons(file.spec), dict[str, np.ndarray]()
+    straight = straight_tendons(file.spec)
+    forces = dict[str, np.ndarray]()
     for actuator in file.spec.actuators:
         if _is_spring(file.spec, actuator):
             force = np.asarray(actuator.biasprm[:3], dtype=float)

@@ -185,7 +185,8 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
         free = (name for number in count(1) if (name := f"tendon {number}") not in names)
         for tendon in spec.tendons:
             tendon.name = tendon.name or next(free)
-        sites, unread = set(chain(*straight_tendons(spec).values())), list[str]()
+        sites = set(chain(*straight_tendons(spec).values()))
+        unread = list[str]()
         if _states_masses(spec):
             try:
                 return MjcfFile(spec, *_compiled(path, sites, masses=True), elements)
@@ -239,7 +240,8 @@ def mjcf_rounding(roots: list[Element]) -> Digits:
     """Find the digits of the placements in a file."""
     placed = [element for root in roots for element in root.iter() if element.tag in PLACED]
     radian = any(compiler.get("angle") == "radian" for root in roots for compiler in root.iter("compiler"))
-    angles, unit = all_numbers(placed, ["euler"]), 1.0 if radian else pi / 180
+    angles = all_numbers(placed, ["euler"])
+    unit = 1.0 if radian else pi / 180
     directions = digits_of(all_numbers(placed, ORIENTATIONS) + angles * radian)
     # twice the change of a quaternion's four numbers is a turn
     turn = 4 * directions.half_unit(0.5) or 4 * unit * digits_of(angles).half_unit(1 / unit)

@@ -93,7 +93,8 @@ def _with_motors(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[Sequence[
     branches = [carriers[tie.a.body] ^ carriers[tie.b.body] for tie in closures]
     looped = set[str]().union(*branches)
     before = {joint.name: joint.antecedent for joint in tree.joints}
-    motors, why = driven_joints(tree.root) & looped, "as their transmissions say"
+    motors = driven_joints(tree.root) & looped
+    why = "as their transmissions say"
     if not motors:
         motors = {joint for branch in branches for joint in branch if before[joint] not in branch}
         why = "as they are the first of each branch, and the file has no transmissions of them"
@@ -116,7 +117,8 @@ def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
         return robot
     joints = tuple(replace(joint, actuated=k >= 6) for k, joint in enumerate(robot.joints))
     six = drawn_base(replace(robot, joints=joints))
-    rest, driven = set(robot.actuated).difference(six), driven_joints(tree.root)
+    rest = set(robot.actuated).difference(six)
+    driven = driven_joints(tree.root)
     if not six or not rest:
         return robot
     if rest <= driven:
@@ -162,7 +164,8 @@ def read_urdf_with_loops(urdf: Path, loops: Path) -> Robot:
     document = read_yaml(loops)
     entry = validate(_Loops, document)
     for key, other in (("type", "closed_loop"), ("joint_type", "joint_name")):
-        count, needed = len(getattr(entry, key)), len(getattr(entry, other))
+        count = len(getattr(entry, key))
+        needed = len(getattr(entry, other))
         if count != needed and (count or key == "joint_type"):
             raise document.error(
                 (key,), f"{count} types are written for {needed} entries of {other}; write one for each"

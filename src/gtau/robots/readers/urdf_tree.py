@@ -286,7 +286,8 @@ def _transmission_notes(root: Element, motors: Sequence[str]) -> Iterator[str]:
             f"differential or four-bar transmissions were not read: {', '.join(shared)}; positions and commands "
             "belong to the joints, and where the motors' are logged, write 'couplings' in a robot file"
         )
-    controlled, driven = root.findall("ros2_control/joint"), driven_joints(root)
+    controlled = root.findall("ros2_control/joint")
+    driven = driven_joints(root)
     names = {joint.get("name", "") for joint in controlled}
     if names & driven and (idle := [repr(joint) for joint in motors if joint in names - driven]):
         yield (
