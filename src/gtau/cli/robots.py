@@ -80,7 +80,7 @@ def robot(
 
 def _save(described: Robot, save: Path, source: str) -> None:
     """Write a robot file, but never over the source of the robot."""
-    from gtau.robots.readers.native_text import write_native
+    from gtau.robots.readers.native import write_native
     from gtau.robots.readers.read import is_loops_file
 
     if save.exists() and (

@@ -140,12 +140,11 @@ def estimate(
     progress("estimation", 0, 1)
     fit = estimator.fit(system, gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
-    mixes = estimator.name in ("ml", "wls") and not as_paper
-    moved = examined.moved(fit) if mixes and estimator.name == "ml" else None
+    moved = examined.moved(fit) if estimator.name == "ml" and not as_paper else None
     verdicts_on_sensors = (sensor_verdict(scale, accuracy) for scale in sensor_scales(fit)) if moved else ()
     if any(verdict.outcome == Grade.CONTRADICTORY for verdict in verdicts_on_sensors):
         moved = None  # what a sensor contradicts, effects would explain in part
-    estimates = estimates_of(fit, examined, not as_paper, moved is not None, mixes)
+    estimates = estimates_of(fit, examined, not as_paper, moved is not None)
     require_motion(fit, estimates)
     lack = lack_of_fit(fit.system.problem, fit.solution)
     plain, fit = fit, moved or fit
@@ -156,7 +155,7 @@ def estimate(
         loaded = TOOL_BODIES in {effect.effect for effect in examined.refits}
         bare, audit = audit_inertias(plain, estimates, loaded)
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
-    bodies, lost = _consistent_bodies(fit, options)
+    bodies, lost = _consistent_bodies(fit, plain, options)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
@@ -180,12 +179,13 @@ def estimate(
     )
 
 
-def _consistent_bodies(fit: Fit, options: Options) -> tuple[Consistency | None, tuple[Finding, ...]]:
+def _consistent_bodies(fit: Fit, plain: Fit, options: Options) -> tuple[Consistency | None, tuple[Finding, ...]]:
     """Find consistent parameters if they are asked for, or a note why there are none."""
     if not options.consistent:
         return None, ()
     try:
-        return consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains), ()
+        priors = options.priors or {}
+        return consistent(fit.system, fit.solution, plain.solution, priors, fit.free_gains), ()
     except GtauError as refusal:  # what the data contradict, no bodies may have
         text = f"physically consistent parameters were not found: {str(refusal).rstrip('.')}"
         return None, (Finding(NO_BODIES, text=text, shown_as="model"),)

@@ -13,7 +13,7 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
 from gtau.progress import Progress, silent
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.notes import reading
+from gtau.signals.reading.formats import reading
 from gtau.signals.run import Run
 from gtau.uses.prediction import Prediction, predict, torque_errors
 from gtau.uses.weigh import undeclared_load

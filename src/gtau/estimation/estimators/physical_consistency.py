@@ -12,14 +12,14 @@ Unidentifiable directions are taken close to a plausible robot: solid links of e
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.estimators.estimator import Solution, jackknife
-from gtau.estimation.estimators.newton import moved, squared, stacked, weighted
+from gtau.estimation.estimators.newton import moved, residuals, stacked, weighted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import leave_one_out, triangle
@@ -283,6 +283,10 @@ def natural_size(name: Parameter, robot: Robot, mass: float, length: float, chan
     return mass * STANDARD_GRAVITY * (length if turns else 1.0)
 
 
+Errors = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Gives the residuals (c, p) of blocks at estimates."""
+
+
 @dataclass(frozen=True)
 class Move:
     """Shift of a number by consistency: its value without and with it, and the shift in standard deviations."""
@@ -312,11 +316,14 @@ class Consistency:
     open: tuple[str, ...]
 
 
-def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool) -> Consistency:
+def consistent(
+    system: System, solution: Solution, plain: Solution, priors: Mapping[str, Prior], free_gains: bool
+) -> Consistency:
     """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
-    ``solution`` is without constraints; ``priors`` constrain standard parameters. Raises GtauError where no rigid
-    bodies agree with the priors and payloads, or the programme does not converge.
+    ``solution`` is without constraints; ``priors`` constrain standard parameters. Where effects beside the model moved
+    it away from the ``plain`` one, what they add stays in the residuals, which the plain ones have there instead.
+    Raises GtauError where no rigid bodies agree with the priors and payloads, or the programme does not converge.
     """
     problem = system.unreduced
     n = len(system.unreduced.joints)
@@ -325,13 +332,22 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
     base_priors = theta_equations(base, names, problem.parameters, priors)
     unknowns = standard_unknowns(system, solution, priors)
     triangles = stacked(problem)
-    free = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays])
+    free, unmoved = (
+        np.concatenate([system.full(found.theta)[:-1], found.gains, found.delays]) for found in (solution, plain)
+    )
     channels = len(triangles)
+
+    def errors(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return residuals(blocks, values) - residuals(blocks, free) + residuals(blocks, unmoved)
+
+    def squares(values: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sum(errors(triangles, values) ** 2, axis=-1))
+
     stated = np.insert(base_priors, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
     values = free
     for _ in range(STEPS):
-        weights = problem.weights(squared(triangles, values))
-        linear = _linear(triangles, values, problem, weights, free_gains)
+        weights = problem.weights(squares(values))
+        linear = _linear(errors, triangles, values, problem, weights, free_gains)
         x, rest = _programme(triangle(linear, stated), unknowns)
         step = np.concatenate([unknowns.S @ x - values[: problem.n_theta], rest])
         values = moved(values, step, channels)
@@ -343,11 +359,11 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
             "the search did not converge; resolve contradictions first, or give 'priors' for the parameters that the "
             "data leave open."
         )
-    gain_std = _gain_std(problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
+    gain_std = _gain_std(errors, problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
     if free_gains and np.ndim(solution.prior_covariance):  # leaving out data does not show the uncertainty of priors
         gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.prior_covariance))[system.problem.gain_rows])
     bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
-    shares = 100 * (np.sqrt(squared(triangles, values) / squared(triangles, free))[:n] - 1)
+    shares = 100 * (np.sqrt(squares(values) / squares(free))[:n] - 1)
     gains = zip(problem.joints, values[problem.gain_rows], gain_std, strict=True)
     labels = [load.label for load in system.payloads]
     return Consistency(
@@ -378,10 +394,11 @@ def _moves(system: System, solution: Solution, values: np.ndarray, free_gains: b
 
 
 def _linear(
-    blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray, free_gains: bool
+    errors: Errors, blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray, free_gains: bool
 ) -> np.ndarray:
     """Build rows ``[J_theta J_rest | y]`` (., size + 1), linear in theta and in steps of 1/g and the delays."""
-    e, J = weighted(blocks, values, problem, free_gains, weights)
+    _, J = weighted(blocks, values, problem, free_gains, weights)
+    e = (errors(blocks, values) * weights[:, None]).reshape(-1)
     theta = values[: problem.n_theta]
     return np.column_stack([J, J[:, : len(theta)] @ theta - e])
 
@@ -399,11 +416,16 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
 
 
 def _gain_std(
-    problem: Problem, values: np.ndarray, weights: np.ndarray, unknowns: StandardUnknowns, stated: np.ndarray
+    errors: Errors,
+    problem: Problem,
+    values: np.ndarray,
+    weights: np.ndarray,
+    unknowns: StandardUnknowns,
+    stated: np.ndarray,
 ) -> np.ndarray:
     """Compute standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
     n = len(problem.joints)
-    factors = [triangle(_linear(unit, values, problem, weights, True)) for unit in problem.units]
+    factors = [triangle(_linear(errors, unit, values, problem, weights, True)) for unit in problem.units]
     steps = [_programme(triangle(R, stated), unknowns)[1][:n] for R in leave_one_out(factors)]
     gains = 1 / (1 / values[problem.gain_rows] + np.array(steps))
     return np.sqrt(np.diag(jackknife(gains)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from pathlib import Path
 from xml.etree.ElementTree import Element, ParseError, TreeBuilder
 from xml.parsers.expat import errors
@@ -36,7 +37,7 @@ def read_xml(path: Path) -> Element:
         raise GtauError(f"this is not valid XML ({error}); correct the file.") from None
     level = [root]
     for _ in range(MAX_DEPTH):
-        level = [child for element in level for child in element]
+        level = list(chain(*level))
     if level:
         raise GtauError(f"elements are nested more than {MAX_DEPTH} levels deep; check the file.")
     return root
@@ -70,19 +71,15 @@ def line_of(element: Element) -> int:
 
 DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 ENDLESS = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE | re.ASCII)
-LARGEST = 1e9  # SI units: no length, angle or mass of a robot comes near; files write 1e16 and more for 'no limit'
+LARGEST = 1e9  # SI units: no number of a robot comes near; 1e16 and more mean 'no limit'
 
 
 def decimals(text: str, endless: bool = False) -> list[float] | None:
-    """Read the numbers of an attribute; None unless all are plain decimals within the physical range of a robot.
-
-    With ``endless`` they are limits, which may be infinite or beyond this range.
-    """
-    values = []
-    for word in text.split():
-        if not (DECIMAL.fullmatch(word) or (endless and ENDLESS.fullmatch(word))):
-            return None
-        values.append(float(word))
+    """Read plain decimals within the physical range of a robot, or beyond if ``endless``; None for anything else."""
+    words = text.split()
+    if not all(DECIMAL.fullmatch(word) or (endless and ENDLESS.fullmatch(word)) for word in words):
+        return None
+    values = list(map(float, words))
     return values if endless or all(abs(value) <= LARGEST for value in values) else None
 
 
