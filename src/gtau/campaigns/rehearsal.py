@@ -25,7 +25,7 @@ from gtau.robots.parameter import torque_unit
 from gtau.robots.readers.mjcf_guard import refuse_deadly
 from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
-from gtau.simulation.experiment_files import simulate
+from gtau.simulation.simulate import simulate
 from gtau.simulation.trajectories import log_column
 
 NEAR = {True: 0.02, False: 0.002}  # rad and m, tolerance of the pose at the start

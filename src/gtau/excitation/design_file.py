@@ -15,11 +15,10 @@ from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, vali
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Shape, capsule, hull
-from gtau.excitation.gradients import in_platform_space
 from gtau.excitation.guards import guard, speed_of_tool
 from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
-from gtau.excitation.trajectory import FourierSeries
+from gtau.excitation.trajectory import FourierSeries, in_platform_space
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -165,10 +164,10 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
             f"robot '{robot.name}': the loops cannot be closed where runs begin, or only beyond a singular pose; give "
             "positions that the robot can reach from home under 'rest'."
         ) from None
-    guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
+    apart, words = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
     fastest, tool = speed_of_tool(robot, file.limits.tool_speed)
-    notes = (*guarded.notes, tool, *notes, *_torques(model, file, prior, assumed), *_rest(robot, rest, file, limits))
-    limits = replace(limits, guarded=replace(guarded, notes=notes), tool_speed=fastest)
+    guards = (*words, tool, *notes, *_torques(model, file, prior, assumed), *_rest(robot, rest, file, limits))
+    limits = replace(limits, clearance=apart, guards=guards, tool_speed=fastest)
     period = round(file.period * file.rate) / file.rate  # a whole number of samples
     if file.space == "platform":
         series = _platform_series(robot, file.limits, period, file.harmonics)
