@@ -62,6 +62,10 @@ class Decision:
         """Whether another motion is to be played."""
         return self.kind in (RANDOM, MODEL, CONFIRM)
 
+    def noting(self, *notes: str) -> Decision:
+        """Add notes."""
+        return replace(self, notes=(*self.notes, *notes))
+
 
 def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> Path:
     """Write the experiment file of some rounds, with the payloads that the design file states now."""
@@ -94,15 +98,13 @@ def identified(path: Path, accuracy: float, progress: Progress) -> IdentifiedMod
         result = identify(path, options=options_of(accuracy=accuracy / 100), progress=progress)
     except GtauError as refusal:
         return Decision(BLOCKED, f"no result: {str(refusal).rstrip('.')}")
-    outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
-    if result.believable and Grade.CONTRADICTORY not in outcomes:
+    gains = result.drive_gains
+    if result.believable and all(gain.verdict.outcome != Grade.CONTRADICTORY for gain in gains.values()):
         return result
-    verdicts = [(joint, gain.verdict) for joint, gain in result.drive_gains.items()]
-    verdicts += [(load.name, load.verdict) for load in result.payloads]
-    verdicts += [(name, estimate.verdict) for name, estimate in result.parameters.items()]
-    name, worst = max(verdicts, key=lambda pair: pair[1].outcome.rank)
+    estimates = [*gains.items(), *((load.name, load) for load in result.payloads), *result.parameters.items()]
+    name, worst = max(((name, one.verdict) for name, one in estimates), key=lambda pair: pair[1].outcome.rank)
     say = ": ".join(filter(None, (f"'{name}' is {worst.outcome.value}", worst.why)))
-    return Decision(BLOCKED, say, listed(result), notes=(worst.advice,) if worst.advice else ())
+    return Decision(BLOCKED, say, listed(result), notes=tuple(filter(None, (worst.advice,))))
 
 
 def listed(result: IdentifiedModel) -> dict[str, dict[str, Any]]:
@@ -112,13 +114,17 @@ def listed(result: IdentifiedModel) -> dict[str, dict[str, Any]]:
             "value": gain.value,
             "unit": gain.unit,
             "half_width": gain.half_width,
-            "random": None if gain.random_std is None or not gain.value else 100 * gain.random_std / abs(gain.value),
-            "model": None if gain.model_std is None or not gain.value else 100 * gain.model_std / abs(gain.value),
+            "random": _share(gain.random_std, gain.value),
+            "model": _share(gain.model_std, gain.value),
             "verdict": gain.verdict.outcome.value,
             "why": gain.verdict.sentence,
         }
         for joint, gain in result.drive_gains.items()
     }
+
+
+def _share(std: float | None, value: float | None) -> float | None:
+    return None if std is None or not value else 100 * std / abs(value)
 
 
 def decide(
@@ -210,19 +216,17 @@ def _cause(result: IdentifiedModel, joint: str) -> tuple[str, ...]:
     return f"the data speak for {suspect.subject} ({share})", suspect.cause.advice
 
 
-def _suspect(result: IdentifiedModel) -> EstimatedEffect | None:
-    """Find the effect with the largest share that no warm-up reduces; None if the data show none."""
-    shown = [effect for effect in result.effects if effect.likelihood > CONTRADICTED and effect.share >= SHOWN]
-    return max(
-        (effect for effect in shown if effect.effect not in DRIFTS), key=lambda effect: effect.share, default=None
-    )
+def _suspect(result: IdentifiedModel, drifts: bool = False) -> EstimatedEffect | None:
+    """Find the effect with the largest share that a warm-up reduces (``drifts``) or that none does; None without."""
+    least = -np.inf if drifts else SHOWN
+    shown = (effect for effect in result.effects if effect.likelihood > CONTRADICTED and effect.share >= least)
+    alike = (effect for effect in shown if (effect.effect in DRIFTS) == drifts)
+    return max(alike, key=lambda effect: effect.share, default=None)
 
 
 def warming(result: IdentifiedModel, last: Round) -> str:
     """Say why the next round begins with a warm-up run; empty if it does not."""
-    drifts = (effect for effect in result.effects if effect.effect in DRIFTS and effect.likelihood > CONTRADICTED)
-    drift = max(drifts, key=lambda effect: effect.share, default=None)
-    if drift is not None:
+    if (drift := _suspect(result, drifts=True)) is not None:
         return f"the data show {drift.subject}, so the next round begins with a warm-up run"
     warmed = any(run["name"] == WARM_UP for run in last.motion["runs"])
     return "the next round begins with a warm-up run, as this one did" if warmed else ""

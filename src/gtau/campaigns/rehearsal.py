@@ -154,27 +154,28 @@ def write_motion(
     allowed = tolerances(design)
     names = [*([WARM_UP] if decided["warm_up"] else []), *(f"run{k + 1}" for k in range(len(task.payloads)))]
     loads = (task.payloads[0], *task.payloads)[-len(names) :]
-    files = digest([folder / CSV, *scene(folder.parent, file)], folder)
+    described = [
+        {
+            "name": name,
+            "unit": robot.joint(name).unit,
+            "start": float(row[0]),
+            "start_tolerance": NEAR[robot.joint(name).turns],
+            "tracking_tolerance": allowed[name],
+        }
+        for name, row in zip(robot.actuated, joints[0], strict=True)
+    ]
+    runs = [
+        {"name": name, "payload": None if load is None else {"name": load.name, "mass": load.mass}}
+        for name, load in zip(names, loads, strict=True)
+    ]
     motion = {
         "schema": "gtau-motion/1",
-        "files": files,
+        "files": digest([folder / CSV, *scene(folder.parent, file)], folder),
         "robot": robot.name,
         "rate": task.rate,
         "duration": float(time[-1]),
-        "joints": [
-            {
-                "name": name,
-                "unit": robot.joint(name).unit,
-                "start": float(row[0]),
-                "start_tolerance": NEAR[robot.joint(name).turns],
-                "tracking_tolerance": allowed[name],
-            }
-            for name, row in zip(robot.actuated, joints[0], strict=True)
-        ],
-        "runs": [
-            {"name": name, "payload": None if load is None else {"name": load.name, "mass": load.mass}}
-            for name, load in zip(names, loads, strict=True)
-        ],
+        "joints": described,
+        "runs": runs,
         "guards": [*task.guards, *rehearsal.notes],
         "series": {"period": task.series.period, "repetitions": task.repetitions, "x": design.x.tolist()},
         "rehearsal": asdict(rehearsal),

@@ -103,10 +103,10 @@ class Clearance:
         placed = {body: [shape.placed(poses[body]) for shape in self.shapes[body]] for body in poses}
         couples = [list(product(placed[first], placed[second])) for first, second in pairs]
         capsules = [(a, b) for a, b in chain(*couples) if isinstance(a, Capsule) and isinstance(b, Capsule)]
-        between = dict(zip(capsules, _between_capsules(capsules), strict=True))
+        between: dict[tuple[Shape, Shape], Nearest] = dict(zip(capsules, _between_capsules(capsules), strict=True))
         nearest, samples = [], np.arange(c.shape[1])
         for of_pair in couples:
-            contacts = [between.get(couple) or _contacts(*couple) for couple in of_pair]  # type: ignore[call-overload]
+            contacts = [between.get(couple) or _contacts(*couple) for couple in of_pair]
             distances = np.array([contact.distance for contact in contacts])
             which = np.argmin(distances, axis=0)
             normal, a, b = (
@@ -195,33 +195,17 @@ def _between_capsules(couples: Sequence[tuple[Capsule, Capsule]]) -> list[Neares
 def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the nearest points (3, N) of the segments from ``a`` to ``b`` and from ``c`` to ``d``, (3, N) each.
 
-    They are the feet of the common perpendicular if both are inside, or else an end and its foot on the other segment.
+    The point of the first line nearest to the second line, moved to its segment, leads to the point of the second
+    segment, and this one back to the first segment.
     """
-    along, across, between = b - a, d - c, c - a
-    uu, vv, uv = np.sum(along**2, 0), np.sum(across**2, 0), np.sum(along * across, 0)
-    at_u, at_v = np.sum(along * between, 0), np.sum(across * between, 0)
+    u, v, w = b - a, d - c, c - a
+    uu, vv, uv, uw, vw = (np.sum(x * y, axis=0) for x, y in ((u, u), (v, v), (u, v), (u, w), (v, w)))
     determinant = uu * vv - uv**2
     crossing = determinant > 1e-12 * uu * vv
-    safe = np.where(crossing, determinant, 1.0)
-    one, zero = np.ones_like(uu), np.zeros_like(uu)
-
-    def foot(numerator: np.ndarray, square: np.ndarray) -> np.ndarray:
-        return np.clip(numerator / np.maximum(square, 1e-300), 0.0, 1.0)
-
-    s, t = (vv * at_u - uv * at_v) / safe, (uv * at_u - uu * at_v) / safe
-    inside = crossing & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
-    candidates = np.array([
-        (np.where(inside, s, 0.0), np.where(inside, t, foot(-at_v, vv))),
-        (zero, foot(-at_v, vv)),
-        (one, foot(uv - at_v, vv)),
-        (foot(at_u, uu), zero),
-        (foot(at_u + uv, uu), one),
-    ])  # fmt: skip
-    on_first = a + candidates[:, 0, None] * along
-    on_second = c + candidates[:, 1, None] * across
-    best = np.argmin(np.sum((on_second - on_first) ** 2, axis=1), axis=0)
-    samples = np.arange(len(best))
-    return on_first[best, :, samples].T, on_second[best, :, samples].T
+    s = np.where(crossing, (vv * uw - uv * vw) / np.where(crossing, determinant, 1.0), 0.0)
+    t = np.clip((uv * np.clip(s, 0.0, 1.0) - vw) / np.maximum(vv, 1e-300), 0.0, 1.0)
+    s = np.clip((uv * t + uw) / np.maximum(uu, 1e-300), 0.0, 1.0)
+    return a + s * u, c + t * v
 
 
 def _between_hulls(a: Shape, b: Shape) -> Nearest:
