@@ -28,6 +28,8 @@ REST = 0.05  # s, between two moves
 ROUNDED = 1.01  # tolerance factor on limits of speed and acceleration, for rounded samples
 PerJoint = dict[str, FiniteFloat]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
+Duration = Annotated[FiniteFloat, Field(ge=3, le=3600)]
+Share = Annotated[FiniteFloat, Field(gt=0, le=1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +146,6 @@ def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToP
 
 
 def _existing(path: Path, info: ValidationInfo) -> Path:
-    """Resolve a path relative to the simulation file; raises ValueError if there is no file."""
     path = path if info.context is None else beside(info.context, path)
     if not path.is_file():
         raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
@@ -158,8 +159,8 @@ class RandomMotion(Keys):
     """Random trajectory within a share of the joints' limits."""
 
     seed: Annotated[int, Field(ge=0)] = 0
-    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)] = 20.0
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+    duration: Duration = 20.0
+    share: Share = 0.9
 
 
 class Points(Keys):
@@ -167,13 +168,13 @@ class Points(Keys):
 
     through: tuple[PerJoint, ...] = Field(min_length=2)
     rest: NotNegative = 0.05
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+    share: Share = 0.9
 
 
 class Fourier(Keys):
     """The series ``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
 
-    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)]
+    duration: Duration
     frequency: tuple[Positive, ...] = Field(min_length=1)
     center: PerJoint
     amplitude: dict[str, tuple[FiniteFloat, ...]]
