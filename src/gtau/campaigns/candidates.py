@@ -163,9 +163,10 @@ def best(
     """Find the candidate at hand with the narrowest interval, and list all candidates."""
     halfwidths = [simulated_width(candidate) for candidate in offered]
     chosen = min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: halfwidths[k])
+    shown = [width if np.isfinite(width) else None for width in halfwidths]
     listed = [
-        {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
-        for candidate, width in zip(offered, halfwidths, strict=True)
+        {"motion": candidate.label, "half_width": width, "at_hand": candidate.at_hand}
+        for candidate, width in zip(offered, shown, strict=True)
     ]
     return offered[chosen], listed
 

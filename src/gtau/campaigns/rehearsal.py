@@ -81,7 +81,8 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
         notes.append(f"contacts in MuJoCo: not checked, {unseen}")
     robot = load_robot(file.robot)
     for joint, torque in torques.items():
-        most = robot.joint(joint).limits.effort  # of the file, as the design's share leaves a reserve for control
+        # of the file, as the design's share leaves a reserve for control
+        most = robot.joint(joint).limits.effort
         if most is not None and torque > most:
             raise GtauError(
                 f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(robot, joint)}, "

@@ -66,9 +66,8 @@ class Hull:
     def placed(self, poses: Poses) -> Hull:
         """Place the hull in the base, with its body."""
         R, p = poses
-        return Hull(
-            self.convex, np.einsum("ijn,jk->ikn", R, self.rotation), p + np.einsum("ijn,j->in", R, self.position)
-        )
+        rotation = np.einsum("ijn,jk->ikn", R, self.rotation)
+        return Hull(self.convex, rotation, p + np.einsum("ijn,j->in", R, self.position))
 
 
 Shape = Capsule | Floor | Hull
@@ -109,10 +108,8 @@ class Clearance:
             contacts = [between.get(couple) or _contacts(*couple) for couple in of_pair]
             distances = np.array([contact.distance for contact in contacts])
             which = np.argmin(distances, axis=0)
-            normal, a, b = (
-                np.array([getattr(contact, name) for contact in contacts])[which, :, samples].T
-                for name in ("normal", "a", "b")
-            )
+            vectors = np.array([(contact.normal, contact.a, contact.b) for contact in contacts])
+            normal, a, b = vectors[which, :, :, samples].transpose(1, 2, 0)
             nearest.append(Nearest(distances[which, samples], normal, a, b))
         return nearest
 

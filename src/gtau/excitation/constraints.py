@@ -17,11 +17,13 @@ from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
 PER = ("", "/s", "/s2", "/s3")
-APPROACH = 12  # poses between rest and the beginning of the motion, in which the search checks distances
+# poses between rest and the beginning of the motion, in which the search checks distances
+APPROACH = 12
 WAY = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2))[0][0]  # from 0 to 1
 MARGIN = 0.97  # share of every limit for a first design: between instants speeds exceed it by up to 2 %
 CONDITION, TOOL_SPEED = "condition", "tool speed"
-SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # durations of an approach to try; four times takes 1/16 of the acceleration
+# durations of an approach to try; four times takes 1/16 of the acceleration
+SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +34,8 @@ class ConstraintUsage:
     what: str  # the limit in words
     limit: float  # counted from ``middle`` if it is an interval
     unit: str
-    values: np.ndarray  # (N,) within -1 and 1 if the limit holds; at least 1 for a lower limit (``least``)
+    # (N,) within -1 and 1 if the limit holds; at least 1 for a lower limit (``least``)
+    values: np.ndarray
     rows: Callable[[], np.ndarray]  # Jacobian of the values by x
     least: bool = False
     middle: float | None = None

@@ -29,13 +29,16 @@ FINER = 10
 STAGE = "searching"
 CLOSER = 0.8  # factor on the limits of kinds REACH after a round in which loops could not be closed
 REACH = (ORDERS[0], CONDITION)
-IDLE = 0.3  # usage of the tool's speed at a start below which the search ignores it until exceeded (five-bar: 0.1)
+# usage of the tool's speed at a start below which the search ignores it until exceeded (five-bar: 0.1)
+IDLE = 0.3
 TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round follows if the last one reduced the criterion below this share
-STALLED = 25  # iterations that must improve the logarithm of the criterion by WORTHLESS, or the round ends
+# iterations that must improve the logarithm of the criterion by WORTHLESS, or the round ends
+STALLED = 25
 WORTHLESS = 3e-3
-SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # scales tried for an interrupted motion; the first within all limits is kept
+# scales tried for an interrupted motion; the first within all limits is kept
+SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -200,7 +200,8 @@ def _rest(robot: Robot, rest: np.ndarray, file: DesignFile, limits: MotionLimits
 def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assumed: Mapping[str, str]) -> Iterator[str]:
     """Say on what torque limits depend: inertias of links, and the centres of payloads."""
     stated, state = stated_bodies(model), "state prior.parameters or prior.model"
-    rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in model.parameter_names]
+    names = model.parameter_names
+    rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in names]
     if "parameters" in assumed and not stated:
         yield f"torque: guessed for links that are rods, real links may need more; {state}"
     elif "parameters" in assumed:
@@ -240,7 +241,8 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
             middle, half = (position[0] + position[1]) / 2, share * (position[1] - position[0]) / 2
             start = rest[name] if position[0] <= rest[name] <= position[1] else middle
             near += [f"'{name}'"] * bool(abs(start - middle) > half)
-            position = min(middle - half, start), max(middle + half, start)  # runs begin within the limits
+            # runs begin within the limits
+            position = min(middle - half, start), max(middle + half, start)
         limits[name] = replace(
             given,
             position=entry.position.get(name, position),

@@ -31,13 +31,15 @@ from gtau.robots.geometry import places_on
 from gtau.robots.readers.links import urdf_shapes
 from gtau.robots.robot import GROUND, Joint, Robot
 
-SLENDER = 0.04  # radius of a link of unknown shape over the arm's length: UR10e 0.07 m, Panda 0.06 m, like their tubes
+# radius of a link of unknown shape over the arm's length: UR10e 0.07 m, Panda 0.06 m, like their tubes
+SLENDER = 0.04
 STUBBY = 0.4  # largest radius over the length of the link
 ROOM = 1.1  # distance of the resting arm from a guessed floor, over the clearance
 STATES = 64  # random poses that show whether a distance can change
 SAME = 1e-9  # m
 STATE = "limits.shapes"
-TOOL_SPEED = 1.5  # m/s, to which Universal Robots sets new arms; a first motion took a UR5's tool to 3.8 m/s
+# m/s, to which Universal Robots sets new arms; a first motion took a UR5's tool to 3.8 m/s
+TOOL_SPEED = 1.5
 # m/s, by a word in a robot's name, as manuals state: 1.7 (Franka, limits of its control interface), 0.5 (Kinova, guide
 # of the Gen3: 50 cm/s in Cartesian translation), 1 (Ufactory, user manual of the xArm: up to 1000 mm/s)
 MAKERS = {"panda": 1.7, "gen3": 0.5, "xarm": 1.0}
@@ -221,7 +223,8 @@ def _above(probe: _Probe, shapes: Shapes, stated: Shapes, height: float) -> tupl
         if distance >= least or not probe.changes(above, pair):
             continue
         body, lack = pair[1], ROOM * least - distance
-        capsules = [shape for shape in lifted[body] if isinstance(shape, Capsule)]  # all guesses are capsules
+        # all guesses are capsules
+        capsules = [shape for shape in lifted[body] if isinstance(shape, Capsule)]
         lifted[body] = [replace(shape, radius=max(shape.radius - lack, 0.0)) for shape in capsules]
         distance = probe.at_rest(probe.clearance({body: lifted[body]}, height), pair)
         if distance < least:

@@ -108,7 +108,8 @@ class Information:
 
     names: tuple[Parameter, ...]  # parameters, then gains and delays
     scale: np.ndarray  # (P,) reference values of relative standard deviations
-    maps: np.ndarray  # (runs, n, n_b, P) from a row of W to a row of the current's Jacobian, except for the delays
+    # (runs, n, n_b, P) from a row of W to a row of the current's Jacobian, except for the delays
+    maps: np.ndarray
     load: np.ndarray  # (runs, n_b) prior values of the base columns with payload
     smooth: np.ndarray  # (runs, n_b) the same without Coulomb friction
     cautious: np.ndarray  # (runs, n_b) the values used in torque limits

@@ -215,7 +215,8 @@ class _Function(ca.Callback):
 TRIES = 40  # scales of a random motion
 CENTERS = 200  # random poses; the one with the most room is the center of a random motion
 SPREAD = 0.7  # share of the ranges in which centers are drawn
-DRAWS = 20  # random motions; the best is a start. One takes a hundredth of the time of the search that follows
+# random motions; the best is a start. One takes a hundredth of the time of the search that follows
+DRAWS = 20
 
 
 def promising_start(

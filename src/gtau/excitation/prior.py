@@ -27,8 +27,10 @@ from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 FRICTION = 0.1  # guessed Coulomb friction, and viscous friction at the speed limit, over the rms torque
 MODERATE = 0.15  # guessed rms torque over the effort limit
 NOISE = 0.005  # guessed noise of a current sample over the effort limit
-ERROR = 1.25  # factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
-ARM = 0.05  # m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
+# factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
+ERROR = 1.25
+# m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
+ARM = 0.05
 # Drives over the effort limits used, 80 % of the file's. A UR10e over its file: Coulomb friction 5 to 14 %,
 # viscous friction at the speed limit 8 to 41 %, rotors 0.009 to 0.010 kg m2 per N m.
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
@@ -231,11 +233,20 @@ def prior_of(
     assumed: dict[str, str],
 ) -> PriorModel:
     """Determine base parameters, gains and noise; add to ``assumed`` a sentence on every assumption."""
-    prior = (
-        _guessed(entry, model, base, payloads, assumed)
-        if entry.model is None
-        else _identified(load(entry.model), entry.model, model, base)
-    )
+    if entry.model is not None:
+        prior = _identified(load(entry.model), entry.model, model, base)
+    else:
+        chi, cautious = _parameters(entry, model, base, payloads, assumed)
+        missing = [joint for joint in model.actuated if joint not in entry.gains]
+        if missing and entry.gains:
+            raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
+        if missing:
+            assumed["gains"] = "gains: 1 N m/A or N per A in every joint; currents are then torques"
+        if len(entry.noise) < len(model.actuated):
+            assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
+        gains = [entry.gains.get(joint, 1.0) for joint in model.actuated]
+        known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
+        prior = PriorModel(chi, known, rough_noise(model, base, chi) / np.abs(gains), cautious)
     stated = [entry.noise.get(joint, rough) for joint, rough in zip(model.actuated, prior.sigma, strict=True)]
     return replace(prior, sigma=np.array(stated))
 
@@ -250,26 +261,6 @@ def _identified(result: IdentifiedModel, file: Path, model: InverseDynamics, bas
     # white noise of the current samples that explains the residuals
     sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
     return PriorModel(chi, known, sigma, chi, identified_centers(result))
-
-
-def _guessed(
-    entry: DesignPrior,
-    model: InverseDynamics,
-    base: BaseParameters,
-    payloads: tuple[Payload | None, ...],
-    assumed: dict[str, str],
-) -> PriorModel:
-    chi, cautious = _parameters(entry, model, base, payloads, assumed)
-    missing = [joint for joint in model.actuated if joint not in entry.gains]
-    if missing and entry.gains:
-        raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
-    if missing:
-        assumed["gains"] = "gains: 1 N m/A or N per A in every joint; currents are then torques"
-    if len(entry.noise) < len(model.actuated):
-        assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
-    gains = [entry.gains.get(joint, 1.0) for joint in model.actuated]
-    known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
-    return PriorModel(chi, known, rough_noise(model, base, chi) / np.abs(gains), cautious)
 
 
 def _parameters(
@@ -290,7 +281,8 @@ def _parameters(
             "give prior.parameters or prior.model for better predictions"
         )
         cautious = with_drives(model, file_parameters(model, rough, ERROR))
-        return given_parameters(model, base, file_parameters(model, rough)), given_parameters(model, base, cautious)
+        likely = file_parameters(model, rough)
+        return given_parameters(model, base, likely), given_parameters(model, base, cautious)
     if light := massless(model.robot, entry.parameters):
         assumed["massless"] = f"no mass and inertia of {', '.join(light)}: 'prior.parameters' lists none for them"
     given = given_parameters(model, base, entry.parameters)

@@ -25,7 +25,8 @@ from gtau.robots.placement import compose
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
 
 SHORTEST_APPROACH = 1.0  # s
-GENTLE = 2.0  # duration over the shortest within speed, acceleration and jerk, so that currents stay within theirs
+# duration over the shortest within speed, acceleration and jerk, so that currents stay within theirs
+GENTLE = 2.0
 PEAKS = (1.875, 10 / 3**0.5, 60.0)  # largest speed, acceleration and jerk of a quintic move by 1 in 1 s
 
 
@@ -73,7 +74,8 @@ class FourierSeries:
         basis = np.zeros((4, len(time), self.free))
         basis[0, :, 0] = 1.0
         for order in range(4):
-            angle = np.multiply.outer(time, omega) + order * np.pi / 2  # a derivative is a quarter turn ahead
+            # a derivative is a quarter turn ahead
+            angle = np.multiply.outer(time, omega) + order * np.pi / 2
             waves = np.hstack([np.sin(angle), np.cos(angle)])
             # divided by k, every harmonic has the same speed
             basis[order, :, 1:] = waves * np.tile(omega**order / k, 2) @ null
