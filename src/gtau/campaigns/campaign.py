@@ -207,8 +207,9 @@ def _current(folder: Path, file: DesignFile, pending: Round, used: list[Round]) 
     """Whether the pending motion follows from the current decision."""
     if not used:
         return bool(pending.motion["purpose"] == "first")
-    decision, after = used[-1].decision, pending.motion["after"]
-    return decision is not None and decision["inputs"] == _inputs(folder, file, used) and after == used[-1].folder.name
+    last, decision = used[-1].folder.name, used[-1].decision
+    current = decision is not None and decision["inputs"] == _inputs(folder, file, used)
+    return current and pending.motion["after"] == last
 
 
 def _judge(

@@ -72,7 +72,8 @@ def beside_the_axis(design: Design, result: IdentifiedModel) -> Iterator[Candida
     worst, last = max(wide, key=lambda joint: wide[joint]), robot.tool
     driven = worst == last or any({worst, last} <= coupling.terms.keys() for coupling in robot.couplings)
     turns = any(joint.name == last and joint.turns for joint in robot.joints)
-    heaviest = max((load for load in design.task.payloads if load is not None), key=lambda load: load.mass or 0.0)
+    loads = [load for load in design.task.payloads if load is not None]
+    heaviest = max(loads, key=lambda load: load.mass or 0.0)
     if not driven or not turns or not heaviest.mass:
         return
     moments, axis = result.payload(heaviest.name), np.array(robot.joint(last).axis)

@@ -41,7 +41,8 @@ STRETCHED = 0.9  # share of the speed below which a motion was not played as des
 DRIFTS = {FRICTION_DRIFT.name, GAIN_DRIFT.name}
 # no motion shows it
 MASS_NOTE = "gains are proportional to the payload's mass: they are as exact as its weighing"
-RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
+RANDOM, MODEL, CONFIRM = "random part", "model part", "confirm"
+DONE, STOPPED, BLOCKED = "done", "stopped", "blocked"
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ def identified(path: Path, accuracy: float, progress: Progress) -> IdentifiedMod
     gains = result.drive_gains
     if result.believable and all(gain.verdict.outcome != Grade.CONTRADICTORY for gain in gains.values()):
         return result
-    estimates = [*gains.items(), *((load.name, load) for load in result.payloads), *result.parameters.items()]
+    loads = [(load.name, load) for load in result.payloads]
+    estimates: list[tuple[str, Any]] = [*gains.items(), *loads, *result.parameters.items()]
     name, worst = max(((name, one.verdict) for name, one in estimates), key=lambda pair: pair[1].outcome.rank)
     say = ": ".join(filter(None, (f"'{name}' is {worst.outcome.value}", worst.why)))
     return Decision(BLOCKED, say, listed(result), notes=tuple(filter(None, (worst.advice,))))
@@ -143,7 +145,8 @@ def decide(
     wide, gains = widths(result), listed(result)
     joint = max(wide, key=lambda name: wide[name])
     width = f"+-{wide[joint]:.3g} %"
-    reached, within = wide[joint] <= accuracy, f"all gains are known to {accuracy:g} % (the widest: '{joint}' {width})"
+    reached = wide[joint] <= accuracy
+    within = f"all gains are known to {accuracy:g} % (the widest: '{joint}' {width})"
     if reached and alone is None:
         if len(rounds) >= ROUNDS:
             return Decision(STOPPED, f"{within}; five rounds are over, so none is left to confirm it", gains)
@@ -176,7 +179,8 @@ def slower(result: IdentifiedModel, rounds: Sequence[Round]) -> tuple[str, ...]:
         names = [f"q_{joint['name']}" for joint in round_.motion["joints"]]
         log = read_log(round_.folder / "motion.csv", ("t", *names)).arrays()
         designed = _moving(log["t"], np.column_stack([log[name] for name in names]))
-        share = designed / max(_moving(run.time, run.position) for _, run in zip(round_.runs, runs, strict=False))
+        played = (_moving(run.time, run.position) for _, run in zip(round_.runs, runs, strict=False))
+        share = designed / max(played)
         if share < STRETCHED:
             notes.append(
                 f"round {round_.folder.name} was played at {100 * share:.0f} % of its speed and is used as such"

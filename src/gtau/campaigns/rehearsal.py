@@ -115,7 +115,8 @@ def _under_control(
         log = read_log(out / "logs" / "loaded.csv", columns).arrays()
     errors, torques = {}, {}
     for k, joint in enumerate(task.model.actuated):
-        errors[joint] = float(np.abs(log[log_column("q", joint)] - np.interp(log["t"], time, joints[0, k])).max())
+        designed = np.interp(log["t"], time, joints[0, k])
+        errors[joint] = float(np.abs(log[log_column("q", joint)] - designed).max())
         torques[joint] = float(np.abs(log[log_column("v", joint)]).max())
     return errors, torques
 

@@ -255,7 +255,8 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
     notes = [f"limits: {100 * share:.3g} % of the robot file's{beyond}, in full where stated; state limits.share"]
     if free := [f"'{name}'" for name, limit in limits.items() if limit.position is None]:
         notes.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
-    if weak := [f"'{name}'" for name, limit in limits.items() if limit.effort is None and name not in entry.current]:
+    efforts = {name: limit.effort or entry.current.get(name) for name, limit in limits.items()}
+    if weak := [f"'{name}'" for name, effort in efforts.items() if effort is None]:
         state = "state its effort, or prior.gains and limits.current"
         notes.append(f"torque: no limit in the file for {some_of(weak, 4)}; {state}")
     if slow := [f"'{name}'" for name, limit in limits.items() if limit.acceleration is None]:
@@ -297,7 +298,7 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
         if dof in platform.dof:
             if dof not in entry.workspace:
                 raise GtauError(f"a motion in platform space needs limits.workspace.{dof}, an interval in m; add it.")
-            low, high = entry.workspace[dof]  # type: ignore[index]
+            low, high = entry.workspace[dof]
             center.append((low + high) / 2 - home)
             half.append((high - low) / 2)
     turns = len(platform.dof) - len(center)

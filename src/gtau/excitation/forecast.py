@@ -181,8 +181,9 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
             shares[joint, how] = _relative(task, triangle(R, more)) / before
     advice = []
     for k in weak:
+        helpful: list[tuple[float, str | None, str]]
         helpful = [(float(share[k]), *way) for way, share in shares.items() if share[k] < WORTH]
-        part, joint, how = min(helpful) if helpful else (1.0, None, "")
+        part, joint, how = min(helpful, default=(1.0, None, ""))
         advice.append(Weak(unknowns.names[k], float(relative[k]), joint, how, float(part * relative[k])))
     return tuple(advice)
 
@@ -195,7 +196,9 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
     """Compute the information factor of joint j moving alone about the pose ``middle`` (n,); None if it cannot."""
     limits, (speed_limit, acceleration_limit, _) = task.limits, task.limits.rates[:, j]
     runs = tuple(range(len(task.payloads)))
-    low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])
+    low, high = limits.position[j]
+    if not np.isfinite(high - low):
+        low, high = middle[j] - np.pi, middle[j] + np.pi
     center, samples = (low + high) / 2, 8 * PER_HARMONIC
     angle = 2 * np.pi / samples * np.arange(samples)
     for _ in range(4):

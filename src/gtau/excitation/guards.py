@@ -123,7 +123,7 @@ def speed_of_tool(robot: Robot, stated: float | None) -> tuple[float, str]:
         return stated, f"tool: at most {stated:g} m/s, as stated"
     name = robot.name.lower()
     allowed = next((speed for word, speed in MAKERS.items() if word in name), None)
-    why = "the usual setting of arms beside people" if allowed is None else f"which the maker of '{robot.name}' allows"
+    why = f"which the maker of '{robot.name}' allows" if allowed else "the usual setting of arms beside people"
     fastest = allowed or TOOL_SPEED
     return fastest, f"tool: at most {fastest:g} m/s, {why}; state limits.tool_speed"
 
@@ -134,7 +134,8 @@ def _named(pair: Pair) -> str:
 
 def _guesses(robot: Robot, stated: Shapes, file: Path) -> tuple[dict[str, list[Capsule]], str]:
     """Guess shapes of bodies without a stated shape, and say how."""
-    in_file, ends, missing = urdf_shapes(file) if file.suffix.lower() == ".urdf" and file.is_file() else ({}, {}, {})
+    urdf = file.suffix.lower() == ".urdf" and file.is_file()
+    in_file, ends, missing = urdf_shapes(file) if urdf else ({}, {}, {})
     bodies = [body for body in (GROUND, *robot.bodies) if body not in stated]
     drawn = {body: [_around(*shape) for shape in in_file[body]] for body in bodies if body in in_file}
     links = {} if robot.closures else _links(robot, ends)
@@ -153,7 +154,8 @@ def _guesses(robot: Robot, stated: Shapes, file: Path) -> tuple[dict[str, list[C
     sources = [f"{words} for {some_of(list(named), 3)}" for words, named in kinds.items() if named]
     if not sources:
         return {}, f"self-collision: not checked, as the robot file has no shapes and no lengths; state {STATE}"
-    shapes = {body: [*drawn.get(body, ()), *lines.get(body, ())] for body in bodies if body in {**drawn, **lines}}
+    shaped = [body for body in bodies if body in drawn or body in lines]
+    shapes = {body: [*drawn.get(body, ()), *lines.get(body, ())] for body in shaped}
     return shapes, f"self-collision: bodies are capsules, {', '.join(sources)}{meshes}; state {STATE}"
 
 
@@ -215,7 +217,8 @@ def _above(probe: _Probe, shapes: Shapes, stated: Shapes, height: float) -> tupl
     """Keep bodies without a shape off a stated floor as lines, and make guessed shapes that rest in it thinner."""
     robot, least = probe.model.robot, probe.least
     bare = [body for body in robot.bodies if body not in shapes]
-    lines = {body: [capsule([0, 0, 0], end, 0.0) for end in places_on(robot, body) or [np.zeros(3)]] for body in bare}
+    origin = np.zeros(3)
+    lines = {body: [capsule(origin, end, 0.0) for end in places_on(robot, body) or [origin]] for body in bare}
     lifted: dict[str, Sequence[Shape]] = {**shapes, **lines}
     thin, above = list[str](), probe.clearance(lifted, height)
     for pair in (pair for pair in above.pairs if FLOOR in pair and not {*pair} & {*stated}):

@@ -159,7 +159,8 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
     # the pattern of nonzeros, at a point without symmetry
     rows, columns = np.nonzero(jacobian(x).T)[::-1]
     pattern = ca.Sparsity.triplet(len(low), len(x), rows.tolist(), columns.tolist())
-    scalar, values, slope = ca.Sparsity.scalar(), ca.Sparsity.dense(len(low), 1), ca.Sparsity.dense(len(x), 1)
+    scalar, slope = ca.Sparsity.scalar(), ca.Sparsity.dense(len(x), 1)
+    values = ca.Sparsity.dense(len(low), 1)
     results = {"x": len(x), "f": 1, "g": len(low), "lam_x": len(x), "lam_g": len(low)}
     f = _Function([len(x)], [scalar], lambda x: [programme.value(x)[0]])
     g = _Function([len(x)], [values], lambda x: [limits(x)])
@@ -276,7 +277,8 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
         c = close(task.model, np.stack([q, 0 * q, 0 * q])).c
     except GtauError:  # not every pose is reachable
         return resting
-    room = np.min([near.distance for near in clearance.all_nearest(c, clearance.pairs)], axis=0).reshape(CENTERS, -1)
+    distances = [near.distance for near in clearance.all_nearest(c, clearance.pairs)]
+    room = np.min(distances, axis=0).reshape(CENTERS, -1)
     narrowest = room.min(axis=1)
     clear = narrowest >= clearance.least
     chosen = np.argmax(np.where(clear, room[:, -1], -np.inf) if clear.any() else narrowest)
@@ -306,7 +308,8 @@ def _scaled(
     scale, low, high = 1.0, 0.0, np.inf
     for _ in range(TRIES):
         moving = used(resting_x + scale * x)
-        parts = (1 - usage.shortfall / at_rest[usage.what] for usage in moving or () if usage.what in at_rest)
+        counted = (usage for usage in moving or () if usage.what in at_rest)
+        parts = (1 - usage.shortfall / at_rest[usage.what] for usage in counted)
         most = np.inf if moving is None else max(parts, default=1.0)
         if 0.95 * part <= most <= part:
             return resting_x + scale * x

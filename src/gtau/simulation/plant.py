@@ -136,7 +136,8 @@ class Plant:
         yd, ydd = ca.SX(layout.n_y, 1), ca.SX(layout.n_y, 1)
         yd[actuated], yd[passive] = rates, J @ rates
         ydd[passive], _ = solve(G[:, passive], -ca.substitute(gamma, speeds, yd), refine=False)
-        return tuple(ca.Function("loops", [pose, rates], [yd, ydd, J], {"cse": True})(c, qd))
+        moved, drift, columns = ca.Function("loops", [pose, rates], [yd, ydd, J], {"cse": True})(c, qd)
+        return moved, drift, columns
 
     @cached_property
     def _inertia(self) -> ca.Function:

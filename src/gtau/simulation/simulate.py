@@ -192,7 +192,7 @@ def _truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, fl
                 "its experiment file corrected; name the same robot file."
             )
         return identified_friction(result, smoothing)
-    values, shapes = dict(simulation.parameters), dict[str, float]()
+    values, shapes = dict(simulation.parameters), dict[Parameter, float]()
     for joint, curve in simulation.curves.items():
         stated = {Parameter("width", joint): curve.width, Parameter("vs", joint): curve.speed}
         shapes |= {name: value for name, value in stated.items() if value}

@@ -230,8 +230,8 @@ def _unchecked(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajector
         moves = moves_through(points, envelope(robot, described.share), described.rest)
         return moves, float(moves.starts[-1] + moves.spans[-1] + described.rest)
     if (series := motion.fourier) is not None:
-        by_joint = (in_order(values) for values in (series.center, series.amplitude, series.phase))
-        return Sines(*by_joint, np.array(series.frequency), series.duration), series.duration
+        center, amplitude, phase = in_order(series.center), in_order(series.amplitude), in_order(series.phase)
+        return Sines(center, amplitude, phase, np.array(series.frequency), series.duration), series.duration
     assert motion.csv is not None
     return _from_csv(motion.csv, robot)
 
