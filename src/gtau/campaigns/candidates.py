@@ -24,7 +24,7 @@ from gtau.excitation.design_file import DesignFile, make_task
 from gtau.excitation.forecast import sampled_motions
 from gtau.excitation.prior import DesignPrior
 from gtau.excitation.task import DesignProblem, Point, along
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL

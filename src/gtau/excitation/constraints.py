@@ -12,7 +12,7 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import FLOOR, Clearance, Nearest, Pair
 from gtau.excitation.task import DesignProblem, Grid, Point, along, close
 from gtau.excitation.trajectory import approach_duration, quintic
-from gtau.model.interpreter.program import Program
+from gtau.model.program import Program
 from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")

@@ -20,7 +20,7 @@ from gtau.excitation.design import Design, check
 from gtau.excitation.information import root_covariance
 from gtau.excitation.nlp import information
 from gtau.excitation.task import PER_HARMONIC, DesignProblem, Grid, along, close, design_grid, evaluate
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation
@@ -179,12 +179,13 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
     for (j, joint), (how, (span, speed)) in product(enumerate(task.model.actuated), SPANS.items()):
         if (more := _alone(task, middle, j, span, speed)) is not None:
             shares[joint, how] = _relative(task, triangle(R, more)) / before
-    advice = []
+    advice = list[Weak]()
     for k in weak:
         helpful: list[tuple[float, str | None, str]]
         helpful = [(float(share[k]), *way) for way, share in shares.items() if share[k] < WORTH]
-        part, joint, how = min(helpful, default=(1.0, None, ""))
-        advice.append(Weak(unknowns.names[k], float(relative[k]), joint, how, float(part * relative[k])))
+        least = min(helpful, default=(1.0, None, ""))
+        then = float(least[0] * relative[k])
+        advice.append(Weak(unknowns.names[k], float(relative[k]), *least[1:], then))
     return tuple(advice)
 
 

@@ -13,7 +13,7 @@ from gtau.estimation.regression.factors import triangle
 from gtau.excitation.constraints import WAY, ConstraintUsage, constraint_usages, usages_of_motion
 from gtau.excitation.information import Criterion, criterion
 from gtau.excitation.task import DesignProblem, Grid, Point, close, design_grid, evaluate, evaluate_one
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 
 ITERATIONS = 100
 TOLERANCE = 1e-3  # of the logarithm of the criterion: 0.1 %

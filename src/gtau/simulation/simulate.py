@@ -24,9 +24,9 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.floating import refuse_floating
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, Robot
-from gtau.signals.reading.logged_run import RobotName
+from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import (
     BANDWIDTH,
