@@ -41,7 +41,7 @@ from gtau.report.torques import torques_chart
 from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import read_simulation
 from gtau.simulation.trajectories import make_trajectory
 from gtau.uses.weigh import weigh
 

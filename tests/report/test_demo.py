@@ -22,8 +22,7 @@ from gtau.report.render.terminal import plain
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload
-from gtau.simulation.experiment_files import experiment_text
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import experiment_text, read_simulation
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 

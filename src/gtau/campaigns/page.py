@@ -8,7 +8,7 @@ from typing import Any, Literal
 from gtau.campaigns.campaign import MODEL_FILE, CampaignState
 from gtau.campaigns.folder import DESIGN, Round
 from gtau.report.chart import Chart, intervals
-from gtau.report.page import Column, Kind, Page, Section, Text, joint_label, page, section, table
+from gtau.report.page import Column, Kind, Page, Section, Text, joint_label, page, section, table, table_of
 
 Judged = tuple[Round, Mapping[str, Any]]
 """A round and its decision."""
@@ -95,18 +95,14 @@ def _candidates(judged: list[Judged]) -> Section | None:
 
 
 def _rehearsals(rounds: tuple[Round, ...]) -> Section:
-    columns = (
-        Column("round"),
-        Column("purpose"),
-        Column("played"),
-        Column("tool, m/s", Kind.NUMBER, 2),
-        Column("at a tenth", Kind.NUMBER, 2),
-        Column("largest use of a limit, %", Kind.SHARE, decimals=0),
-        Column("of"),
+    shown = table_of(
+        [(round_, round_.motion["rehearsal"]) for round_ in rounds],
+        (Column("round"), lambda pair: pair[0].folder.name),
+        (Column("purpose"), lambda pair: pair[0].motion["purpose"]),
+        (Column("played"), lambda pair: pair[0].played.end if pair[0].played else "not yet"),
+        (Column("tool, m/s", Kind.NUMBER, 2), lambda pair: pair[1]["speed"]),
+        (Column("at a tenth", Kind.NUMBER, 2), lambda pair: pair[1]["speed"] / 10),
+        (Column("largest use of a limit, %", Kind.SHARE, decimals=0), lambda pair: pair[1]["used"]),
+        (Column("of"), lambda pair: pair[1]["limit"]),
     )
-    rows = []
-    for round_ in rounds:
-        rehearsal, end = round_.motion["rehearsal"], "not yet" if round_.played is None else round_.played.end
-        speed, usage = rehearsal["speed"], (rehearsal["used"], rehearsal["limit"])
-        rows.append((round_.folder.name, round_.motion["purpose"], end, speed, speed / 10, *usage))
-    return section("Rehearsals", table(columns, rows), id="rehearsals")
+    return section("Rehearsals", shown, id="rehearsals")

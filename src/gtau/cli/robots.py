@@ -210,8 +210,7 @@ def simulate(
     with progress_bar() as progress:
         from gtau.model.home import load_robot
         from gtau.robots.geometry import massless
-        from gtau.simulation.experiment_files import simulate
-        from gtau.simulation.simulation_file import read_simulation
+        from gtau.simulation.simulate import read_simulation, simulate
 
         written = simulate(simulation, out, progress)
     described = read_simulation(simulation)

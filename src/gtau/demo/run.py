@@ -31,8 +31,7 @@ from gtau.report.render.terminal import plain
 from gtau.report.write import write_identification
 from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import write_log
-from gtau.simulation.experiment_files import make_run
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import make_run, read_simulation
 from gtau.uses.identify import identify
 from gtau.uses.weigh import weigh
 
