@@ -225,11 +225,7 @@ def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Ite
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
-    """Estimate the covariance (k, k) between healthy logs (logs, k), positive definite for any number of logs.
-
-    Correlations are shrunk to the correlations within one log (``formula``). Half the standard deviation within a log
-    is the least scatter.
-    """
+    """Estimate the covariance (k, k) between healthy logs, with correlations shrunk to those of ``formula``."""
     logs, k = values.shape
     deviations = values - (values.mean(axis=0) if logs else 0.0)
     S = deviations.T @ deviations / max(logs - 1, 1)
