@@ -253,7 +253,8 @@ def signal_faults(
     model: IdentifiedModel, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
 ) -> tuple[Cause, ...]:
     """Name the fault that the samples of a log show, given charts, speeds and unevenness of healthy logs."""
-    run, parts = log.run.ordered(model.idm.actuated, link_side=False), list[tuple[np.ndarray, ...]]()
+    run = log.run.ordered(model.idm.actuated, link_side=False)
+    parts = list[tuple[np.ndarray, ...]]()
     friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
     usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
     single, all_free = _mean_squares(model, run, parts, friction, [*range(len(log.quantities))])
