@@ -82,7 +82,7 @@ class FleetGain:
 
 @dataclass(frozen=True)
 class JointOfFleet:
-    """A joint over all robots of a model: weighted median, its deviation, and the spread beyond the gains' own."""
+    """A joint over all robots of a model: weighted median, its standard deviation, and the spread between robots."""
 
     model: str
     joint: str

@@ -225,7 +225,7 @@ def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Ite
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
-    """Estimate the covariance (k, k) between healthy logs, with correlations shrunk to those of ``formula``."""
+    """Estimate the covariance (k, k) between healthy logs, with correlations shrunk to the formula's."""
     logs, k = values.shape
     deviations = values - (values.mean(axis=0) if logs else 0.0)
     S = deviations.T @ deviations / max(logs - 1, 1)

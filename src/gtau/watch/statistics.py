@@ -1,4 +1,4 @@
-"""Statistics of a log: the size of each change since the identification, estimated with friction, and its deviation.
+"""Statistics of a log: the size of each change, estimated one at a time with friction, and its standard deviation.
 
 The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is regressed on one column
 per quantity: the torque that one unit of its change adds. Filters, decimation and exclusion of reversals are the same
