@@ -26,7 +26,7 @@ from gtau.uses.prediction import predict, torques, validate
 if TYPE_CHECKING:
     import polars as pl
 
-    from gtau.report.plots import Plots
+    from gtau.report.notebook import Plots
 
 
 class Result(IdentifiedModel):
@@ -96,7 +96,7 @@ class Result(IdentifiedModel):
     @property
     def plot(self) -> Plots:
         """Plot the result, one figure per call: ``result.plot.torques("elbow_joint")``."""
-        from gtau.report.plots import Plots
+        from gtau.report.notebook import Plots
 
         return Plots(self)
 

@@ -7,7 +7,7 @@ import pytest
 
 from gtau.estimation.results.estimate import TorqueError
 from gtau.report.identification import _largest
-from gtau.report.residuals import autocorrelation, histogram, moments, spectrum
+from gtau.report.uncertainty import autocorrelation, histogram, moments, spectrum
 
 
 def test_autocorrelation_of_a_first_order_process_with_masked_samples(rng: np.random.Generator) -> None:

@@ -1,9 +1,10 @@
-"""Commands from logs to models: identify, compare, fleet."""
+"""Commands from logs to models: identify, compare, fleet, campaign."""
 
 from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -22,6 +23,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
+from gtau.cli.interruption import stop_request
 from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of, said_if_refused
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
@@ -61,6 +63,7 @@ PriorInertias = Annotated[
         "the scale of the gains where nothing else does.",
     ),
 ]
+EXIT = {"play": 0, "done": 0, "stopped": 3, "blocked": 3}
 
 
 def percent(text: str | float) -> float:
@@ -155,7 +158,7 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
     with progress_bar() as progress:
         from gtau.estimation.compare import compare as run
         from gtau.estimation.compare import to_document
-        from gtau.report.comparison import comparison_page
+        from gtau.report.fleet import comparison_page
         from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
 
@@ -221,3 +224,30 @@ def fleet(
     answer(json_, lambda: fleet_document(table), lambda: fleet_page(table), written)
     if not table.robots:
         raise typer.Exit(3)  # so that scripts do not continue with this fleet
+
+
+@refusing
+def campaign(
+    folder: Annotated[Path, argument("DIR", "Folder of the campaign, its only state.")],
+    robot: Annotated[str | None, option("ROBOT", "Robot file or catalog name, of a new campaign.")] = None,
+    payload: Annotated[float | None, option("KG", "Mass of the payload, of a new campaign.", min=0.0)] = None,
+    accuracy: Annotated[
+        float | None, option("PERCENT", "Required half-width of every gain's 95 % interval (default 3).")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Identify the robot from the motions played, and decide: done, the next motion, or why none can help.
+
+    Run the command again to resume from the folder. The exit code is 3 if the campaign cannot continue.
+    """
+    hold(folder)
+    with progress_bar() as progress:
+        from gtau.campaigns.campaign import campaign as run
+        from gtau.campaigns.page import campaign_page
+        from gtau.report.write import write_report
+
+        state = run(folder, robot, payload, accuracy, progress, partial(stop_request, ""))
+        report = write_report(campaign_page(state), folder, seconds())
+    answer(json_, lambda: state.document, lambda: campaign_page(state), [report])
+    if code := EXIT[state.next]:
+        raise typer.Exit(code)

@@ -91,7 +91,7 @@ def _save(described: Robot, save: Path, source: str) -> None:
 
 
 def _list_catalog(as_json: bool) -> None:
-    from gtau.report.page import Column, page, section, table
+    from gtau.report.page import Column, Page, Section, Table
     from gtau.robots.readers.read import catalog_names, read_robot
 
     robots = {name: read_robot(name) for name in catalog_names()}
@@ -100,7 +100,7 @@ def _list_catalog(as_json: bool) -> None:
     answer(
         as_json,
         lambda: {"catalog": [{"name": name, "source": robot.source} for name, robot in robots.items()]},
-        lambda: page("", section("Catalog", table(columns, rows))),
+        lambda: Page("", Section("Catalog", Table(columns, rows))),
     )
 
 
@@ -191,7 +191,7 @@ def demo(
 @refusing
 def tutorial(out: Annotated[Path, argument("DIR", "Folder for the logs.")], json_: Json = False) -> None:
     """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and print the next command."""
-    from gtau.demo.tutorial import write_tutorial
+    from gtau.demo import write_tutorial
 
     written = write_tutorial(out)
     answer(json_, lambda: {"files": [str(path) for path in written]}, written=written)

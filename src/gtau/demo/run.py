@@ -26,7 +26,7 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
-from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.render.terminal import plain
 from gtau.report.write import write_identification
 from gtau.signals.reading.experiment import read_experiment
@@ -144,16 +144,16 @@ def report(document: Mapping[str, Any]) -> Page:
     true, prior = number("true, N per A", decimals=0), number("manufacturer", decimals=0)
     columns = (Column("joint"), true, prior, error, number("identified", decimals=1), number("std", decimals=1), error)
     keys = ("joint", "true", "prior", "prior_error", "value", "std", "error")
-    gains = table(columns, [tuple(gain[key] for key in keys) for gain in document["drive_gains"]])
-    weighing = table(
+    gains = Table(columns, [tuple(gain[key] for key in keys) for gain in document["drive_gains"]])
+    weighing = Table(
         (Column("gains"), number("mass, kg", decimals=4), number("std", decimals=4), error),
         [(label, *(second[case][key] for key in ("value", "std", "error"))) for case, label in CASES.items()],
     )
-    return page(
+    return Page(
         "",
-        section("", Text(lead)),
-        section(f"Drive gains, from a known payload of {document['known_payload']['mass']} kg", gains),
-        section(f"Weighing a second payload of {second['true']} kg", weighing),
-        section(f"In {document['folder']}", Facts(CONTENT)),
-        section("Step by step, in that folder", *map(Text, document["commands"])),
+        Section("", Text(lead)),
+        Section(f"Drive gains, from a known payload of {document['known_payload']['mass']} kg", gains),
+        Section(f"Weighing a second payload of {second['true']} kg", weighing),
+        Section(f"In {document['folder']}", Facts(CONTENT)),
+        Section("Step by step, in that folder", *map(Text, document["commands"])),
     )

@@ -15,23 +15,9 @@ from gtau.findings.finding import by_severity, note_document
 from gtau.findings.words import counted
 from gtau.report import logs
 from gtau.report.chart import Chart
-from gtau.report.evidence import preparation_words
-from gtau.report.findings import findings_section, same_in_several
+from gtau.report.evidence import findings_section, preparation_words, same_in_several
 from gtau.report.motion import distances_panels, geometry_section, joint_panels, singularities_section
-from gtau.report.page import (
-    Column,
-    Facts,
-    Kind,
-    Page,
-    Section,
-    Table,
-    Text,
-    joint_label,
-    page,
-    section,
-    table,
-    table_of,
-)
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 
@@ -91,19 +77,19 @@ def check_page(checked: ExperimentCheck) -> Page:
     """Show the contents of the logs, and whether an identification can use them."""
     robot, preparation = checked.robot, checked.preparation
     nearest = [pose for log in checked.logs for pose in log.nearest]
-    motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
-    prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
+    motions = [Section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
+    prepared = [Section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
     speeds = logs.speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
-    return page(
+    return Page(
         f"Logs of {checked.robot.name}",
         _verdict(checked),
         findings_section(checked.notes),
-        section("Logs", _logs_table(checked), _preparation(checked), id="logs") if checked.logs else None,
-        section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
-        section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
+        Section("Logs", _logs_table(checked), _preparation(checked), id="logs") if checked.logs else None,
+        Section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
+        Section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
-        section("Motion", *motions, id="motion"),
-        section("Preparation", *prepared, speeds, id="preparation"),
+        Section("Motion", *motions, id="motion"),
+        Section("Preparation", *prepared, speeds, id="preparation"),
     )
 
 
@@ -113,7 +99,7 @@ def _verdict(checked: ExperimentCheck) -> Section:
     time = sum(logs.seconds(log.run) for log in used)
     runs = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
     words = Text(expectation(checked.notes), (runs,) if used else (), style)  # type: ignore[arg-type]
-    return section("Verdict", words, id="verdict")
+    return Section("Verdict", words, id="verdict")
 
 
 def expectation(notes: Sequence[Finding]) -> str:
@@ -178,7 +164,7 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
         for k, joint in enumerate(log.joints)
     ]
     title = f"{log.run.name} ({_purpose(log)}, {logs.payload_words(log.run)})"
-    return section(title, table(columns, rows), _wrenches(log) if log.wrenches else None, folded=False)
+    return Section(title, Table(columns, rows), _wrenches(log) if log.wrenches else None, folded=False)
 
 
 def _unit_columns(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:

@@ -15,7 +15,7 @@ from gtau.findings import Grade
 from gtau.findings.words import percent_text, to_width
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
-from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
+from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, table_of
 
 GOOD_OUTCOMES = (Grade.GOOD, Grade.GIVEN)
 LEAST = 0.01  # smallest share of a source of the scale that is mentioned
@@ -29,7 +29,7 @@ def gains_section(
     from_torques, prior = result.kind == "torque", prior or {}
     words = "±: half the 95 % interval; random, model: standard deviations; % of the "
     words += "scale, true over reported torque" if from_torques else "gain"
-    return section(
+    return Section(
         "Torque scale" if from_torques else "Drive gains",
         gains_table(result, prior),
         Text(words, style="soft") if _estimated(result) else None,
@@ -185,14 +185,14 @@ def all_sources(result: IdentifiedModel) -> str:
 def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads") -> Section | None:
     """Show inertial parameters of payloads, in the frame of the body that carries them; None without payloads."""
     parts = [
-        section(
+        Section(
             f"Payload '{payload.name}' of run {payload.run}",
             Text(f"{payload.verdict.sentence}.") if payload.verdict.why else None,
             estimates_table_of(payload.parameters, payload.known),
         )
         for payload in payloads
     ]
-    return section(title, *parts, id="payloads") if parts else None
+    return Section(title, *parts, id="payloads") if parts else None
 
 
 def unknown_payloads(result: IdentifiedModel) -> list[PayloadEstimate]:
@@ -207,7 +207,7 @@ def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
         for payload in payloads
         if "m" not in payload.known and (mass := payload.parameters.get("m")) and mass.value is not None
     ]
-    return table((Column("mass"), Column("value", Kind.SPREAD, 5), Column("unit")), rows) if rows else None
+    return Table((Column("mass"), Column("value", Kind.SPREAD, 5), Column("unit")), rows) if rows else None
 
 
 VALUE = (
@@ -233,4 +233,4 @@ def estimates_table_of(estimates: Mapping[str, Estimate], known: Iterable[str] =
     for name, estimate in estimates.items():
         role = "known" if name in known else "not identifiable" if estimate.value is None else estimate.regroups
         rows.append((name, *value_cells(estimate), estimate.interval(), role))
-    return table(columns, rows)
+    return Table(columns, rows)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Grade
 from gtau.findings.words import percent_text, percents
-from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
-from gtau.report.findings import findings_section, same_in_several
+from gtau.report.evidence import RunEvidence, findings_section, preparation_words, same_in_several, worst_joint
 from gtau.report.gains import (
     GOOD_OUTCOMES,
     all_sources,
@@ -29,11 +27,10 @@ from gtau.report.gains import (
 )
 from gtau.report.logs import logs_section
 from gtau.report.motion import geometry_section, motion_section, singularities_section
-from gtau.report.page import Column, Facts, Kind, Page, Section, Text, page, section, table_of
+from gtau.report.page import Column, Facts, Kind, Page, Section, Text, table_of
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
-from gtau.report.residuals import residuals_section
 from gtau.report.torques import determination, fit_table, torques_section
-from gtau.report.uncertainty import PAPER, correlation_section, effects_section
+from gtau.report.uncertainty import PAPER, correlation_section, effects_section, residuals_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.drafting import DRAFT
 
@@ -49,20 +46,20 @@ def summary_page(result: IdentifiedModel) -> Page:
     assumed = tuple("; ".join(filter(None, (note.what, note.advice))) for note in guessed)
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
-    return page(
+    return Page(
         "",
-        section("", Text(headline(result))),
+        Section("", Text(headline(result))),
         requirements_section(result),
         gains_section(result, charts=False, short=True),
-        section("", masses_table(result.payloads)),
-        section("Torque fit", *_fit_words(result)),
+        Section("", masses_table(result.payloads)),
+        Section("Torque fit", *_fit_words(result)),
         inertias_section(result.audit, short=True),
         findings_section(notes, NOTES) if notes else None,
-        section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", assumed))
+        Section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", assumed))
         if guessed
         else None,
-        section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
-        section("", Text("", tuple(next_steps(result)))),
+        Section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
+        Section("", Text("", tuple(next_steps(result)))),
     )
 
 
@@ -71,9 +68,9 @@ def full_page(result: IdentifiedModel) -> Page:
     ratio = result.statistics.get("singular_ratio")
     words = f"ratio of the two smallest singular values of W_tot ({PAPER}, eq. 33): {ratio or 0.0:.2f}"
     nearest = singularities_section(result.singularities)
-    return page(
+    return Page(
         f"Identification of {result.robot.name}",
-        section("", Text(headline(result)), _settings(result)),
+        Section("", Text(headline(result)), _settings(result)),
         requirements_section(result),
         gains_section(result, charts=False),
         _sensors_section(result),
@@ -81,8 +78,8 @@ def full_page(result: IdentifiedModel) -> Page:
         parameters_section(result),
         friction_section(result),
         inertias_section(result.audit),
-        section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if ratio else None),
-        section("Singularities", *nearest.items) if nearest else None,
+        Section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if ratio else None),
+        Section("Singularities", *nearest.items) if nearest else None,
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
         findings_section(findings(result)),
@@ -106,7 +103,9 @@ def report_page(result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Map
         logs_section([run.run for run in runs], result.robot, result.preparation),
         effects_section(result),
     )
-    return page(
+    for part in filter(None, details):
+        part.folded = True
+    return Page(
         f"Identification of {result.robot.name}",
         verdict_section(result, runs),
         requirements_section(result),
@@ -115,7 +114,7 @@ def report_page(result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Map
         findings_section(findings(result)),
         torques_section(result, runs),
         payloads_section(unknown_payloads(result)),
-        *(replace(part, folded=True) for part in details if part is not None),
+        *details,
         lead=[f"Estimator: {estimator_of(result.method).description}. Runs: {', '.join(result.runs)}."],
     )
 
@@ -131,7 +130,7 @@ def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -
     head = (headline(result),) if style == "bad" else ()
     said = (*head, *decisive, *actions(result), *next_steps(result, runs))
     words = headline(result) if style == "good" else counts(result)
-    return section("Verdict", Text(words, said, style), _tiles(result, runs), id="verdict")  # type: ignore[arg-type]
+    return Section("Verdict", Text(words, said, style), _tiles(result, runs), id="verdict")  # type: ignore[arg-type]
 
 
 def actions(result: IdentifiedModel) -> list[str]:
@@ -240,7 +239,7 @@ def _sensors_section(result: IdentifiedModel) -> Section | None:
         (Column("verdict", Kind.BADGE), "ratio.verdict.outcome.value"),
     )
     words = "ratio: torque according to all other data, over the reading of the sensor"
-    return section(
+    return Section(
         " and ".join(dict.fromkeys(sensor.kind.group for sensor in result.sensors)).capitalize(),
         *((listed, Text(words, style="soft")) if ratios else ()),
         fit_table([sensor.residual for sensor in result.sensors], "sensor of"),
@@ -261,7 +260,7 @@ def requirements_section(result: IdentifiedModel) -> Section | None:
         (Column("found, %", Kind.NUMBER, decimals=2), "found"),
         (Column("worst joint"), lambda requirement: requirement.joint or None),
     )
-    return section("Requirements", listed, id="requirements")
+    return Section("Requirements", listed, id="requirements")
 
 
 def _consistency_section(consistency: Consistency | None) -> Section | None:
@@ -285,7 +284,7 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
         f"{_growth(_overall(consistency))}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
         "model.json has every standard parameter under 'standard'; values that the data do not determine were chosen."
     )
-    return section("Physically consistent parameters", listed, Text(words), id="consistency")
+    return Section("Physically consistent parameters", listed, Text(words), id="consistency")
 
 
 def _overall(consistency: Consistency) -> float:

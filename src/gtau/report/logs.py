@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour
 from gtau.report.motion import TIME
-from gtau.report.page import Column, Kind, Section, joint_label, section, table_of
+from gtau.report.page import Column, Kind, Section, joint_label, table_of
 from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import spectra
@@ -51,7 +51,7 @@ def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) ->
         (Column("repaired, %", Kind.SHARE, 2), lambda run: 1 - valid_share(run)),
         (Column("clock and repairs"), lambda run: "; ".join(map(str, run.notes)) or "uniform clock, no repairs"),
     )
-    return section("Clock and spectra of the logs", listed, speed_chart(runs[0], robot, preparation), id="logs")
+    return Section("Clock and spectra of the logs", listed, speed_chart(runs[0], robot, preparation), id="logs")
 
 
 def speed_chart(run: Run, robot: Robot, preparation: Preparation) -> Chart | None:

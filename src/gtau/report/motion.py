@@ -13,7 +13,7 @@ from gtau.estimation.results.estimate import NearestPose
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table_of
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
@@ -47,12 +47,12 @@ def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sect
     starts = {run.run.name: float(run.run.time[0]) for run in runs}
     along = zip(result.runs, result.distances, strict=False)  # empty for a loaded result
     distances = distances_panels((name, starts.get(name, 0.0), run) for name, run in along) if used else []
-    return section(
+    return Section(
         "Robot and motion",
         result.robot,
-        section(title, paths_chart(paths)) if paths else None,
+        Section(title, paths_chart(paths)) if paths else None,
         singularities_section(result.singularities) if used else None,
-        *(section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
+        *(Section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
         id="robot",
     )
 
@@ -85,7 +85,7 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         ),
     )
     words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."
-    return section("Distance to singular poses", listed, Text(words, style="soft"))
+    return Section("Distance to singular poses", listed, Text(words, style="soft"))
 
 
 def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Panel]:
@@ -146,12 +146,12 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     if std < POSE_DELAY_STD:
         points.append(f"the poses lag {1e3 * delay:.1f} ± {1.96e3 * std:.1g} ms behind the positions")
     runs = dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
-    return section(
+    return Section(
         "Logged pose and geometry",
         Text(str(test.note), tuple(points), STYLES[test.outcome]),  # type: ignore[arg-type]
-        *(section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(runs)),
-        section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
-        section(
+        *(Section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(runs)),
+        Section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
+        Section(
             "Constants one at a time, sorted by the share of the residual variance they explain",
             _constants(test),
             Text(f"{len(test.tried) - LISTED} more explain less; model.json and --json list them.")

@@ -1,28 +1,51 @@
-"""Views of results for notebooks."""
+"""Show results in notebooks: pages, and figures such as ``result.plot.torques("elbow_joint")``."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import singledispatch
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from gtau.documents.files import write_atomically
+from gtau.errors import GtauError
 from gtau.estimation.check_logs import ExperimentCheck
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import IdentifiedModel
+from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.check import check_page
-from gtau.report.comparison import comparison_page
-from gtau.report.evidence import gather, settings_of
-from gtau.report.gains import VALUE, gains_section, payloads_section, unknown_payloads, value_cells
+from gtau.report.evidence import RunEvidence, gather, settings_of
+from gtau.report.fleet import comparison_page
+from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_section, unknown_payloads, value_cells
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
-from gtau.report.page import Column, Kind, Page, Text, page, section, table
+from gtau.report.logs import seconds
+from gtau.report.motion import TIME, distances_panels
+from gtau.report.page import Column, Kind, Page, Section, Table, Text
+from gtau.report.render.charts import figure_of
 from gtau.report.render.html import frame
 from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
+from gtau.report.uncertainty import (
+    correlation_chart,
+    correlation_of,
+    effects_chart,
+    residual_panels,
+    singular_values_chart,
+)
 from gtau.report.write import stamped
+from gtau.robots.parameter import torque_unit
+from gtau.signals.run import Run
+from gtau.uses.prediction import predict
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 
@@ -46,38 +69,141 @@ def write(result: IdentifiedModel, path: Path) -> None:
 @singledispatch
 def view(shown: object) -> Page:
     """Make the page of an object."""
-    return page("", section("", Text(repr(shown), style="command")))
+    return Page("", Section("", Text(repr(shown), style="command")))
 
 
 @view.register
 def _(shown: IdentifiedModel) -> Page:
-    return page(
+    return Page(
         "", verdict_section(shown), gains_section(shown, charts=False), payloads_section(unknown_payloads(shown))
     )
 
 
 @view.register
 def _(shown: EstimatorComparison) -> Page:
-    return Page("", comparison_page(shown).sections[:2])
+    return Page("", *comparison_page(shown).sections[:2])
 
 
 @view.register
 def _(shown: PayloadEstimate) -> Page:
-    return page("", payloads_section([shown]))
+    return Page("", payloads_section([shown]))
 
 
 @view.register
 def _(shown: Named) -> Page:
     columns = (Column("name", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
     rows = [(name, *value_cells(value), value.interval(), value.verdict.outcome.value) for name, value in shown.items()]
-    return page("", section("", table(columns, rows)))
+    return Page("", Section("", Table(columns, rows)))
 
 
 @view.register
 def _(shown: Prediction) -> Page:
-    return page("", section("", torques_chart(shown, ["N m or N"] * len(shown.joints), "", shown.time - shown.time[0])))
+    return Page("", Section("", torques_chart(shown, ["N m or N"] * len(shown.joints), "", shown.time - shown.time[0])))
 
 
 @view.register
 def _(shown: ExperimentCheck) -> Page:
-    return Page("", tuple(part for part in check_page(shown).sections if part.id in SECTIONS))
+    return Page("", *(part for part in check_page(shown).sections if part.id in SECTIONS))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plots:
+    """Figures of a result, as :class:`matplotlib.figure.Figure`, which a notebook shows and ``savefig`` writes.
+
+    ``run`` is the name of a run of the result or a :class:`gtau.Run`; by default the first run. A result loaded from a
+    file has no runs: pass one from :func:`gtau.read_run`.
+    """
+
+    result: IdentifiedModel
+
+    def __repr__(self) -> str:
+        names = [name for name in dir(self) if not name.startswith("_") and name != "result"]
+        return f"figures of {self.result.robot.name!r}: {', '.join(names)}"
+
+    def gains(self, prior: Mapping[str, float] | None = None) -> Figure:
+        """Draw drive gains with 95 % intervals and ``prior`` gains, in per cent of the gain."""
+        chart = gains_chart(self.result.drive_gains, prior or {})
+        if chart is None:
+            raise GtauError("the drive gains were given, so there are no intervals to plot; give prior gains.")
+        return figure_of(chart)
+
+    def torques(
+        self, joint: str | None = None, run: str | Run | None = None, start: float = 0.0, stop: float | None = None
+    ) -> Figure:
+        """Draw measured and predicted torques and residuals of one joint or all, from ``start`` to ``stop`` in s."""
+        evidence, joints = self._evidence(joint, run)
+        assert evidence.prediction is not None
+        end = seconds(evidence.run) if stop is None else stop
+        if not start < end:
+            raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
+        time, title = evidence.time, evidence.run.name
+        if start > 0 or stop is not None:
+            title += f", {start:.4g} to {end:.4g} s of {seconds(evidence.run):.4g} s"
+        window = (time >= start) & (time <= end)
+        prediction, robot = evidence.prediction.of(joints).part(window), self.result.robot
+        units = [torque_unit(robot, name) for name in joints]
+        return figure_of(torques_chart(prediction, units, evidence.run.kind, time[window], title=title))
+
+    def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
+        """Draw a joint's residuals along a run, with histogram, spectrum and autocorrelation."""
+        evidence, _ = self._evidence(joint, run)
+        assert evidence.prediction is not None
+        evidence = replace(evidence, prediction=evidence.prediction.in_band)
+        robot = self.result.robot
+        unit, values = torque_unit(robot, joint), evidence.residuals[:, robot.actuated.index(joint)]
+        line = Series("", evidence.time, values, "residual", width=1.0)
+        panels = residual_panels({joint: [(evidence.time, values)]}, {joint: unit})
+        along = Panel(TIME, Axis(f"residual, {unit}"), (line,), height=2.0)
+        return figure_of(Chart((along, *panels), f"{evidence.run.name}: {joint}", columns=2))
+
+    def effects(self) -> Figure:
+        """Draw the effects that model and description lack, by how much each would move a gain, with intervals."""
+        chart = effects_chart(sorted(self.result.effects, key=lambda effect: -effect.largest_move))
+        if chart is None:
+            raise GtauError("no effect would move a gain, so there is nothing to draw.")
+        return figure_of(chart)
+
+    def correlation(self) -> Figure:
+        """Draw the correlation matrix of all estimates."""
+        return figure_of(correlation_chart(*correlation_of(self.result)))
+
+    def singular_values(self) -> Figure:
+        """Draw the singular values of ``W_tot`` (eq. 33), with the gap before the smallest."""
+        if not self.result.singular_values:
+            raise GtauError(
+                "this result has no singular values: its gains were given, or it was loaded from a file; identify the "
+                "gains from the logs again."
+            )
+        return figure_of(singular_values_chart(np.array(self.result.singular_values)))
+
+    def distances(self) -> Figure:
+        """Draw distances to singular poses along the runs."""
+        along = zip(self.result.data, self.result.distances, strict=False)
+        panels = distances_panels((run.name, float(run.time[0]), distances) for run, distances in along)
+        if not panels:
+            raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
+        return figure_of(Chart(tuple(panels)))
+
+    def robot(self) -> Figure:
+        """Draw the robot in its home pose."""
+        from gtau.report.robot_figure import robot_figure
+
+        return robot_figure(self.result.robot)
+
+    def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, tuple[str, ...]]:
+        joints = self.result.robot.actuated
+        if joint is not None and joint not in joints:
+            raise GtauError(f"there is no joint '{joint}'; choose from {', '.join(joints)}.")
+        chosen = run if isinstance(run, Run) else self._run(run)
+        return RunEvidence(chosen, True, predict(self.result, chosen)), joints if joint is None else (joint,)
+
+    def _run(self, name: str | None) -> Run:
+        runs = {run.name: run for run in self.result.data}
+        if not runs:
+            raise GtauError(
+                "a result that was loaded from a file has no runs; give one, as in result.plot.torques(joint, "
+                "gtau.read_run(...))."
+            )
+        if name is not None and name not in runs:
+            raise GtauError(f"there is no run '{name}'; choose from {', '.join(runs)}.")
+        return next(iter(runs.values())) if name is None else runs[name]

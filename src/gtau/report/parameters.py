@@ -15,7 +15,7 @@ from gtau.estimation.results.table import estimates_table
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, value_cells
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, position_unit, torque_unit
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
@@ -47,10 +47,10 @@ def parameters_section(result: IdentifiedModel) -> Section:
         f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {loss:.2g} %. A value "
         f"with a standard deviation above 100 % means nothing alone: only its sum with other parameters is known."
     )
-    return section(
+    return Section(
         "Parameters",
         Text(words),
-        table(columns, rows, name="parameter-table", faint=faint),
+        Table(columns, rows, name="parameter-table", faint=faint),
         reference_text(result),
         id="parameters",
     )
@@ -86,7 +86,7 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
         return None
     panels = _curves(result, [run for run in runs if run.used])
     drawn = (Text(CURVES, style="soft"), Chart(tuple(panels), columns=2)) if panels else ()
-    return section("Friction on all samples", Text(FRICTION), curves_table(result), *drawn, id="friction")
+    return Section("Friction on all samples", Text(FRICTION), curves_table(result), *drawn, id="friction")
 
 
 def curves_table(result: IdentifiedModel) -> Table:
@@ -157,7 +157,7 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
             f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, which the intervals include; if "
             "something else gives the scale, the comparison below uses the data without them."
         )
-    return section(
+    return Section(
         "Inertias of the robot file",
         Text(words, tuple(_audit_points(audit, short))),
         _audit_table(audit, short) if audit.of("contradicted") or not short else None,

@@ -10,7 +10,7 @@ import numpy as np
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singular_distances
-from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, page, section, table, table_of
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, table_of
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Joint, Robot
@@ -107,13 +107,13 @@ def robot_page(model: InverseDynamics, base: BaseParameters, verbose: bool = Fal
         for spring in robot.springs
     ]
     hint = Text("Names, units and regroupings: --verbose.", style="soft")
-    return page(
+    return Page(
         f"{robot.name}: {len(model.actuated)} degrees of freedom, {len(robot.joints)} joints{source}",
-        section("Joints", _joints(model), *platforms, _facts(model), id="joints"),
+        Section("Joints", _joints(model), *platforms, _facts(model), id="joints"),
         _loops(model),
-        section("Springs between two points, with the terms of their force", Text("", tuple(terms))) if terms else None,
-        section("Notes", Text("", tuple(notes))) if notes else None,
-        section("Base parameters", Text(count), _base_table(base, robot) if verbose else hint, id="parameters"),
+        Section("Springs between two points, with the terms of their force", Text("", tuple(terms))) if terms else None,
+        Section("Notes", Text("", tuple(notes))) if notes else None,
+        Section("Base parameters", Text(count), _base_table(base, robot) if verbose else hint, id="parameters"),
     )
 
 
@@ -171,10 +171,10 @@ def _loops(model: InverseDynamics) -> Section | None:
         terms += [f"{coupling.offset:+.6g}"] if coupling.offset else []
         equations.append(f"{coupling.joint} = {' '.join(terms).removeprefix('+')}")
     words = f"{' and '.join(counted)}, {loops.rows} equations of rank {len(loops.layout.passive)}:"
-    return section("Loops", Text(words, tuple(equations)), id="loops")
+    return Section("Loops", Text(words, tuple(equations)), id="loops")
 
 
 def _base_table(base: BaseParameters, robot: Robot) -> Table:
     formulas = {name: formula if formula != name else "" for name, formula in base.regroupings.items()}
     rows = [(name, unit, formulas[name]) for name, unit in _units(base, robot).items()]
-    return table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)
+    return Table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,20 +15,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.logs import payload_words
 from gtau.report.motion import TIME
-from gtau.report.page import (
-    Column,
-    ColumnOf,
-    Kind,
-    Page,
-    Section,
-    Table,
-    Text,
-    joint_label,
-    page,
-    section,
-    table,
-    table_of,
-)
+from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
 
 if TYPE_CHECKING:
@@ -72,7 +58,7 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
     )
 
 
-def bands_section(errors: Sequence[TorqueError]) -> Section | None:
+def bands_section(errors: Sequence[TorqueError], folded: bool | None = None) -> Section | None:
     """Tabulate raw torque errors and torques of each joint by frequency, over all runs; None without runs."""
     bands = sorted({(band.low, band.high) for error in errors for band in error.bands})
     if not bands:
@@ -89,12 +75,13 @@ def bands_section(errors: Sequence[TorqueError]) -> Section | None:
         torques.append((joint_label(joint), *signal.tolist(), joint_errors[0].unit))
     percent = [Column(edge, Kind.NUMBER, decimals=1, most=999) for edge in edges]
     columns = [Column("measured torque, rms"), *(Column(edge, Kind.NUMBER, 2) for edge in edges), Column("unit")]
-    return section(
+    return Section(
         "Torque errors by frequency",
-        table([Column("error, % of the torque in the band"), *percent], shares),
-        table(columns, torques),
+        Table([Column("error, % of the torque in the band"), *percent], shares),
+        Table(columns, torques),
         Text(BANDS, style="soft"),
-        id="bands",
+        id="" if folded else "bands",
+        folded=folded,
     )
 
 
@@ -115,12 +102,12 @@ def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
 def external_page(torques: TorquesAlongLog) -> Page:
     """Show external torques along a log, the external wrench if asked for, and torque errors by frequency."""
     joint_columns = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
-    sections = [section("External torque", _external(torques.joints, "joint", *joint_columns), Text(EXTERNAL))]
+    sections = [Section("External torque", _external(torques.joints, "joint", *joint_columns), Text(EXTERNAL))]
     if (wrench := torques.wrench) is not None:
         wrench_columns = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
         words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval (median). {SEEN}"
-        sections.append(section("External wrench", _external(wrench.components, "name", *wrench_columns), Text(words)))
-    return page("", *sections, bands_section(torques.errors))
+        sections.append(Section("External wrench", _external(wrench.components, "name", *wrench_columns), Text(words)))
+    return Page("", *sections, bands_section(torques.errors))
 
 
 def _external(rows: Iterable[Any], name: str, *more: ColumnOf) -> Table:
@@ -157,27 +144,25 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
     for run in runs:
         title = f"{run.run.name} ({'used' if run.used else 'validation, not used'}; {payload_words(run.run)})"
         if run.prediction is None:
-            parts.append(section(title, Text(f"Not predicted: {run.refusal}"), folded=True))
+            parts.append(Section(title, Text(f"Not predicted: {run.refusal}"), folded=True))
             continue
         cut = Text(f"Only the first {run.time[-1]:.4g} s of this long run are shown.", style="soft")
         units = [torque_unit(result.robot, joint) for joint in run.prediction.joints]
         chart = torques_chart(run.prediction, units, run.run.kind, run.time, run.errors)
-        parts.append(section(title, cut if run.cut else None, chart, folded=run is not unfolded))
+        parts.append(Section(title, cut if run.cut else None, chart, folded=run is not unfolded))
     words = (
         "A small residual says nothing about the gains, which scale measured and predicted torque alike. In the shaded "
         "intervals friction changes its sign or samples are missing; the identification of gains and inertia excludes "
         "them."
     )
     judged = [run for run in runs if not run.used and run.errors] or runs
-    by_band = bands_section([error for run in runs for error in run.errors])
-    bands = () if by_band is None else (replace(by_band, folded=True, id=""),)
-    return section(
+    return Section(
         "Torques",
         Text(words),
         errors_table(judged),
         Text(REVERSALS, style="soft"),
-        section("Torque errors of every run", errors_table(runs), folded=True) if len(judged) < len(runs) else None,
-        *bands,
+        Section("Torque errors of every run", errors_table(runs), folded=True) if len(judged) < len(runs) else None,
+        bands_section([error for run in runs for error in run.errors], folded=True),
         *parts,
         id="torques",
     )

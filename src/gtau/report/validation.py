@@ -18,7 +18,7 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_section, payloads_section
 from gtau.report.logs import logs_section
 from gtau.report.motion import motion_section
-from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
+from gtau.report.page import Column, Kind, Page, Section, Text, table_of
 from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_section
 from gtau.uses.weigh import FRICTION_CHANGE, GAIN_CHANGE
 
@@ -44,10 +44,10 @@ def validation_page(result: IdentifiedModel, runs: Sequence[RunEvidence], notes:
     said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
     doubted = any(decisive for *_, decisive in noted)
     verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "bad" if doubted else "neutral")
-    return page(
+    return Page(
         f"Validation of {result.robot.name}",
-        section("Verdict", verdict, id="verdict"),
-        section("Torque errors", errors_table(runs), Text(REVERSALS), id="errors"),
+        Section("Verdict", verdict, id="verdict"),
+        Section("Torque errors", errors_table(runs), Text(REVERSALS), id="errors"),
         bands_section([error for run in runs for error in run.errors]),
         lead=[f"Model identified from {', '.join(result.runs)}; validated on {', '.join(r.run.name for r in runs)}."],
     )
@@ -58,7 +58,7 @@ def validation_report(
 ) -> Page:
     """Show verdict, torques, gains, motion and logs."""
     short = validation_page(result, runs, notes)
-    return page(
+    return Page(
         short.title,
         short.sections[0],
         torques_section(result, runs),
@@ -132,12 +132,12 @@ def weighing_page(
         )
     given = "the logged torques taken as true, whose scale was not tested" if torques else "these gains assumed exact"
     words = masses_words(payloads, f"with {given}, " if exact else "")
-    return page(
+    return Page(
         f"Payloads of {result.robot.name}",
-        section("Verdict", Text(words, tuple(said), "neutral"), id="verdict"),
+        Section("Verdict", Text(words, tuple(said), "neutral"), id="verdict"),
         bodies_section(bodies),
         payloads_section(payloads, "Inertial parameters"),
-        *(() if prior is None else (gains_section(result, prior), section("Robot", result.robot, id="robot"))),
+        *(() if prior is None else (gains_section(result, prior), Section("Robot", result.robot, id="robot"))),
     )
 
 
@@ -153,8 +153,8 @@ def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
         )
         lost = f"The motion does not show {', '.join(body.unseen)}." if body.unseen else ""
         what = Text(f"In {body.frame}; inertia about the centre of mass, +- half a 95 % interval. {lost}".strip())
-        parts.append(section(f"Payload '{body.name}' of run {body.run}", what, shown if shown.rows else None))
-    return section("For a controller", *parts, id="controller") if parts else None
+        parts.append(Section(f"Payload '{body.name}' of run {body.run}", what, shown if shown.rows else None))
+    return Section("For a controller", *parts, id="controller") if parts else None
 
 
 def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:

@@ -8,7 +8,6 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,7 +17,7 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
 from gtau.report.identification import report_page
-from gtau.report.page import Column, Facts, Kind, Page, Text, section, table
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.render.html import html
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.run import Run
@@ -74,22 +73,22 @@ def stamped(
     """Add date and version below the title of a page, and at its end the section on provenance."""
     made, packages = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"), versions()
     facts = {"made on": made, "time taken": None if seconds is None else f"{seconds:.1f} s", **packages}
-    files = table(
+    files = Table(
         (Column("input"), Column("file"), Column("size"), Column("SHA-256", Kind.NAME)),
         [(what, str(path), *fingerprint(path)) for what, path in inputs],
     )
     listed = f"Inputs: {len(inputs)} files with their hashes"
-    provenance = section(
+    provenance = Section(
         "Provenance",
-        section("The command that reproduces this report", Text(command, style="command")) if command else None,
+        Section("The command that reproduces this report", Text(command, style="command")) if command else None,
         Facts(facts),
-        section("Settings", Facts(settings)) if settings else None,
-        section(listed, files, folded=len(inputs) > LISTED) if inputs else None,
+        Section("Settings", Facts(settings)) if settings else None,
+        Section(listed, files, folded=len(inputs) > LISTED) if inputs else None,
         id="provenance",
         folded=True,
     )
     lead = (*page.lead, f"Made on {made} by gtau {packages['gtau']}.")
-    return replace(page, sections=(*page.sections, provenance), lead=lead)
+    return Page(page.title, *page.sections, provenance, lead=lead)
 
 
 def versions() -> dict[str, str]:

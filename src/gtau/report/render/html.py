@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
@@ -168,13 +168,13 @@ class Arrays:
         return json.dumps({key: text for text, key in self.keys.items()}, separators=(",", ":"))
 
 
-def arrays_for(items: tuple[Item, ...]) -> Arrays:
+def arrays_for(items: Sequence[Item]) -> Arrays:
     """Divide the budget of a page equally among its series."""
     series = sum(len(panel.series) for chart in live_charts(items) for panel in chart.panels)
     return Arrays(int(np.clip(BUDGET // max(2 * series, 1), 100, BUCKETS)))
 
 
-def live_charts(items: tuple[Item, ...]) -> Iterator[Chart]:
+def live_charts(items: Sequence[Item]) -> Iterator[Chart]:
     """Yield the live charts of a page."""
     for item in items:
         if isinstance(item, Section):
