@@ -25,10 +25,10 @@ from gtau.report.gains import (
     payloads_section,
     unknown_payloads,
 )
-from gtau.report.logs import logs_section
-from gtau.report.motion import geometry_section, motion_section, singularities_section
+from gtau.report.motion import logs_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, table_of
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
+from gtau.report.robot import geometry_section
 from gtau.report.torques import determination, fit_table, torques_section
 from gtau.report.uncertainty import PAPER, correlation_section, effects_section, residuals_section
 from gtau.robots.parameter import Parameter

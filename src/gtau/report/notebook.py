@@ -24,8 +24,7 @@ from gtau.report.evidence import RunEvidence, gather, settings_of
 from gtau.report.fleet import comparison_page
 from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_section, unknown_payloads, value_cells
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
-from gtau.report.logs import seconds
-from gtau.report.motion import TIME, distances_panels
+from gtau.report.motion import TIME, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text
 from gtau.report.render.charts import figure_of
 from gtau.report.render.html import frame

@@ -13,8 +13,7 @@ from gtau.estimation.results.predicted import Prediction
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
-from gtau.report.logs import payload_words
-from gtau.report.motion import TIME
+from gtau.report.motion import TIME, payload_words
 from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
 

@@ -16,8 +16,7 @@ from gtau.findings.words import percents, to_width
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_section, payloads_section
-from gtau.report.logs import logs_section
-from gtau.report.motion import motion_section
+from gtau.report.motion import logs_section, motion_section
 from gtau.report.page import Column, Kind, Page, Section, Text, table_of
 from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_section
 from gtau.uses.weigh import FRICTION_CHANGE, GAIN_CHANGE
