@@ -79,7 +79,7 @@ def validate(
             raise GtauError(f"{unread[0]}.")
         for k, run in enumerate(read):
             progress("predicting torques", k, len(read))
-            runs.append(predicted(result, run, longest=None, progress=progress))
+            runs.append(predicted(result, run, whole=True, progress=progress))
     written: list[Path] = []
     notes = [*unread, *without_temperature(result, described.signals)]
     if out is not None:

@@ -63,8 +63,7 @@ def robot(
     if save is not None:
         _save(described, save, source)
     if figure is not None:
-        from gtau.report.render.charts import save_figure
-        from gtau.report.robot_figure import robot_figure
+        from gtau.report.render.charts import robot_figure, save_figure
 
         save_figure(robot_figure(described), figure)
     with progress_bar() as progress:

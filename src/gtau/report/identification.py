@@ -44,21 +44,21 @@ def summary_page(result: IdentifiedModel) -> Page:
     notes = [note for note in findings(result) if note.kind != DRAFT]
     guessed = [note for note in result.notes if note.kind == DRAFT]
     assumed = tuple("; ".join(filter(None, (note.what, note.advice))) for note in guessed)
+    assumptions = Text(f"Correct any wrong entry in {guessed[0].source}:", assumed) if guessed else None
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
+    rest = f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}"
     return Page(
         "",
         Section("", Text(headline(result))),
         requirements_section(result),
         gains_section(result, charts=False, short=True),
         Section("", masses_table(result.payloads)),
-        Section("Torque fit", *_fit_words(result)),
+        _fit(result),
         inertias_section(result.audit, short=True),
         findings_section(notes, NOTES) if notes else None,
-        Section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", assumed))
-        if guessed
-        else None,
-        Section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
+        Section("Assumptions from the logs", assumptions),
+        Section("", Text(rest)),
         Section("", Text("", tuple(next_steps(result)))),
     )
 
@@ -136,13 +136,11 @@ def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -
 def actions(result: IdentifiedModel) -> list[str]:
     """List remedies for gains that are not good, the worst first."""
     accuracy = 100 * result.statistics.get("accuracy", 0.0)
-
-    def named(joint: str) -> str:
-        half = result.drive_gains[joint].half_width
-        return f"{joint} (+-{percent_text(half, accuracy)} %)" if half else joint
-
-    listed = reasons(result)
-    return [f"{', '.join(map(named, r.joints))}, {r.outcome.value}: {r.advice}" for r in listed]
+    named = {
+        joint: f"{joint} (+-{percent_text(gain.half_width, accuracy)} %)" if gain.half_width else joint
+        for joint, gain in result.drive_gains.items()
+    }
+    return [f"{', '.join(named[joint] for joint in r.joints)}, {r.outcome.value}: {r.advice}" for r in reasons(result)]
 
 
 def next_steps(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> list[str]:
@@ -211,10 +209,10 @@ def _settings(result: IdentifiedModel) -> Facts:
     )
 
 
-def _fit_words(result: IdentifiedModel) -> list[Text]:
+def _fit(result: IdentifiedModel) -> Section | None:
     worst = worst_joint(result.residuals)
     if worst is None:
-        return []
+        return None
     errors = [residual.relative_all for residual in result.residuals if residual.relative_all is not None]
     more = f"; of all samples: {percents(errors)}" if errors else ""
     where = f", the largest at '{worst.joint}'" if len(result.residuals) > 1 else ""
@@ -223,7 +221,7 @@ def _fit_words(result: IdentifiedModel) -> list[Text]:
     if result.consistency is not None:
         cost = _growth(_overall(result.consistency))
         said.append(f"Physically consistent parameters: torque residuals {cost}.")
-    return list(map(Text, said))
+    return Section("Torque fit", *map(Text, said))
 
 
 def _sensors_section(result: IdentifiedModel) -> Section | None:

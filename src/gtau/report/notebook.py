@@ -26,7 +26,7 @@ from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_sectio
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
 from gtau.report.motion import TIME, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text
-from gtau.report.render.charts import figure_of
+from gtau.report.render.charts import figure_of, robot_figure
 from gtau.report.render.html import frame
 from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
@@ -185,8 +185,6 @@ class Plots:
 
     def robot(self) -> Figure:
         """Draw the robot in its home pose."""
-        from gtau.report.robot_figure import robot_figure
-
         return robot_figure(self.result.robot)
 
     def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, tuple[str, ...]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import cos, floor, log10, sin
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from gtau.model.kinematics import Coordinates, poses
 from gtau.report.chart import Shape, Sketch, Word
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Joint, Robot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
 WIDTH, TALLEST = 240.0, 240.0  # points: width of the sheet, height of the robot; a phone shows words at 10 pixels
@@ -32,13 +29,6 @@ OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0
 COILS = 8  # turns of a spring
 PARALLEL = 1e-6  # tolerance of a cosine
 FLAT = 0.05  # share of its size below which a robot is drawn from the front
-
-
-def robot_figure(robot: Robot) -> Figure:
-    """Draw a robot at home; see :func:`sketch_of`."""
-    from gtau.report.render.charts import figure_of_sketch
-
-    return figure_of_sketch(sketch_of(robot))
 
 
 def sketch_of(robot: Robot) -> Sketch:

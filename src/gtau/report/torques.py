@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -66,10 +66,10 @@ def bands_section(errors: Sequence[TorqueError], folded: bool | None = None) -> 
     shares, torques = [], []
     for joint in dict.fromkeys(error.joint for error in errors):
         joint_errors = [error for error in errors if error.joint == joint]
-        pairs = np.zeros((len(bands), 2))
+        squares = np.zeros((len(bands), 2))
         for band in (band for error in joint_errors for band in error.bands):
-            pairs[bands.index((band.low, band.high))] += band.rms**2, band.signal**2
-        rms, signal = np.sqrt(pairs.T / len(joint_errors))
+            squares[bands.index((band.low, band.high))] += band.rms**2, band.signal**2
+        rms, signal = np.sqrt(squares.T / len(joint_errors))
         shares.append((joint_label(joint), *(100 * rms / np.maximum(signal, np.finfo(float).tiny)).tolist()))
         torques.append((joint_label(joint), *signal.tolist(), joint_errors[0].unit))
     percent = [Column(edge, Kind.NUMBER, decimals=1, most=999) for edge in edges]
@@ -100,26 +100,22 @@ def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
 
 def external_page(torques: TorquesAlongLog) -> Page:
     """Show external torques along a log, the external wrench if asked for, and torque errors by frequency."""
-    joint_columns = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
-    sections = [Section("External torque", _external(torques.joints, "joint", *joint_columns), Text(EXTERNAL))]
-    if (wrench := torques.wrench) is not None:
-        wrench_columns = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
-        words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval (median). {SEEN}"
-        sections.append(Section("External wrench", _external(wrench.components, "name", *wrench_columns), Text(words)))
-    return Page("", *sections, bands_section(torques.errors))
-
-
-def _external(rows: Iterable[Any], name: str, *more: ColumnOf) -> Table:
-    return table_of(
-        rows,
-        (Column(""), name),
-        (Column("rms", Kind.NUMBER), "rms"),
-        *more,
+    rms = (Column("rms", Kind.NUMBER), "rms")
+    more: list[ColumnOf] = [
         (Column("largest", Kind.NUMBER), "largest"),
         (Column("at, s", Kind.NUMBER), "time"),
         (Column("beyond 4, %", Kind.SHARE, decimals=2), "share"),
         (Column("unit"), "unit"),
-    )
+    ]
+    joint = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
+    listed = table_of(torques.joints, (Column(""), "joint"), rms, *joint, *more)
+    sections = [Section("External torque", listed, Text(EXTERNAL))]
+    if (wrench := torques.wrench) is not None:
+        component = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
+        listed = table_of(wrench.components, (Column(""), "name"), rms, *component, *more)
+        words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval (median). {SEEN}"
+        sections.append(Section("External wrench", listed, Text(words)))
+    return Page("", *sections, bands_section(torques.errors))
 
 
 def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
@@ -203,7 +199,7 @@ def stretches(time: np.ndarray, masked: np.ndarray) -> np.ndarray:
     shortest = SHORTEST * float(time[-1] - time[0])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], masked, [False]]).astype(np.int8)))
     starts, stops = time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]
-    apart = np.concatenate([[True], starts[1:] - stops[:-1] >= shortest]) if len(starts) else np.zeros(0, bool)
-    first = np.flatnonzero(apart)
-    ends = stops[np.append(first[1:] - 1, len(stops) - 1)] if len(stops) else stops
-    return np.column_stack([starts[first], ends]).reshape(-1).astype(float)
+    apart = starts[1:] - stops[:-1] >= shortest
+    if len(starts):
+        starts, stops = starts[np.r_[True, apart]], stops[np.r_[apart, True]]
+    return np.column_stack([starts, stops]).reshape(-1).astype(float)

@@ -25,6 +25,11 @@ STRONG = 0.9  # smallest correlation that is listed
 LISTED = 20
 PAPER = "Briot and Gautier 2015"  # Multibody System Dynamics 33
 SHOWN = 60  # most estimates whose names fit beside a matrix
+EFFECTS = (
+    "All effects are random effects of one mixed model, estimated together with the parameters. Log-likelihood: loss "
+    "of a fit without the effect; below 3 the data hardly show it. The estimates and intervals include all effects. "
+    "Effects are sorted by the largest move of a gain."
+)
 DRAWN, VISIBLE = 12, 0.02  # most effects in the chart, and the smallest move of a gain, per cent
 
 
@@ -77,26 +82,15 @@ def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]
     return tuple(panels)
 
 
-def moments(residuals: Residuals) -> tuple[float, float] | None:
-    """Compute mean and standard deviation of the unmasked residuals; None if there are too few."""
-    values = _kept(residuals)
-    return (float(values.mean()), float(values.std())) if len(values) >= FEWEST and np.ptp(values) else None
-
-
-def _kept(residuals: Residuals) -> np.ndarray:
-    return np.concatenate([values[np.isfinite(values)] for _, values in residuals]) if residuals else np.zeros(0)
-
-
 def histogram(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
     """Compute bin edges (B + 1,) and density (B,) of the unmasked residuals, in standard deviations about the mean."""
-    values = _kept(residuals)
-    if (centre := moments(residuals)) is None:
+    values = np.concatenate([values[np.isfinite(values)] for _, values in residuals])
+    if len(values) < FEWEST or not np.ptp(values):
         return None
     bins = int(np.clip(np.sqrt(len(values)), 8, 40))
     low, high = np.quantile(values, [0.001, 0.999])
     density, edges = np.histogram(np.clip(values, low, high), bins=bins, range=(low, high), density=True)
-    mean, std = centre
-    return (edges - mean) / std, density * std
+    return (edges - values.mean()) / values.std(), density * values.std()
 
 
 def _centred(residuals: Residuals) -> list[tuple[float, np.ndarray, np.ndarray]]:
@@ -223,7 +217,10 @@ def effects_section(result: IdentifiedModel) -> Section | None:
         return None
     ranked = sorted(result.effects, key=lambda effect: -effect.largest_move)
     move = partial(Column, kind=Kind.NUMBER, decimals=2)
-    moves = [(move(f"moves {joint_label(joint)} by, %"), partial(_moved, joint)) for joint in result.robot.motors]
+    moves = [
+        (move(f"moves {joint_label(joint)} by, %"), lambda effect, joint=joint: effect.moves.get(joint))
+        for joint in result.robot.motors
+    ]
     listed = table_of(
         ranked,
         (Column("effect"), "subject"),
@@ -235,18 +232,9 @@ def effects_section(result: IdentifiedModel) -> Section | None:
         *moves,
         name="effects-table",
     )
-    words = (
-        "All effects are random effects of one mixed model, estimated together with the parameters. Log-likelihood: "
-        "loss of a fit without the effect; below 3 the data hardly show it. The estimates and intervals include all "
-        "effects. Effects are sorted by the largest move of a gain."
-    )
     full_list = Section(f"All {len(ranked)} effects", listed, folded=True)
     drifting = _drift_text([effect.subject for effect in ranked], result)
-    return Section("Effects beside the model", Text(words), drifting, effects_chart(ranked), full_list, id="effects")
-
-
-def _moved(joint: str, effect: EstimatedEffect) -> float | None:
-    return effect.moves.get(joint)
+    return Section("Effects beside the model", Text(EFFECTS), drifting, effects_chart(ranked), full_list, id="effects")
 
 
 def _drift_text(texts: Iterable[str], result: IdentifiedModel) -> Text | None:

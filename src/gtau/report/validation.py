@@ -29,12 +29,11 @@ CAUTION = (
 
 def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
     """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent, ``bands`` in Hz."""
-    return {
-        "runs": [
-            {"log": run.run.name, "joints": list(map(torque_error, run.errors)), "notes": list(map(str, run.notes))}
-            for run in runs
-        ]
-    }
+    documents = [
+        {"log": run.run.name, "joints": list(map(torque_error, run.errors)), "notes": list(map(str, run.notes))}
+        for run in runs
+    ]
+    return {"runs": documents}
 
 
 def validation_page(result: IdentifiedModel, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
@@ -88,12 +87,12 @@ def headline(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> str:
 
 def write_torques(runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
     """Write a table with all samples of each run; raises GtauError if a file cannot be written."""
-    names = unique_names([run.run.name for run in runs])
-    named = [(folder / f"torques_{name}.parquet", run.samples) for name, run in zip(names, runs, strict=True)]
-    for path, samples in named:
-        if samples is not None:
-            write_table(samples.table(), path)
-    return [path for path, samples in named if samples is not None]
+    written = []
+    for name, run in zip(unique_names([run.run.name for run in runs]), runs, strict=True):
+        if run.samples is not None:
+            written.append(folder / f"torques_{name}.parquet")
+            write_table(run.samples.table(), written[-1])
+    return written
 
 
 # Payloads

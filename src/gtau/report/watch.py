@@ -132,11 +132,8 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
 
 def _hidden(watch: Watch) -> Iterator[Text]:
     """List the quantities that this motion does not show, and the encoder zeros that no motion shows."""
-    hidden = [
-        quantity
-        for quantity, values in zip(watch.view.quantities, watch.view.values.T, strict=True)
-        if not np.isfinite(values).any()
-    ]
+    unknown = np.isnan(watch.view.values).all(axis=0)
+    hidden = [watch.view.quantities[k] for k in np.flatnonzero(unknown)]
     unseen = unseen_zeros(watch.model) if hidden else ()
     never = [quantity for quantity in hidden if quantity.kind == "zero" and quantity.joint in unseen]
     if names := ", ".join(_shown(quantity)[0] for quantity in hidden if quantity not in never):

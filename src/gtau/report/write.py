@@ -8,6 +8,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -71,11 +72,16 @@ def stamped(
     page: Page, settings: Mapping[str, str], command: str = "", inputs: Inputs = (), seconds: float | None = None
 ) -> Page:
     """Add date and version below the title of a page, and at its end the section on provenance."""
-    made, packages = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"), versions()
+    made = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    packages = {"gtau": version("gtau")}
+    packages["Python"] = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
+    for package in PACKAGES:
+        with suppress(PackageNotFoundError):
+            packages[package] = version(package)
     facts = {"made on": made, "time taken": None if seconds is None else f"{seconds:.1f} s", **packages}
     files = Table(
         (Column("input"), Column("file"), Column("size"), Column("SHA-256", Kind.NAME)),
-        [(what, str(path), *fingerprint(path)) for what, path in inputs],
+        [(what, str(path), *_fingerprint(path)) for what, path in inputs],
     )
     listed = f"Inputs: {len(inputs)} files with their hashes"
     provenance = Section(
@@ -91,26 +97,12 @@ def stamped(
     return Page(page.title, *page.sections, provenance, lead=lead)
 
 
-def versions() -> dict[str, str]:
-    """List the versions of gtau, Python and the numerical packages."""
-    python = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
-    packages = {"gtau": version("gtau"), "Python": python}
-    for package in PACKAGES:
-        try:
-            packages[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return packages
-
-
-def fingerprint(path: Path) -> tuple[str, str]:
+def _fingerprint(path: Path) -> tuple[str, str]:
     """Return size and SHA-256 of a file or of the files in a folder."""
     if path.is_dir():
         parts = sorted(part for part in path.iterdir() if part.is_file())
         return f"{len(parts)} files", _digest(parts)
-    if not path.is_file():
-        return "–", "no longer exists"
-    return _size(path.stat().st_size), _digest([path])
+    return (_size(path.stat().st_size), _digest([path])) if path.is_file() else ("–", "no longer exists")
 
 
 def _digest(paths: Iterable[Path]) -> str:

@@ -27,6 +27,8 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Series, Sketch, Word
 from gtau.report.page import number
+from gtau.report.robot_figure import sketch_of
+from gtau.robots.robot import Robot
 
 ASSETS = files("gtau.report.render") / "assets"
 WIDTH = 7.2  # inches, width of a figure
@@ -109,8 +111,9 @@ def figure_of(chart: Chart) -> Figure:
     return figure
 
 
-def figure_of_sketch(sketch: Sketch) -> Figure:
-    """Draw a sketch on axes that fill a figure of its size."""
+def robot_figure(robot: Robot) -> Figure:
+    """Draw a robot at home; see :func:`gtau.report.robot_figure.sketch_of`."""
+    sketch = sketch_of(robot)
     with styled(palette()):
         figure = ShownFigure(figsize=tuple(sketch.size / 72))
         _draw_sketch(figure, sketch, palette(), [withStroke(linewidth=HALO, foreground=palette()["page"])])
@@ -166,12 +169,13 @@ def _margins(panel: Panel, width: float, height: float) -> dict[str, float]:
     return {"left": min(left / width, 0.6), "right": 1 - 10 / width, "bottom": bottom / height, "top": 1 - top / height}
 
 
-def svg_of_sketch(sketch: Sketch, title: str) -> str:
-    """Draw a sketch as SVG; ``title`` describes it to screen readers."""
+def svg_of_robot(robot: Robot) -> str:
+    """Draw a robot at home as SVG."""
+    sketch = sketch_of(robot)
     with styled(page_palette()):
         figure = Figure(figsize=tuple(sketch.size / 72))
         _draw_sketch(figure, sketch, page_palette())
-        return _inline(figure, title)
+        return _inline(figure, f"robot {robot.name} at home")
 
 
 def _inline(figure: Figure, label: str) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from markupsafe import Markup, escape
 
 from gtau.report.chart import MINUS, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section, Table
-from gtau.robots.robot import Robot
 
 BUCKETS = 2000  # intervals of a run, drawn by their extremes: more than the pixels of a wide screen
 BUDGET = 450_000  # numbers in all series of a page, packed to 2.4 MB
@@ -30,32 +30,29 @@ FIT = (
 
 def html(page: Page, embedded: bool = False) -> str:
     """Render a page as HTML; an ``embedded`` page goes into a frame of a notebook."""
+    from gtau.report.render.charts import svg_of, svg_of_robot  # imports Matplotlib
+
     arrays = arrays_for(page.sections)
     live = next(live_charts(page.sections), None) is not None
     scripts = [asset("uPlot.iife.min.js")] if live else []
     scripts += [asset("report.js")] if live or not embedded else []
     scripts += [FIT] if embedded else []
-    groups: list[str] = []
-
-    def group() -> str:
-        groups.append(f"g{len(groups)}")
-        return groups[-1]
-
-    return (
-        _environment()
-        .get_template("page.html.j2")
-        .render(
-            page=page,
-            embedded=embedded,
-            scripts=scripts,
-            policy=_policy(scripts),
-            style=(asset("uPlot.min.css") if live else "") + _style(),
-            licence=asset("uPlot.LICENSE.txt") if live else "",
-            arrays=arrays,
-            group=group,
-            spec=lambda panel, group, last: json.dumps(spec_of(panel, arrays, group, last)),
-        )
+    groups = (f"g{k}" for k in count())
+    template = _environment().get_template("page.html.j2")
+    text: str = template.render(
+        page=page,
+        embedded=embedded,
+        scripts=scripts,
+        policy=_policy(scripts),
+        style=(asset("uPlot.min.css") if live else "") + _style(),
+        licence=asset("uPlot.LICENSE.txt") if live else "",
+        arrays=arrays,
+        group=lambda: next(groups),
+        spec=lambda panel, group, last: json.dumps(spec_of(panel, arrays, group, last)),
+        svg=svg_of,
+        robot=svg_of_robot,
     )
+    return text
 
 
 def frame(page: Page) -> str:
@@ -71,15 +68,13 @@ def asset(name: str) -> str:
 
 @cache
 def _environment() -> Any:
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    def load(name: str) -> str:
-        return files("gtau.report.render").joinpath("templates", name).read_text(encoding="utf-8")
-
+    loader = PackageLoader("gtau.report.render")
     environment = Environment(
-        loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=_panel, robot=_robot)
+    environment.globals.update(numeric=NUMERIC, badges=BADGES)
     environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, shown=_shown, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
@@ -103,19 +98,6 @@ def words(text: str) -> Markup:
 def _shown(table: Table) -> list[int]:
     """List the columns to show; for findings, the columns that are not empty."""
     return [k for k in range(len(table.columns)) if not table.listed or any(row[k] for row in table.rows)]
-
-
-def _panel(panel: Panel, alone: bool, title: str) -> str:
-    from gtau.report.render.charts import svg_of  # imports Matplotlib, which pages without charts do not need
-
-    return svg_of(panel, alone, title)
-
-
-def _robot(robot: Robot) -> str:
-    from gtau.report.render.charts import svg_of_sketch
-    from gtau.report.robot_figure import sketch_of
-
-    return svg_of_sketch(sketch_of(robot), f"robot {robot.name} at home")
 
 
 def _style() -> str:
