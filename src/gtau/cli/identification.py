@@ -164,8 +164,7 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
 
         comparison = run(experiment, progress=progress)
     described = read_experiment(experiment)
-    page = comparison_page(comparison, described.expected_gains)
-    written = []
+    page, written = comparison_page(comparison, described.expected_gains), []
     if out is not None:
         written = [write_report(page, folder_of(out), seconds(), inputs_of(experiment, described))]
     answer(json_, lambda: to_document(comparison), lambda: page, written)

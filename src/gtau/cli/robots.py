@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,10 +12,6 @@ from gtau.cli.console import Json, answer, argument, base_choice, hold, option, 
 from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
-
-if TYPE_CHECKING:
-    from gtau.robots.robot import Robot
-
 
 RobotFile = Annotated[
     str | None,
@@ -61,7 +58,13 @@ def robot(
 
         described = load_robot(source, base=base_choice(base), joints=joints or ())
     if save is not None:
-        _save(described, save, source)
+        from gtau.robots.readers.native_text import write_native
+        from gtau.robots.readers.read import is_loops_file
+
+        is_source = save.exists() and Path(source).exists() and save.samefile(source)
+        if is_source or (save.exists() and save.suffix in (".yaml", ".yml") and is_loops_file(save)):
+            raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
+        write_native(described, save)
     if figure is not None:
         from gtau.report.render.charts import robot_figure, save_figure
 
@@ -69,24 +72,8 @@ def robot(
     with progress_bar() as progress:
         model = InverseDynamics(described)
         parameters = base_parameters(model, progress=progress)
-    answer(
-        json_,
-        lambda: robot_document(model, parameters),
-        lambda: robot_page(model, parameters, verbose),
-        filter(None, (save, figure)),
-    )
-
-
-def _save(described: Robot, save: Path, source: str) -> None:
-    """Write a robot file, but never over the source of the robot."""
-    from gtau.robots.readers.native_text import write_native
-    from gtau.robots.readers.read import is_loops_file
-
-    if save.exists() and (
-        (Path(source).exists() and save.samefile(source)) or (save.suffix in (".yaml", ".yml") and is_loops_file(save))
-    ):
-        raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
-    write_native(described, save)
+    document, page = partial(robot_document, model, parameters), partial(robot_page, model, parameters, verbose)
+    answer(json_, document, page, filter(None, (save, figure)))
 
 
 def _list_catalog(as_json: bool) -> None:
@@ -95,12 +82,9 @@ def _list_catalog(as_json: bool) -> None:
 
     robots = {name: read_robot(name) for name in catalog_names()}
     rows = [(name, f"{len(robot.motors)}", robot.source) for name, robot in robots.items()]
-    columns = (Column("robot"), Column("motors"), Column("source"))
-    answer(
-        as_json,
-        lambda: {"catalog": [{"name": name, "source": robot.source} for name, robot in robots.items()]},
-        lambda: Page("", Section("Catalog", Table(columns, rows))),
-    )
+    catalog = [{"name": name, "source": source} for name, _, source in rows]
+    shown = Table((Column("robot"), Column("motors"), Column("source")), rows)
+    answer(as_json, lambda: {"catalog": catalog}, lambda: Page("", Section("Catalog", shown)))
 
 
 STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again stops at once."

@@ -14,7 +14,6 @@ from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 
 if TYPE_CHECKING:
-    from gtau.signals.run import Run
     from gtau.watch.follow import Read
     from gtau.watch.watch import Status, Watch
 
@@ -81,7 +80,10 @@ def watch(
     read = partial(read_log, result, experiment=experiment, payload=payload)
     watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
     if power:
-        _show_power(watched, read(given[-1]), json_)
+        from gtau.report.watch import power_page, power_rows
+
+        watched.imagine(read(given[-1]))
+        answer(json_, lambda: power_rows(watched), lambda: power_page(watched))
         return
     for action, subject in actions.items():
         if subject is not None:
@@ -89,14 +91,6 @@ def watch(
     statuses = blocks(watched, sources[0], read, block) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
-
-
-def _show_power(watched: Watch, run: Run, as_json: bool) -> None:
-    """Show the changes that the motion of a log can reveal."""
-    from gtau.report.watch import power_page, power_rows
-
-    watched.imagine(run)
-    answer(as_json, lambda: power_rows(watched), lambda: power_page(watched))
 
 
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -135,7 +136,9 @@ def predicted(
 
 
 def _beginning(run: Run, count: int) -> Run:
-    columns = {name: np.asarray(getattr(run, name)[:count]) for name in ("time", "position", "command", "valid")}
+    columns: dict[str, Any] = {
+        name: np.asarray(getattr(run, name)[:count]) for name in ("time", "position", "command", "valid")
+    }
     return replace(run, **columns)
 
 

@@ -45,16 +45,31 @@ def fleet_document(fleet: FleetTable) -> dict[str, Any]:
 
 def fleet_page(fleet: FleetTable, full: bool = False) -> Page:
     """Show each joint over the robots, outliers and refused robots; in ``full`` also every gain of every robot."""
-    why = (Column("why"), "why")
+    gains = table_of(fleet.gains, *GAIN, (Column("why"), "why"), name="gains-table")
     charts = [fleet_chart(fleet, joint) for joint in fleet.joints if full]
+    joints = table_of(
+        fleet.joints,
+        (Column("model"), "model"),
+        (Column("joint"), lambda joint: joint_label(joint.joint)),
+        (Column("robots", Kind.NUMBER), "robots"),
+        (Column("median gain", Kind.NUMBER, 5), "median"),
+        (Column("std", Kind.NUMBER, 2), "median_std"),
+        (Column("spread, %", Kind.NUMBER, decimals=2), lambda joint: 100 * joint.spread / abs(joint.median)),
+        (Column("unit"), "unit"),
+    )
+    outliers = table_of(fleet.outliers[:LISTED], *GAIN) if fleet.outliers else Text("none")
+    more = [Text(f"and {len(fleet.outliers) - LISTED} more")] if len(fleet.outliers) > LISTED else []
+    refused = [f"{robot}: {why}" for robot, why in fleet.refused]
+    if len(refused) > LISTED and not full:
+        refused[LISTED:] = [f"and {len(refused) - LISTED} more"]
     return Page(
         "Drive gains of a fleet",
         _verdict(fleet),
-        _joints(fleet),
-        _outliers(fleet),
+        Section("Joints over the fleet", joints, id="joints"),
+        Section("Outliers", outliers, *more, id="outliers"),
         Section("Gains by robot", *charts, id="chart"),
-        Section("All gains", table_of(fleet.gains, *GAIN, why, name="gains-table"), id="gains") if full else None,
-        _refused(fleet, None if full else LISTED),
+        Section("All gains", gains, id="gains") if full else None,
+        Section("Refused robots", Text("", tuple(refused)), id="refused") if refused else None,
         lead=[f"{len(fleet.robots)} robots."] if full else [],
     )
 
@@ -71,21 +86,8 @@ def _verdict(fleet: FleetTable) -> Section:
     else:
         words, style = "The robots are identified, but they are too few to detect outliers.", "neutral"
     facts = {"identified": len(fleet.robots), "refused": len(fleet.refused), "outliers": len(outliers)}
-    return Section("Verdict", Text(words, tuple(remarks(fleet)), style), Facts(facts), id="verdict")  # type: ignore[arg-type]
-
-
-def _joints(fleet: FleetTable) -> Section:
-    joints = table_of(
-        fleet.joints,
-        (Column("model"), "model"),
-        (Column("joint"), lambda joint: joint_label(joint.joint)),
-        (Column("robots", Kind.NUMBER), "robots"),
-        (Column("median gain", Kind.NUMBER, 5), "median"),
-        (Column("std", Kind.NUMBER, 2), "median_std"),
-        (Column("spread, %", Kind.NUMBER, decimals=2), lambda joint: 100 * joint.spread / abs(joint.median)),
-        (Column("unit"), "unit"),
-    )
-    return Section("Joints over the fleet", joints, id="joints")
+    verdict = Text(words, tuple(_remarks(fleet)), style)  # type: ignore[arg-type]
+    return Section("Verdict", verdict, Facts(facts), id="verdict")
 
 
 GAIN: tuple[ColumnOf, ...] = (
@@ -102,21 +104,7 @@ GAIN: tuple[ColumnOf, ...] = (
 """Columns of a gain and their cells."""
 
 
-def _outliers(fleet: FleetTable) -> Section:
-    shown = table_of(fleet.outliers[:LISTED], *GAIN) if fleet.outliers else Text("none")
-    more = len(fleet.outliers) - LISTED
-    return Section("Outliers", shown, Text(f"and {more} more") if more > 0 else None, id="outliers")
-
-
-def _refused(fleet: FleetTable, most: int | None = None) -> Section | None:
-    if not fleet.refused:
-        return None
-    lines = [f"{robot}: {why}" for robot, why in fleet.refused[:most]]
-    more = len(fleet.refused) - len(lines)
-    return Section("Refused robots", Text("", (*lines, *([f"and {more} more"] if more else []))), id="refused")
-
-
-def remarks(fleet: FleetTable) -> list[str]:
+def _remarks(fleet: FleetTable) -> list[str]:
     """List hints on the outliers."""
     joints = Counter(gain.robot for gain in fleet.gains)
     signs = Counter((gain.robot, "large" if (gain.difference_percent or 0) > 0 else "small") for gain in fleet.outliers)
@@ -201,13 +189,9 @@ def _agreement(comparison: EstimatorComparison) -> str:
 
 def _doubted(comparison: EstimatorComparison) -> list[str]:
     """List estimators that refuse the data or give gains that cannot be trusted."""
-    words = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
-    words += [
-        f"{row.method}: the gains are {row.outcome.value}"
-        for row in comparison.rows
-        if row.outcome is not None and row.outcome.value not in TRUSTED
-    ]
-    return words
+    refused = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
+    judged = [(row.method, row.outcome.value) for row in comparison.rows if row.outcome]
+    return refused + [f"{method}: the gains are {outcome}" for method, outcome in judged if outcome not in TRUSTED]
 
 
 def comparison_table(comparison: EstimatorComparison) -> Table:
