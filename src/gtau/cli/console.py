@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import typer
 
-from gtau.cli.interruption import begin, exit_code, interrupted
-from gtau.cli.interruption import report as report_interruption
+from gtau.cli import begin, exit_code, interrupted, report_ending
 from gtau.documents.files import hold_folder
 from gtau.errors import GtauError, tidy
 from gtau.estimation.estimators.registry import NAMES
@@ -123,7 +122,7 @@ def refusing(command: Callable[P, None]) -> Callable[P, None]:
                 raise KeyboardInterrupt from None
             raise refused(str(error), bool(options["json_"])) from None
         except KeyboardInterrupt as interruption:
-            report_interruption(str(interruption))
+            report_ending(str(interruption))
             raise typer.Exit(exit_code()) from None
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -8,8 +8,18 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, answer, argument, base_choice, hold, option, progress_bar, refusing, seconds
-from gtau.cli.interruption import stop_request
+from gtau.cli import stop_request
+from gtau.cli.console import (
+    Json,
+    answer,
+    argument,
+    base_choice,
+    hold,
+    option,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
 
