@@ -146,8 +146,9 @@ def excite(
         for older in (REPORT, pages.DESIGN):
             (out / older).unlink(missing_ok=True)
         written = pages.write_design(outlook, folder_of(out))
-        report = write_report(pages.design_report(outlook), out, seconds(), (("design", design),))
-    answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), (report, *written))
+        page = pages.design_page(outlook)
+        report = write_report(page, out, seconds(), (("design", design),))
+    answer(json_, lambda: pages.design_document(outlook), lambda: page, (report, *written))
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:

@@ -33,18 +33,16 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     data = content.encode() if isinstance(content, str) else content
     unfinished = path.with_name(f".{path.name}.{os.urandom(4).hex()}")  # known before it exists, for its removal
     try:
-        try:
-            with unfinished.open("xb") as file:
-                file.write(data)
-            unfinished.chmod(0o644)
-            unfinished.replace(path)
-        except BaseException:
-            unfinished.unlink(missing_ok=True)
-            raise
+        with unfinished.open("xb") as file:
+            file.write(data)
+        unfinished.chmod(0o644)
+        unfinished.replace(path)
     except OSError as error:
-        raise GtauError(
-            f"{path} cannot be written ({error.strerror}); choose another folder or free some space."
-        ) from None
+        why = error.strerror
+        raise GtauError(f"{path} cannot be written ({why}); choose another folder or free some space.") from None
+    finally:
+        with suppress(OSError):
+            unfinished.unlink()
 
 
 def in_csv(table: pl.DataFrame) -> str:
@@ -73,17 +71,18 @@ def refuse_as_folder(path: str | Path | None) -> None:
     """
     if path is None:
         return
+    why = ""
     try:
         _refuse_detour(Path(path))
         existing = next(place for place in (Path(path), *Path(path).absolute().parents) if place.exists())
+        if not existing.is_dir():
+            why = f", because {existing.name} is a file"
+        elif not os.access(existing, os.W_OK):
+            why = f", because {existing} is write-protected"
     except OSError as error:  # such as a name that is too long
-        raise GtauError(f"{path} cannot be the output folder ({error.strerror}); choose another one.") from None
-    if not existing.is_dir():
-        raise GtauError(f"{path} cannot be the output folder, because {existing.name} is a file; choose another one.")
-    if not os.access(existing, os.W_OK):
-        raise GtauError(
-            f"{path} cannot be the output folder, because {existing} is write-protected; choose another one."
-        )
+        why = f" ({error.strerror})"
+    if why:
+        raise GtauError(f"{path} cannot be the output folder{why}; choose another one.")
 
 
 def hold_folder(path: str | Path) -> Callable[[], None]:

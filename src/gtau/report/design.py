@@ -135,13 +135,15 @@ def _helps(weak: Weak) -> bool:
 
 
 def design_page(outlook: Outlook) -> Page:
-    """Show the predictions of a design."""
+    """Show the predictions of a design, its motion and the robot."""
     design, task, expected = outlook.design, outlook.task, outlook.forecast
     assumed = "parameters" in outlook.assumed
     gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
-    words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
-    unknown = Text(words, style="soft") if any(_meaningless(value, assumed) for value in expected.parameters) else None
     parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
+    hidden = None
+    if any(_meaningless(value, assumed) for value in expected.parameters):
+        words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
+        hidden = Text(words, style="soft")
     facts = {
         "period": f"{task.series.period:.4g} s",
         "repetitions": task.repetitions,
@@ -160,7 +162,9 @@ def design_page(outlook: Outlook) -> Page:
         f"Exciting motion for {outlook.robot.name}",
         Section("Verdict", _verdict(outlook), Facts(facts), id="verdict"),
         Section("Drive gains to expect", gains, id="gains"),
-        Section("Parameters to expect", parameters, unknown, id="parameters", folded=True),
+        Section("Motion", *(Section(title, chart) for title, chart in motion_charts(outlook)), id="motion"),
+        Section("Robot", outlook.robot, id="robot"),
+        Section("Parameters to expect", parameters, hidden, id="parameters", folded=True),
         Section("Limits", limits, id="limits"),
         _masses(outlook),
         Section("Assumptions", assumptions, id="assumed"),
@@ -170,14 +174,6 @@ def design_page(outlook: Outlook) -> Page:
             f"Criterion: {design.criterion}. Runs: {', '.join(map(_load, task.payloads))}.",
         ],
     )
-
-
-def design_report(outlook: Outlook) -> Page:
-    """Show the predictions of a design with its motion and the robot."""
-    short = design_page(outlook)
-    motions = (Section(title, chart) for title, chart in motion_charts(outlook))
-    drawn = (Section("Motion", *motions, id="motion"), Section("Robot", outlook.robot, id="robot"))
-    return Page(short.title, *short.sections[:2], *drawn, *short.sections[2:], lead=short.lead)
 
 
 def _load(payload: Payload | None) -> str:

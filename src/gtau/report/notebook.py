@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,44 +64,29 @@ def write(result: IdentifiedModel, path: Path) -> None:
     write_atomically(path, rendered(stamped(report, settings_of(result))))
 
 
-@singledispatch
 def view(shown: object) -> Page:
     """Make the page of an object."""
+    match shown:
+        case IdentifiedModel():
+            payloads = payloads_section(unknown_payloads(shown))
+            return Page("", verdict_section(shown), gains_section(shown, charts=False), payloads)
+        case EstimatorComparison():
+            return Page("", *comparison_page(shown).sections[:2])
+        case PayloadEstimate():
+            return Page("", payloads_section([shown]))
+        case Named():
+            ends = (Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
+            rows = [
+                (name, *value_cells(value), value.interval(), value.verdict.outcome.value)
+                for name, value in shown.items()
+            ]
+            return Page("", Section("", Table((Column("name", Kind.NAME), *VALUE, *ends), rows)))
+        case Prediction():
+            units, time = ["N m or N"] * len(shown.joints), shown.time - shown.time[0]
+            return Page("", Section("", torques_chart(shown, units, "", time)))
+        case ExperimentCheck():
+            return Page("", *(part for part in check_page(shown).sections if part.id in SECTIONS))
     return Page("", Section("", Text(repr(shown), style="command")))
-
-
-@view.register
-def _(shown: IdentifiedModel) -> Page:
-    return Page(
-        "", verdict_section(shown), gains_section(shown, charts=False), payloads_section(unknown_payloads(shown))
-    )
-
-
-@view.register
-def _(shown: EstimatorComparison) -> Page:
-    return Page("", *comparison_page(shown).sections[:2])
-
-
-@view.register
-def _(shown: PayloadEstimate) -> Page:
-    return Page("", payloads_section([shown]))
-
-
-@view.register
-def _(shown: Named) -> Page:
-    columns = (Column("name", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
-    rows = [(name, *value_cells(value), value.interval(), value.verdict.outcome.value) for name, value in shown.items()]
-    return Page("", Section("", Table(columns, rows)))
-
-
-@view.register
-def _(shown: Prediction) -> Page:
-    return Page("", Section("", torques_chart(shown, ["N m or N"] * len(shown.joints), "", shown.time - shown.time[0])))
-
-
-@view.register
-def _(shown: ExperimentCheck) -> Page:
-    return Page("", *(part for part in check_page(shown).sections if part.id in SECTIONS))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
