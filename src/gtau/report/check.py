@@ -88,12 +88,27 @@ def check_page(checked: ExperimentCheck) -> Page:
     nearest = [pose for log in checked.logs for pose in log.nearest]
     motions = [Section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
     prepared = [Section(log.run.name, preparation_chart(log), folded=True) for log in checked.logs]
+    logs = table_of(
+        checked.logs,
+        (Column("log"), "run.name"),
+        (Column("used for"), _purpose),
+        (Column("payload"), lambda log: payload_words(log.run).removeprefix("payload ")),
+        (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
+        (Column("rate, Hz", Kind.NUMBER, 5), "run.rate"),
+        (Column("duration, s", Kind.NUMBER), lambda log: seconds(log.run)),
+        (Column("rows a joint", Kind.NUMBER), "rows"),
+        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - valid_share(log.run)),
+    )
+    settings = None
+    if preparation is not None:
+        bandwidth, cutoff, decimation = preparation_words(preparation)
+        settings = Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
     speeds = speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
     return Page(
         f"Logs of {checked.robot.name}",
         _verdict(checked),
         findings_section(checked.notes),
-        Section("Logs", _logs_table(checked), _preparation(checked), id="logs") if checked.logs else None,
+        Section("Logs", logs, settings, id="logs") if checked.logs else None,
         Section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
         Section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
@@ -121,27 +136,6 @@ def expectation(notes: Sequence[Finding]) -> str:
     if warnings := listed.get(Grade.WARNING):
         return f"{command} can read these logs; {counted(len(warnings), 'warning')} to look into first."
     return f"{command} can use these logs as they are."
-
-
-def _preparation(checked: ExperimentCheck) -> Facts | None:
-    if checked.preparation is None:
-        return None
-    bandwidth, cutoff, decimation = preparation_words(checked.preparation)
-    return Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
-
-
-def _logs_table(checked: ExperimentCheck) -> Table:
-    return table_of(
-        checked.logs,
-        (Column("log"), "run.name"),
-        (Column("used for"), _purpose),
-        (Column("payload"), lambda log: payload_words(log.run).removeprefix("payload ")),
-        (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
-        (Column("rate, Hz", Kind.NUMBER, 5), "run.rate"),
-        (Column("duration, s", Kind.NUMBER), lambda log: seconds(log.run)),
-        (Column("rows a joint", Kind.NUMBER), "rows"),
-        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - valid_share(log.run)),
-    )
 
 
 def _purpose(log: LogCheck) -> str:
@@ -200,10 +194,10 @@ def motion_chart(log: LogCheck, robot: Robot) -> Chart:
 
 def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
     """Write the distances of all logs to singular poses as ``singularities.parquet``; raises GtauError."""
-    if not checked.logs:
-        return []
-    write_distances(((log.run.name, log.distances) for log in checked.logs), folder / "singularities.parquet")
-    return [folder / "singularities.parquet"]
+    path = folder / "singularities.parquet"
+    if checked.logs:
+        write_distances(((log.run.name, log.distances) for log in checked.logs), path)
+    return [path] if checked.logs else []
 
 
 def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:

@@ -162,7 +162,10 @@ def write_fleet(fleet: FleetTable, out: Path) -> list[Path]:
 
 def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] | None = None) -> Page:
     """Show the results of each estimator."""
-    verdict = Text(_agreement(comparison), tuple(_doubted(comparison)), "neutral")
+    said = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
+    judged = [(row.method, row.outcome.value) for row in comparison.rows if row.outcome]
+    said += [f"{method}: the gains are {outcome}" for method, outcome in judged if outcome not in TRUSTED]
+    verdict = Text(_agreement(comparison), tuple(said), "neutral")
     words = "residual: worst joint, % of its current; time: estimation alone; ±: half the 95 % interval"
     return Page(
         f"Estimators on {comparison.robot}",
@@ -185,13 +188,6 @@ def _agreement(comparison: EstimatorComparison) -> str:
         f"{len(trusted)} of {len(rows)} estimators find trustworthy gains, which agree to "
         f"{percent_text(spread[j])} % or better, and differ most at {comparison.joints[j]}."
     )
-
-
-def _doubted(comparison: EstimatorComparison) -> list[str]:
-    """List estimators that refuse the data or give gains that cannot be trusted."""
-    refused = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
-    judged = [(row.method, row.outcome.value) for row in comparison.rows if row.outcome]
-    return refused + [f"{method}: the gains are {outcome}" for method, outcome in judged if outcome not in TRUSTED]
 
 
 def comparison_table(comparison: EstimatorComparison) -> Table:

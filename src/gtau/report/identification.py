@@ -219,7 +219,7 @@ def _fit(result: IdentifiedModel) -> Section | None:
     used = percents(residual.relative for residual in result.residuals)
     said = [f"Torque residuals of the rows used: {used} rms{where}{more}."]
     if result.consistency is not None:
-        cost = _growth(_overall(result.consistency))
+        cost = _growth(*result.consistency.loss.values())
         said.append(f"Physically consistent parameters: torque residuals {cost}.")
     return Section("Torque fit", *map(Text, said))
 
@@ -279,17 +279,13 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
     joint = max(consistency.loss, key=lambda name: consistency.loss[name])
     words = (
         f"{len(moved)} of {len(consistency.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
-        f"{_growth(_overall(consistency))}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
+        f"{_growth(*consistency.loss.values())}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
         "model.json has every standard parameter under 'standard'; values that the data do not determine were chosen."
     )
     return Section("Physically consistent parameters", listed, Text(words), id="consistency")
 
 
-def _overall(consistency: Consistency) -> float:
-    """Compute the growth of the residuals of all joints together, per cent."""
-    return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in consistency.loss.values()])) - 1))
-
-
-def _growth(loss: float) -> str:
-    """Describe the growth of torque residuals by ``loss`` per cent."""
+def _growth(*losses: float) -> str:
+    """Describe the growth of torque residuals, of several joints together, by losses in per cent."""
+    loss = 100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in losses])) - 1)
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"

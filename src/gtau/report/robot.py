@@ -118,14 +118,18 @@ def robot_page(model: InverseDynamics, base: BaseParameters, verbose: bool = Fal
         f"{spring.name}: {spring.a.body} - {spring.b.body} ({', '.join(TERMS[kind] for kind in spring.parameters)})"
         for spring in robot.springs
     ]
-    hint = Text("Names, units and regroupings: --verbose.", style="soft")
+    listed: Table | Text = Text("Names, units and regroupings: --verbose.", style="soft")
+    if verbose:
+        formulas = {name: formula if formula != name else "" for name, formula in base.regroupings.items()}
+        rows = [(name, unit, formulas[name]) for name, unit in _units(base, robot).items()]
+        listed = Table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)
     return Page(
         f"{robot.name}: {len(model.actuated)} degrees of freedom, {len(robot.joints)} joints{source}",
         Section("Joints", _joints(model), *platforms, _facts(model), id="joints"),
         _loops(model),
         Section("Springs between two points, with the terms of their force", Text("", tuple(terms))) if terms else None,
         Section("Notes", Text("", tuple(notes))) if notes else None,
-        Section("Base parameters", Text(count), _base_table(base, robot) if verbose else hint, id="parameters"),
+        Section("Base parameters", Text(count), listed, id="parameters"),
     )
 
 
@@ -184,12 +188,6 @@ def _loops(model: InverseDynamics) -> Section | None:
         equations.append(f"{coupling.joint} = {' '.join(terms).removeprefix('+')}")
     words = f"{' and '.join(counted)}, {loops.rows} equations of rank {len(loops.layout.passive)}:"
     return Section("Loops", Text(words, tuple(equations)), id="loops")
-
-
-def _base_table(base: BaseParameters, robot: Robot) -> Table:
-    formulas = {name: formula if formula != name else "" for name, formula in base.regroupings.items()}
-    rows = [(name, unit, formulas[name]) for name, unit in _units(base, robot).items()]
-    return Table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)
 
 
 # Logged poses and the geometry

@@ -244,11 +244,15 @@ def scene_of(robot: Robot) -> Scene:
     shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
     joints = [joint for joint in robot.joints if joint.name not in shafts.union(robot.base)]
     lines = link_lines(robot, joints, frames)
-    rails = [(joint, rail_of(joint, frames)) for joint in joints if joint.kind == "prismatic"]
+    rails = []
+    for joint in (joint for joint in joints if joint.kind == "prismatic"):
+        R, p = frames[joint.name]
+        ends = joint.limits.position or (joint.home, joint.home)
+        rails.append((joint, np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in ends])))
     feet = [foot_of(joint, frames) for joint in joints if joint.antecedent == GROUND]
-    ends = [attached(end, frames)[1] for end in robot.ends]
+    attachments = [attached(end, frames)[1] for end in robot.ends]
     drawn = (*(line for _, line in lines), *(rail for _, rail in rails))
-    points = np.vstack([*drawn, *feet, *ends, *(frame[1] for frame in frames.values())])
+    points = np.vstack([*drawn, *feet, *attachments, *(frame[1] for frame in frames.values())])
     view = view_plane(np.ptp(points, axis=0), normal_of(joints, frames))
     span = np.maximum(np.ptp(points @ view.T, axis=0), 1e-9)
     size = float(span.max()) if span.max() > 1e-9 else 1.0
@@ -325,10 +329,3 @@ def foot_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
     R, p = frames[joint.antecedent]
     foot: np.ndarray = p + R @ joint.placement.position
     return foot
-
-
-def rail_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
-    """Return the travel of a prismatic joint within its limits, (2, 3)."""
-    R, p = frames[joint.name]
-    low, high = joint.limits.position or (joint.home, joint.home)
-    return np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in (low, high)])

@@ -38,10 +38,10 @@ def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
 
 def validation_page(result: IdentifiedModel, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` hold assumptions of all predictions."""
-    noted = [(run.run.name, note, note.decisive) for run in runs for note in run.notes]
-    said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
-    doubted = any(decisive for *_, decisive in noted)
-    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "bad" if doubted else "neutral")
+    noted = [(run.run.name, note) for run in runs for note in run.notes]
+    said = [str(note) if note.decisive else f"run '{name}': {note}" for name, note in noted]
+    style: Any = "bad" if any(note.decisive for _, note in noted) else "neutral"
+    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), style)
     return Page(
         f"Validation of {result.robot.name}",
         Section("Verdict", verdict, id="verdict"),

@@ -37,13 +37,15 @@ def html(page: Page, embedded: bool = False) -> str:
     scripts = [asset("uPlot.iife.min.js")] if live else []
     scripts += [asset("report.js")] if live or not embedded else []
     scripts += [FIT] if embedded else []
+    digests = (b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"  # only the scripts of the page run
     groups = (f"g{k}" for k in count())
     template = _environment().get_template("page.html.j2")
     text: str = template.render(
         page=page,
         embedded=embedded,
         scripts=scripts,
-        policy=_policy(scripts),
+        policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}",
         style=(asset("uPlot.min.css") if live else "") + _style(),
         licence=asset("uPlot.LICENSE.txt") if live else "",
         arrays=arrays,
@@ -112,13 +114,6 @@ def _style() -> str:
         f"{{ color-scheme: light; {light} }} }}\n"
         f"{asset('report.css')}"
     )
-
-
-def _policy(scripts: list[str]) -> str:
-    """Write the content security policy: only the scripts and styles of the page run."""
-    digests = (b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
-    allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
-    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
 
 
 def sentence(words: str) -> str:
