@@ -65,10 +65,7 @@ def write_table(table: pl.DataFrame, path: str | Path) -> None:
 
 
 def refuse_as_folder(path: str | Path | None) -> None:
-    """Refuse a path, unless None, at which :func:`folder_of` would fail, before hours of work; raises GtauError.
-
-    The folder is not made yet, so that a refused or interrupted command leaves no empty folder.
-    """
+    """Refuse a path, unless None, at which :func:`folder_of` would fail, before hours of work; raises GtauError."""
     if path is None:
         return
     why = ""
@@ -86,9 +83,9 @@ def refuse_as_folder(path: str | Path | None) -> None:
 
 
 def hold_folder(path: str | Path) -> Callable[[], None]:
-    """Make a folder, and keep other commands from writing to it until the returned function is called; GtauError.
+    """Make a folder, and keep other commands from writing to it; raises GtauError.
 
-    This function removes the new folders that are still empty.
+    The returned function ends this, and removes the new folders that are still empty.
     """
     refuse_as_folder(path)
     made = [place for place in (Path(path), *Path(path).parents) if not place.exists()]
@@ -158,10 +155,7 @@ def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None
 
 
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
-    """Read a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
-
-    Raises GtauError if the file is unreadable or longer (message ``larger``). The caller names the file.
-    """
+    """Read a file of at most ``size`` bytes; raises GtauError, with the message ``larger`` if it is longer."""
     try:
         with regular(path).open("rb") as file:
             content = file.read(size + 1)

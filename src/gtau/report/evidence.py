@@ -107,10 +107,7 @@ class RunEvidence:
 def gather(
     result: IdentifiedModel, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
 ) -> tuple[RunEvidence, ...]:
-    """Predict the runs of an identification and of its validation.
-
-    A run that the model cannot predict gets the reason as its ``refusal``.
-    """
+    """Predict the runs of an identification and of its validation; one that cannot be predicted gets a ``refusal``."""
     listed = [(run, True) for run in runs] + [(run, False) for run in validation]
     gathered = []
     for k, (run, used) in enumerate(listed):

@@ -31,13 +31,7 @@ TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
 def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, Any]:
-    """Describe a robot as a JSON document in SI units; unknown limits are null.
-
-    Raises
-    ------
-    GtauError
-        If the loops do not close, or gtau does not support the actuation.
-    """
+    """Describe a robot as a JSON document in SI units; raises GtauError if its loops do not close."""
     robot, distances = model.robot, zip(TYPES, _distances_at_home(model), strict=True)
     return {
         "robot": robot.name,

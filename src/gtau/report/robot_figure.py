@@ -271,10 +271,7 @@ def upright_rotation(gravity: np.ndarray) -> np.ndarray:
 
 
 def view_plane(extent: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
-    """Choose the directions right and up on the page, (2, 3), for a robot of the given extent (3,).
-
-    A planar robot with the ``normal`` (3,) is drawn in its plane.
-    """
+    """Choose right and up on the page, (2, 3), for a robot of some extent (3,), or a planar one with a normal (3,)."""
     if normal is not None:
         level = np.cross([0.0, 0.0, 1.0], normal)
         right = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-6 else np.array([1.0, 0.0, 0.0])

@@ -132,7 +132,7 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
 
 def _hidden(watch: Watch) -> Iterator[Text]:
     """List the quantities that this motion does not show, and the encoder zeros that no motion shows."""
-    unknown = np.isnan(watch.view.values).all(axis=0)
+    unknown = ~np.isfinite(watch.view.values).any(axis=0)
     hidden = [watch.view.quantities[k] for k in np.flatnonzero(unknown)]
     unseen = unseen_zeros(watch.model) if hidden else ()
     never = [quantity for quantity in hidden if quantity.kind == "zero" and quantity.joint in unseen]
@@ -180,9 +180,8 @@ def watch_report(watch: Watch) -> Page:
     for k in np.flatnonzero(np.isfinite(view.values).any(axis=0)).tolist():
         panels[view.quantities[k].joint].append(_history(watch, k))
     for joint, shown in panels.items():
-        sections.append(
-            Section(f"Joint {joint}" if joint else "Load", Chart(tuple(shown), columns=2), id=f"of-{joint or 'load'}")
-        )
+        title, chart = f"Joint {joint}" if joint else "Load", Chart(tuple(shown), columns=2)
+        sections.append(Section(title, chart, id=f"of-{joint or 'load'}"))
     return Page(short.title, *short.sections, *sections, lead=short.lead)
 
 

@@ -50,10 +50,7 @@ def write_identification(
     seconds: float,
     progress: Progress = silent,
 ) -> Path:
-    """Write the report of an identification that took ``seconds``, with predictions of its ``validation`` runs.
-
-    The ``experiment`` was read from ``path``.
-    """
+    """Write the report of an identification of the ``experiment`` in ``path``, with its ``validation`` runs."""
     page = report_page(result, gather(result, result.data, validation, progress), experiment.expected_gains)
     return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result))
 

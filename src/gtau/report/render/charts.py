@@ -32,11 +32,8 @@ from gtau.robots.robot import Robot
 
 ASSETS = files("gtau.report.render") / "assets"
 WIDTH = 7.2  # inches, width of a figure
-NARROW, WIDE, INCH = (
-    300.0,
-    360.0,
-    90.0,
-)  # points: width of panels of a page, side by side or alone; an inch of height
+NARROW, WIDE = 300.0, 360.0  # points, width of panels of a page, side by side or alone
+INCH = 90.0  # points, an inch of height
 NAMES, SMALLEST = 220.0, 5.5  # points: room for the names along an axis, and their smallest size
 LETTER = 0.56  # width of a letter over the size of its font
 LEVEL = 36  # letters of names that fit side by side below an axis
@@ -121,13 +118,7 @@ def robot_figure(robot: Robot) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG or PDF, atomically; the same figure gives the same bytes.
-
-    Raises
-    ------
-    GtauError
-        Where the file's name does not end in ``.png`` or ``.pdf``, or it cannot be written.
-    """
+    """Write a figure as PNG or PDF, atomically; the same figure gives the same bytes; raises GtauError."""
     kind = Path(path).suffix.lower().removeprefix(".")
     if kind not in ("png", "pdf"):
         raise GtauError(f"figures are written as PNG or PDF, so '{path}' would mislead; let its name end in .png.")
