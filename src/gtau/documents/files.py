@@ -37,12 +37,13 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
             file.write(data)
         unfinished.chmod(0o644)
         unfinished.replace(path)
-    except OSError as error:
-        why = error.strerror
-        raise GtauError(f"{path} cannot be written ({why}); choose another folder or free some space.") from None
-    finally:
+    except BaseException as error:
         with suppress(OSError):
             unfinished.unlink()
+        if not isinstance(error, OSError):
+            raise
+        why = error.strerror
+        raise GtauError(f"{path} cannot be written ({why}); choose another folder or free some space.") from None
 
 
 def in_csv(table: pl.DataFrame) -> str:

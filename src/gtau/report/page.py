@@ -114,6 +114,9 @@ class Table:
     faint: frozenset[int] = frozenset()
     listed: bool = False
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(map(tuple, self.rows)))
+
 
 ColumnOf = tuple[Column, str | Callable[[Any], Any]]
 """A column, and the attribute of an item (``"a.b"``) or the function that gives its cell."""
