@@ -73,7 +73,7 @@ def make(folder: Path) -> None:
 def limited(name: str, folder: Path) -> str:
     """Return a robot of the catalog, or the file of one with limits where the catalog states none."""
     from gtau.model.home import load_robot
-    from gtau.robots.readers.native_text import write_native
+    from gtau.robots.readers.native import write_native
     from gtau.robots.robot import Limits
 
     robot, limits = load_robot(name), Limits((-1.0, 1.0), 2.0, 10.0)

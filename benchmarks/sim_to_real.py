@@ -32,7 +32,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from stated_arm import chi, plant, robot
 
 from gtau.export.exported import export_model
-from gtau.export.samples import Samples, draw
+from gtau.export.samples import Draws, draw
 from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload
@@ -97,7 +97,7 @@ def of_truth(result: Result, truth: Mapping[str, float]) -> Result:
 
 
 def models(
-    result: Result, samples: Samples, folder: Path, count: int, truth: Mapping[str, float]
+    result: Result, samples: Draws, folder: Path, count: int, truth: Mapping[str, float]
 ) -> Iterator[tuple[str, Path]]:
     """Write the models to play, the true one where it is known."""
     named = [
@@ -136,7 +136,7 @@ def compare(title: str, result: Result, run: Run, draws: int, truth: Mapping[str
     torques(result, samples, run)
 
 
-def torques(result: Result, samples: Samples, run: Run) -> None:
+def torques(result: Result, samples: Draws, run: Run) -> None:
     """Print the spread of the draws' torques along the run beside the torque error."""
     prediction = result.predict(run).in_band
     error = np.sqrt(np.mean((prediction.predicted - prediction.measured)[prediction.keep] ** 2))

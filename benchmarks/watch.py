@@ -36,8 +36,8 @@ from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 from gtau.watch.alarms import visible_changes
+from gtau.watch.causes import signal_faults
 from gtau.watch.detectors import evidence
-from gtau.watch.signal_faults import signal_faults
 from gtau.watch.statistics import LogStatistics, statistics_of
 from gtau.watch.watch import Watch
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from unicodedata import category
 
 LONGEST = 60  # characters of a value of a file in a sentence
@@ -48,6 +50,15 @@ class GtauError(ValueError):
         super().__init__(f"{self.source}: {self.sentence}" if self.source else self.sentence)
 
     __str__ = BaseException.__str__  # a KeyError shows its message in quotes
+
+
+@contextmanager
+def errors_at(place: object) -> Iterator[None]:
+    """Begin the sentences of errors with the place, such as a file, that they are about."""
+    try:
+        yield
+    except GtauError as error:
+        raise type(error)(f"{place}: {error}") from None
 
 
 class UnknownName(GtauError, KeyError):

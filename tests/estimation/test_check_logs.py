@@ -23,7 +23,7 @@ from gtau.findings.finding import by_severity, note_document
 from gtau.report.check import expectation
 from gtau.report.evidence import findings_table
 from gtau.result import identify
-from gtau.signals.reading.notes import repair
+from gtau.signals.reading.formats import repair
 
 EXPERIMENT = """
 robot: five-bar

@@ -12,7 +12,7 @@ from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from stated_arm import plant, robot
 
 from gtau.estimation.effects.description import contradictions, estimated_effects
-from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.effect import EstimatedEffect, Levels
 from gtau.estimation.effects.estimate import Mixed, estimate_effects
 from gtau.estimation.effects.registry import EFFECTS
 from gtau.estimation.effects.run_drift import difference_root, run_covariance, run_modes
@@ -21,6 +21,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
+from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -71,6 +72,20 @@ def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run
         return run.command * (1 + 0.02 * along * [1.0, 0.0])
 
     assert of_joint(currents(runs, warmer), "gain drift", "left").size == pytest.approx(0.02, rel=0.2)
+
+
+def test_friction_that_differs_between_runs_has_its_size() -> None:
+    plant, known = Plant(noise=0.01), Payload(name="steel", mass=STEEL["m"])
+    drives = [f"{kind}_{joint}" for kind in ("fv", "fs") for joint in JOINTS]
+    chi = {name: value * (1.1 if name in drives else 1.0) for name, value in plant.chi.items()}
+    loaded = replace(plant, chi=chi).run("loaded", 10.0, STEEL, seed=2)
+    result = mixed([plant.run("free", 10.0, seed=1), replace(loaded, payload=known)])
+    fit, places = result.rows.fit, result.rows.fit.system.problem.unknowns.places
+    for joint, speed in zip(JOINTS, Levels(fit).speeds, strict=True):  # 5 % less than the mean of both runs
+        fv, fs = (result.values[places[Parameter(kind, joint, 0)]] for kind in ("fv", "fs"))
+        expected = -0.05 * (plant.chi[f"fv_{joint}"] * speed + plant.chi[f"fs_{joint}"])
+        assert fv * speed + fs == pytest.approx(expected, rel=0.2)
+    assert 0.5 < result.mixed.sizes[-1] < 3.0
 
 
 def test_an_encoder_zero_is_the_first_cause_with_its_size(runs: list[Run]) -> None:

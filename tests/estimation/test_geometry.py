@@ -29,7 +29,7 @@ from gtau.result import Result
 from gtau.robots.robot import GROUND, Joint, Mdh, Pose, Robot
 from gtau.signals.reading.body_columns import PoseColumns
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.side_signals import LoggedPoses, read_poses
+from gtau.signals.reading.logs import LoggedPoses, read_poses
 from gtau.signals.reading.units import Units
 
 NOISE = 1e-4  # m and rad

@@ -20,7 +20,7 @@ from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.floating import float_base
-from gtau.robots.readers.native_text import write_native
+from gtau.robots.readers.native import write_native
 from gtau.robots.robot import STANDARD_GRAVITY as G
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import read_experiment

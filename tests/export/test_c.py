@@ -21,7 +21,7 @@ from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
 from scipy.integrate import solve_ivp
 
-from gtau.export.c import export
+from gtau.export.generated import export_c as export
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import JointHardware, Reference, close_loop, hardware
 from gtau.simulation.plant import Plant, PlantState

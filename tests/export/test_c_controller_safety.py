@@ -11,7 +11,7 @@ from c_code import FLAGS, SANITIZERS, sanitizing
 from models_to_export import model_of, torques
 from robots_for_tests import ROBOTS, home
 
-from gtau.export.c import export
+from gtau.export.generated import export_c as export
 from gtau.uses.identified import identified
 
 DRIVER = Path(__file__).with_name("controller_fuzz.c")

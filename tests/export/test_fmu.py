@@ -10,7 +10,7 @@ from models_to_export import model_of, preslid, torques
 from robots_for_tests import home, tree
 
 from gtau.documents.files import suffixes
-from gtau.export.fmu import export
+from gtau.export.generated import export_fmu as export
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.uses.identified import identified

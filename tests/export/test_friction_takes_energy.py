@@ -15,10 +15,8 @@ from propelling_models import COULOMB, CUBIC, LOGGED, VISCOUS, held, propelling,
 from robots_for_tests import ROBOTS, home, tree
 
 from gtau.errors import GtauError
-from gtau.export.c import c_files
 from gtau.export.exported import export_model
-from gtau.export.fmu import export as export_fmu
-from gtau.export.matlab import matlab_files
+from gtau.export.generated import c_files, export_fmu, matlab_files
 from gtau.export.mjcf import export as export_mjcf
 from gtau.export.urdf import export as export_urdf
 from gtau.model.home import load_robot

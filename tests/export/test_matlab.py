@@ -11,7 +11,7 @@ import pytest
 from models_to_export import model_of, sprung, torques
 from robots_for_tests import ROBOTS, random_samples
 
-from gtau.export.matlab import export
+from gtau.export.generated import export_matlab as export
 from gtau.result import Result
 from gtau.robots.robot import Robot
 from gtau.uses.identified import identified

@@ -17,12 +17,12 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.fleet import fleet
-from gtau.fleet.fleet import Member, Report, identify_fleet, read_fleet
-from gtau.fleet.gains import fleet_table
+from gtau.fleet.fleet import Member, Report, fleet_table, identify_fleet, read_fleet
 from gtau.fleet.workers import serial_map
 from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
 from gtau.result import Result, identify
+from gtau.signals.reading.experiment import read_experiment
 
 ONE = EXPERIMENT.split("validation")[0]
 ROBOTS, SECONDS = 14, 4.0
@@ -170,13 +170,24 @@ def test_what_has_changed_is_computed_again(cells: Path, tmp_path: Path, change:
         method = "2sls"
     else:
         from gtau.model.home import load_robot
-        from gtau.robots.readers.native_text import native_text
+        from gtau.robots.readers.native import native_text
 
         (tmp_path / "five-bar").write_text(native_text(load_robot("five-bar")).replace("0.35", "0.36"))
         (tmp_path / "five-bar").rename(tmp_path / "other.yaml")
         (tmp_path / "e.yaml").write_text(ONE.replace("robot: five-bar", "robot: other.yaml"))
     (other,) = identify_fleet([member], tmp_path, serial_map, method)
     assert other.model != first.model
+
+
+def test_a_log_of_folders_within_a_folder_has_a_key(tmp_path: Path) -> None:
+    (tmp_path / "e.yaml").write_text(re.sub("runs:.*", "runs: [{log: set}]", ONE, flags=re.DOTALL))
+    for name in ("meta/info.json", "data/chunk-000/episode.parquet"):
+        (tmp_path / "set" / name).parent.mkdir(parents=True)
+        (tmp_path / "set" / name).write_bytes(b"{}")
+    experiment = read_experiment(tmp_path / "e.yaml")
+    before = fleet.inputs_key(experiment, "ml")
+    (tmp_path / "set" / name).write_bytes(b"other")
+    assert fleet.inputs_key(experiment, "ml") != before
 
 
 # Which robots

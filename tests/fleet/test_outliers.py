@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gtau.fleet.fleet import Member, Report
-from gtau.fleet.gains import LEAST, FleetTable, fleet_table
+from gtau.fleet.fleet import LEAST, FleetTable, Member, Report, fleet_table
 
 JOINTS = 3
 

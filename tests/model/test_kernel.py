@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gtau.model import kernel
 from gtau.model.home import load_robot
-from gtau.model.interpreter import kernel
 from gtau.model.inverse_dynamics import InverseDynamics
 
 

@@ -10,9 +10,9 @@ from robots_for_tests import planar_3rrr
 
 from gtau.model.closures import solve as symbolic_solve
 from gtau.model.dynamics import parameter_names, torques
-from gtau.model.interpreter.program import LANES, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates
+from gtau.model.program import LANES, compile_program
 
 BATCHES = [0, 1, LANES - 1, LANES, LANES + 1, 3 * LANES + 5]
 

@@ -17,10 +17,9 @@ from gtau.estimation.regression.factors import EXTRA, reduce_run, triangle
 from gtau.estimation.regression.rows import stream_rows
 from gtau.model import inverse_dynamics as inverse_dynamics_module
 from gtau.model.home import load_robot
-from gtau.model.interpreter.instructions import OTHERS, SUMS
-from gtau.model.interpreter.program import LANES, compile_program
 from gtau.model.inverse_dynamics import PATH, InverseDynamics
 from gtau.model.loops import follow
+from gtau.model.program import LANES, OTHERS, SUMS, compile_program
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.run import Run

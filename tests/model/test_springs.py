@@ -16,8 +16,7 @@ from gtau.model.kinematics import poses
 from gtau.model.singularities import random_motion
 from gtau.robots.geometry import attached, identical_legs
 from gtau.robots.parts import select_joints
-from gtau.robots.readers.native import parse_native
-from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.native import native_text, parse_native
 from gtau.robots.robot import Attachment, Pose, Robot, Spring
 from gtau.simulation.mujoco_plant import robot_spec
 

@@ -8,7 +8,7 @@ import pytest
 
 from gtau.findings import Finding
 from gtau.report.evidence import APART, same_in_several
-from gtau.signals.reading.notes import repair
+from gtau.signals.reading.formats import repair
 
 ADVICE = "log in the controller's own cycle"
 

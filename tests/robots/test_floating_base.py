@@ -15,8 +15,7 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
-from gtau.robots.readers.native import read_native
-from gtau.robots.readers.native_text import write_native
+from gtau.robots.readers.native import read_native, write_native
 from gtau.robots.robot import Robot
 
 LEG = """<body pos="{x} 0 0"><inertial mass="1" pos="0.02 0.1 0" diaginertia="0.01 0.02 0.02"/>

@@ -14,8 +14,7 @@ from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.robots.placement import exact_angle, in_degrees
-from gtau.robots.readers.native import read_native
-from gtau.robots.readers.native_text import native_text, write_native
+from gtau.robots.readers.native import native_text, read_native, write_native
 from gtau.robots.readers.read import catalog_names
 from gtau.robots.readers.source import RobotSource
 from gtau.robots.readers.urdf import read_urdf

@@ -11,7 +11,7 @@ import pytest
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.readers.native_text import write_native
+from gtau.robots.readers.native import write_native
 from gtau.robots.robot import Robot
 
 ARM = """robot: arm

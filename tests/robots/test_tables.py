@@ -14,8 +14,7 @@ from engines import closed_torques, random_parameters
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.readers.native import read_native
-from gtau.robots.readers.native_text import write_native
+from gtau.robots.readers.native import read_native, write_native
 from gtau.robots.robot import Attachment, Mdh, Robot
 
 HEADER = "j,a,mu,sigma,gamma,b,alpha,d,theta,r\n"

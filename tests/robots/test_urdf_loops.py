@@ -17,8 +17,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import CLOSED, loop_errors
 from gtau.robots.parts import without_idle_pins
-from gtau.robots.readers.native import read_native
-from gtau.robots.readers.native_text import write_native
+from gtau.robots.readers.native import read_native, write_native
 from gtau.robots.readers.read import read_robot
 from gtau.robots.robot import Attachment, Closure, Coupling, Joint, Limits, Mdh, Pose, Robot
 

@@ -20,8 +20,7 @@ from gtau.robots.robot import Joint, Limits, Mdh, Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading import logs
 from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
-from gtau.signals.reading.discovery import discover
-from gtau.signals.reading.draft import Draft
+from gtau.signals.reading.discovery import Draft, discover
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.log_contents import LogContents

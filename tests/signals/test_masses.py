@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.drafting import draft_text, with_masses
-from gtau.signals.reading.masses import masses_in_name
+from gtau.signals.reading.statements import masses_in_name
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.signals.reading.discovery import discover
-from gtau.signals.reading.registers import Register, register_of
+from gtau.signals.reading.samples import Register, register_of
 from gtau.signals.run import read_run
 
 TIME = np.arange(2000) / 250

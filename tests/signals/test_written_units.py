@@ -13,8 +13,7 @@ from gtau.signals.reading.column_names import parse_column_name
 from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
-from gtau.signals.reading.units import si_factor
-from gtau.signals.reading.written_units import read_unit, split_unit
+from gtau.signals.reading.units import read_unit, si_factor, split_unit
 from gtau.signals.run import read_run
 
 N = 600

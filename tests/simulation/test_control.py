@@ -15,7 +15,7 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
-from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.native import native_text
 from gtau.robots.robot import Joint, Limits, Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gtau.export.c import export
+from gtau.export.generated import export_c as export
 from gtau.result import Result
 from gtau.uses.identified import functions, identified
 

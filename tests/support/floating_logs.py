@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from gtau.result import Result
 from gtau.robots.floating import float_base
-from gtau.robots.readers.native_text import write_native
+from gtau.robots.readers.native import write_native
 from gtau.robots.robot import INERTIAL, Joint, Mdh, Pose, Robot
 
 RATE, DURATION = 100.0, 20.0

@@ -17,7 +17,7 @@ from robots_for_tests import ROBOTS, home, random_samples, trajectory
 
 import gtau
 from gtau.estimation.results.estimate import Estimate
-from gtau.export.c import export
+from gtau.export.generated import export_c as export
 from gtau.robots.robot import Robot
 from gtau.simulation.plant import Plant, PlantState
 from gtau.uses.external_torques import momentum_observer, observed

@@ -17,7 +17,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
 from gtau.robots.parameter import RigidBody, inertial_parameters, rigid_body
-from gtau.robots.readers.links import frame_on, links_on
+from gtau.robots.readers.read import frame_on, links_on
 from gtau.robots.robot import INERTIAL, Pose
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.model.home import load_robot
-from gtau.robots.readers.links import frame_on
+from gtau.robots.readers.read import frame_on
 from gtau.signals.reading.statements import Payload
 from gtau.uses.external_torques import torques_along_log, write_table
 from gtau.uses.runs import carrying

@@ -20,7 +20,7 @@ from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.model.home import load_robot
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH
-from gtau.robots.readers.links import frame_on
+from gtau.robots.readers.read import frame_on
 from gtau.robots.robot import Robot
 from gtau.simulation.closed_loop import write_log
 from gtau.uses.external_torques import torques_along_log

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from five_bar_logs import Plant, write_experiment, write_log
 
+from gtau.errors import GtauError
 from gtau.result import Result, identify
 from gtau.signals.run import Run
 from gtau.uses.runs import read_log
@@ -101,6 +102,21 @@ def test_a_folder_that_fills(folder: Path, model: Result, tmp_path: Path) -> Non
     names = [each.log for each in found]
     assert names == ["chunk_1", "chunk_2", "chunk_10"]
     assert [bool(each.skipped) for each in found] == [False, True, False]
+
+
+def test_a_file_without_lines_is_no_text_log(model: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gtau.watch.follow.CHUNK", 1 << 10)
+    monkeypatch.setattr("gtau.watch.follow.LONGEST", 1 << 20)
+    (tmp_path / "log.csv").write_bytes(b"x" * (3 << 20))
+    with pytest.raises(GtauError, match="is no text log: its first 1 MiB have fewer than 500 lines; give a folder"):
+        next(follow(Watch(model), tmp_path / "log.csv", Path.read_text, BLOCK))
+
+
+def test_a_pipe_among_logs_is_no_log(model: Result, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "log.csv")
+    with pytest.raises(GtauError, match="it is a device or a pipe; give a folder"):
+        next(follow(Watch(model), tmp_path / "log.csv", Path.read_text, BLOCK))
+    assert list(follow(Watch(model), tmp_path, Path.read_text, BLOCK, lambda: True)) == []
 
 
 def test_the_ros_node_publishes_diagnostics(model: Result) -> None:

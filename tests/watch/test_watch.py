@@ -27,9 +27,8 @@ from gtau.result import Result, identify
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import power
-from gtau.watch.quantities import unseen_zeros
-from gtau.watch.signal_faults import signal_faults
-from gtau.watch.statistics import LogStatistics, statistics_of
+from gtau.watch.causes import signal_faults
+from gtau.watch.statistics import LogStatistics, statistics_of, unseen_zeros
 from gtau.watch.watch import Watch
 
 NOISE = 0.02  # A
@@ -464,6 +463,21 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     later = write_log(tmp_path / "day_2026-01-09.csv", day(9))
     assert "2 of 4 healthy logs" in call(str(later), "--reset", "2026-01-08").stdout  # the same maintenance
     assert "write it as 2026-03-28" in call(str(later), "--reset", "March").stderr
+
+
+def test_the_command_says_what_it_works_on(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gtau.cli.console.EVERY", 1e-3)  # s
+    monkeypatch.setattr("gtau.cli.watch.EVERY", 1e-3)
+    log = write_log(tmp_path / "day.csv", day(0))
+    common = [str(folder / "model.json"), "--experiment", str(folder / "experiment.yaml"), "--out", str(tmp_path / "h")]
+    power = CliRunner().invoke(app, ["watch", *common, str(log), "--power"])
+    assert "gtau: reading day.csv, 0 s" in power.stderr
+    usual = CliRunner().invoke(app, ["watch", *common, str(log)])
+    for stage in ("starting", "log day.csv", "writing the report"):
+        assert f"gtau: {stage}, 0 s" in usual.stderr
+    missing = CliRunner().invoke(app, ["watch", *common, "--reset", "2026-01-01", "--power"])
+    assert (missing.exit_code, missing.stdout) == (2, "")
+    assert "--power shows what the motion of a finished log can reveal; give one." in missing.stderr
 
 
 def test_a_worn_drive_is_replaced(model: Result, healthy: list[LogStatistics]) -> None:

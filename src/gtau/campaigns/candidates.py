@@ -24,7 +24,7 @@ from gtau.excitation.evaluation import Point, along
 from gtau.excitation.forecast import sampled_motions
 from gtau.excitation.prior import DesignPrior
 from gtau.excitation.task import DesignProblem
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL

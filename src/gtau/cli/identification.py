@@ -197,8 +197,7 @@ def fleet(
     hold(out)
     from gtau.estimation.estimators.estimator import Gains
     from gtau.estimation.estimators.registry import estimator_of
-    from gtau.fleet.fleet import identify_fleet, read_fleet
-    from gtau.fleet.gains import fleet_table
+    from gtau.fleet.fleet import fleet_table, identify_fleet, read_fleet
     from gtau.fleet.workers import dask_workers, processes
     from gtau.report.fleet import fleet_document, fleet_page, write_fleet
     from gtau.report.write import write_report

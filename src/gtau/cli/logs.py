@@ -31,7 +31,7 @@ from gtau.errors import GtauError, tidy
 
 if TYPE_CHECKING:
     from gtau.findings import Finding
-    from gtau.signals.reading.draft import Draft
+    from gtau.signals.reading.discovery import Draft
 
 WIDTH = 80
 
@@ -89,7 +89,7 @@ def init(
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
-    from gtau.signals.reading.draft import QUESTIONS
+    from gtau.signals.reading.discovery import QUESTIONS
     from gtau.signals.reading.drafting import draft_logs, write_draft
     from gtau.signals.reading.logs import is_rosbag
 
@@ -138,7 +138,7 @@ def _answered(draft: Draft) -> Draft:
 
 
 def _page(draft: Draft, out: Path, open_: list[str]) -> str:
-    from gtau.signals.reading.draft import listed_units
+    from gtau.signals.reading.discovery import listed_units
 
     signals, unused, why = draft.signals, draft.unused, draft.reasons.time
     rate = "rate unknown" if "rate" in draft.open else f"{signals.rate or 0:g} Hz"

@@ -178,7 +178,7 @@ def _drafted(
     result: IdentifiedModel, sources: list[Path], robot: str | None, payloads: list[str] | None, folder: Path
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Return an experiment file, drafted from logs if need be, by default with the model's robot and commands."""
-    from gtau.robots.readers.native_text import native_text
+    from gtau.robots.readers.native import native_text
 
     if not is_log(sources[0]) or robot is not None:
         return experiment_of(sources, robot, payloads, None, None, folder, weigh=True)
@@ -191,7 +191,7 @@ def _refuse_controller(to: str, frame: str, result: IdentifiedModel, file: str) 
     """Refuse an unknown controller, or one without a named frame, before the work."""
     from gtau.export.exported import refuse_unknown
     from gtau.export.payload import WRITERS, refuse_unnamed
-    from gtau.robots.readers.links import links_on
+    from gtau.robots.readers.read import links_on
 
     refuse_unknown(to, WRITERS)
     if not frame:
@@ -298,7 +298,7 @@ def use(
     from gtau.estimation.results.model_document import torque_error
     from gtau.estimation.results.model_file import load
     from gtau.report.torques import external_page
-    from gtau.robots.readers.links import frame_on
+    from gtau.robots.readers.read import frame_on
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.external_torques import torques_along_log, write_table
     from gtau.uses.runs import read_log

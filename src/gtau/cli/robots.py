@@ -68,7 +68,7 @@ def robot(
 
         described = load_robot(source, base=base_choice(base), joints=joints or ())
     if save is not None:
-        from gtau.robots.readers.native_text import write_native
+        from gtau.robots.readers.native import write_native
         from gtau.robots.readers.read import is_loops_file
 
         is_source = save.exists() and Path(source).exists() and save.samefile(source)

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import CarriedPayload, Columns, answer, argument, option, progress_bar, refusing, seconds
+from gtau.cli.console import (
+    EVERY,
+    CarriedPayload,
+    Columns,
+    answer,
+    argument,
+    option,
+    progress_bar,
+    progress_lines,
+    refusing,
+    seconds,
+)
 from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 
@@ -61,6 +73,7 @@ def watch(
         return
     refuse_as_folder(out)
     from gtau.estimation.results.model_file import load
+    from gtau.report.watch import power_page, power_rows
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.runs import read_log
     from gtau.watch.follow import follow as blocks
@@ -73,24 +86,32 @@ def watch(
         raise GtauError("--follow takes one folder or one growing text log; give it alone.")
     if not (sources or any(actions.values())):
         raise GtauError("there is no log to compare; give logs.")
-    given = [] if follow else logs_of(sources)
-    result = load(model)
-    tolerances = None if experiment is None else read_experiment(experiment).tolerances
+    if power and (follow or not sources):
+        raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
     settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
-    read = partial(read_log, result, experiment=experiment, payload=payload)
-    watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
+    with progress_bar() as progress:
+        given = [] if follow else logs_of(sources)
+        result = load(model)
+        tolerances = None if experiment is None else read_experiment(experiment).tolerances
+        read = partial(read_log, result, experiment=experiment, payload=payload)
+        watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
+        if power:
+            progress(f"reading {given[-1].name}", 0, 1)
+            watched.imagine(read(given[-1]))
     if power:
-        from gtau.report.watch import power_page, power_rows
-
-        watched.imagine(read(given[-1]))
         answer(json_, lambda: power_rows(watched), lambda: power_page(watched))
         return
     for action, subject in actions.items():
         if subject is not None:
             getattr(watched, action)(subject)
-    statuses = blocks(watched, sources[0], read, block) if follow else _taken(watched, given, read)
+    statuses = blocks(watched, sources[0], read, block, busy=_busy) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
+
+
+def _busy(log: str) -> AbstractContextManager[object]:
+    """Say every few seconds that a followed log is being read, but nothing while waiting for the next one."""
+    return progress_lines(f"reading {log}", EVERY)
 
 
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:
@@ -98,7 +119,7 @@ def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:
 
     with progress_bar() as progress:
         for k, log in enumerate(sorted(logs, key=lambda log: date_of(log)[:10])):
-            progress("logs", k, len(logs))
+            progress(f"log {log.name}", k, len(logs))
             if (status := take(watched, log, read)) is not None:
                 yield status
 
@@ -115,7 +136,9 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
     inputs = tuple(("log" if k else "model", file) for k, file in enumerate(files))
 
     def report() -> list[Path]:
-        return [write_report(watch_report(watched), history.parent, seconds(), inputs), history]
+        with progress_bar() as progress:
+            progress("writing the report", 0, 1)
+            return [write_report(watch_report(watched), history.parent, seconds(), inputs), history]
 
     aside, healthy = False, watched.alarm is None
     try:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -35,17 +36,15 @@ from gtau.estimation.results.estimate import NearestPose, distances_along, neare
 from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity
 from gtau.model.base_parameters import Equations
-from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.singularities import singular_distances
+from gtau.model.program import single_threaded_blas
+from gtau.model.singularities import Distances, singular_distances
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
 from gtau.signals.preparation.choice import moving_spectra
-from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
-from gtau.signals.reading.experiment import Experiment
-from gtau.signals.reading.logged_run import LoggedRun
+from gtau.signals.reading.experiment import Experiment, LoggedRun
 from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block_size
@@ -183,11 +182,12 @@ def check(
     notes += doubtful_payloads(robot, (run.payload for run in used))
     preparation, checked = preparation_of(Equations(model, sensors_of(robot, used)), used), []
     every = [(k, run) for k, runs in enumerate(read) for run in runs]
+    distances = cache(lambda: singular_distances(model))  # made once, where a run is so far without a fault
     for k, run in every:
         progress("checking logs", k, len(read))
         with _noted(notes, kinds[k], run.name):
             (prepared,) = prepare_runs(model, [run], preparation)
-            checked.append(_check(model, prepared, prepared.preparation.decimator, validation=k >= count))
+            checked.append(_check(model, distances, prepared, validation=k >= count))
             notes += [note.from_source(run.name) for note in (*run.notes, *prepared.notes)]
             notes += near_singularities(checked[-1].nearest)
     progress("checking logs", len(read), len(read))
@@ -280,8 +280,10 @@ def _units(subject: Subject, system: System, gains: np.ndarray | None) -> Iterat
     return units_and_signs(fit, estimates_of(fit, Examination(), correlated=False), subject.options.gains, None)
 
 
-def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, validation: bool) -> LogCheck:
-    run, n = prepared.run, len(prepared.run.joints)
+def _check(
+    model: InverseDynamics, to_singular: Callable[[], Distances], prepared: PreparedRun, validation: bool
+) -> LogCheck:
+    run, n, decimator = prepared.run, len(prepared.run.joints), prepared.preparation.decimator
     rows = decimator.outputs(len(prepared))
     if not rows:
         raise GtauError(f"run '{run.name}' is too short to be decimated by {decimator.factor}; give a longer log.")
@@ -294,7 +296,7 @@ def _check(model: InverseDynamics, prepared: PreparedRun, decimator: Decimator, 
         q, labels = samples.q[at].T.copy(), instants(run.name, samples.time[at])
         path = model.path(q, labels, None if path is None else path[:, -1])
         still = np.zeros_like(q)
-        distances.append(singular_distances(model)(model.rates(path, still, still, labels)).T)
+        distances.append(to_singular()(model.rates(path, still, still, labels)).T)
         positions.append(samples.q[at])
         power += (samples.command[at] ** 2).sum(axis=0)
         largest = [np.abs(values).max(axis=0) for values in (samples.qd, samples.command[:, :n])]

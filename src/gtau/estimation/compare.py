@@ -19,7 +19,7 @@ from gtau.estimation.experiment_runs import options_of, read
 from gtau.estimation.identify import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
 from gtau.findings import Grade
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import gain_unit
 from gtau.robots.robot import Robot

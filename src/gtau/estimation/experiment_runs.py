@@ -17,8 +17,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
-from gtau.signals.reading.experiment import Experiment, check_robot, read_experiment
-from gtau.signals.reading.logged_run import LoggedRun
+from gtau.signals.reading.experiment import Experiment, LoggedRun, check_robot, read_experiment
 from gtau.signals.reading.statements import Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_parts
 
@@ -210,7 +209,7 @@ def geometry_of(
     if signals.pose is None:
         return None
     from gtau.estimation.diagnostics.geometry_search import geometry_test
-    from gtau.signals.reading.side_signals import read_poses
+    from gtau.signals.reading.logs import read_poses
 
     logged = [read_poses(run.log, signals, experiment.units, run) for run in runs]
     return geometry_test(model, signals.pose, signals.joints, logged, progress)

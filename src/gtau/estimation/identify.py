@@ -130,11 +130,10 @@ def estimate(
     progress("estimation", 0, 1)
     fit = estimator.fit(system, gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
-    mixes = estimator.name in ("ml", "wls") and not as_paper
-    moved = examined.moved(fit) if mixes and estimator.name == "ml" else None
+    moved = examined.moved(fit) if estimator.name == "ml" and not as_paper else None
     if moved and any(sensor_verdict(scale, accuracy).outcome == Grade.CONTRADICTORY for scale in sensor_scales(fit)):
         moved = None  # what a sensor contradicts, effects would explain in part
-    estimates = estimates_of(fit, examined, not as_paper, moved is not None, mixes)
+    estimates = estimates_of(fit, examined, not as_paper, moved is not None)
     require_motion(fit, estimates)
     lack = lack_of_fit(fit.system.problem, fit.solution)
     plain, fit = fit, moved or fit
@@ -151,7 +150,7 @@ def estimate(
         from gtau.estimation.estimators.physical_consistency import consistent
 
         try:
-            bodies = consistent(fit.system, fit.solution, options.priors or {}, fit.free_gains)
+            bodies = consistent(fit.system, fit.solution, plain.solution, options.priors or {}, fit.free_gains)
         except GtauError as refusal:  # what the data contradict, no bodies may have
             text = f"physically consistent parameters were not found: {str(refusal).rstrip('.')}"
             lost = Finding(NO_BODIES, text=text, shown_as="model")

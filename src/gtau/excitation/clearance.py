@@ -16,8 +16,8 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import Coordinates, frames
+from gtau.model.program import Program, compile_program
 from gtau.robots.robot import GROUND, Pose
 
 FLOOR = "the floor"

@@ -22,7 +22,7 @@ from gtau.excitation.constraints import (
 from gtau.excitation.evaluation import along, design_grid, evaluate
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 
 START = 0.6  # share of the limits that a start uses, so that it is feasible

@@ -25,7 +25,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
 from gtau.robots.robot import Pose, Robot
-from gtau.signals.reading.logged_run import RobotName
+from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
 Interval = tuple[FiniteFloat, FiniteFloat]

@@ -18,7 +18,7 @@ from gtau.excitation.design import Design, check
 from gtau.excitation.evaluation import PER_HARMONIC, Grid, along, design_grid, evaluate, information
 from gtau.excitation.information import root_covariance
 from gtau.excitation.task import DesignProblem, close
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 from gtau.robots.robot import Robot
 from gtau.signals.preparation.choice import choose_preparation

@@ -22,10 +22,10 @@ import scipy.linalg
 from gtau.errors import GtauError
 from gtau.model.closures import closure_expressions
 from gtau.model.dynamics import torques
-from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import Coordinates, configuration_rates, constant
 from gtau.model.loops import Motion
+from gtau.model.program import Program, compile_program
 from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import compose

@@ -13,7 +13,7 @@ from gtau.excitation.constraints import WAY, ConstraintUsage, constraint_usages,
 from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate, evaluate_one, objective
 from gtau.excitation.information import criterion
 from gtau.excitation.task import DesignProblem, close
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 
 ITERATIONS = 100
 TOLERANCE = 1e-3  # of the logarithm of the criterion: 0.1 %

@@ -17,10 +17,10 @@ from gtau.excitation.information import Information, Window, information_of
 from gtau.excitation.prior import PriorModel
 from gtau.excitation.trajectory import FourierSeries, approach_duration
 from gtau.model.base_parameters import BaseParameters
-from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
 from gtau.model.loops import Motion, advance, differentiate
+from gtau.model.program import Program, compile_program
 from gtau.signals.preparation.filters import Decimator, decimation_factor
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.statements import Payload

@@ -71,33 +71,18 @@ a tree of the motors alone. Such a tree has no weight and moves like the robot n
 class Actuator:
     """Motor and joint, SI units at the joint.
 
-    ``armature`` is None where it is not identifiable apart from the inertia of links: it is part of the base parameter
-    ``regrouped``, and the value in the exported bodies was chosen.
+    ``gain`` and ``delay`` lead from the command to the torque; ``chosen`` are parameters of the exported bodies by kind
+    (ia, fv, fs, f3, off). ``armature`` is None where it is not identifiable apart from the inertia of links: it is part
+    of the base parameter ``regrouped``.
     """
 
-    model: ConsistentModel
     joint: str
+    limits: Limits
+    gain: Estimate
+    delay: Estimate
+    chosen: dict[str, float]
     armature: Estimate | None
     regrouped: str
-
-    def of(self, kind: str) -> float:
-        """Return a parameter of the joint: friction (fv, fs, f3), offset (off), chosen armature (ia)."""
-        return self.model.of(kind, self.joint)
-
-    @property
-    def gain(self) -> float:
-        """Torque for a unit of current, or of the logged torque."""
-        return self.model.gains[self.joint]
-
-    @property
-    def limits(self) -> Limits:
-        """Limits of the robot's file."""
-        return self.model.result.robot.joint(self.joint).limits
-
-    @property
-    def delay(self) -> Estimate:
-        """Delay from command to torque."""
-        return self.model.result.delays[self.joint]
 
     @property
     def lag(self) -> float:
@@ -105,25 +90,19 @@ class Actuator:
         return max(self.delay.value or 0.0, 0.0) if self.delay.std is not None else 0.0
 
     @property
-    def lags(self) -> tuple[int, int]:
-        """Ends of the interval of the delay, in steps of ``TIMESTEP``."""
-        low, high = self.delay.interval() or (self.lag, self.lag)
-        return max(round(low / TIMESTEP), 0), max(round(high / TIMESTEP), 0)
-
-    @property
     def measured(self) -> dict[str, Any]:
         """Identified values with their intervals."""
-        gain = replace(self.model.result.drive_gains[self.joint], value=self.gain)
-        armature = {"not_identifiable_apart_from": self.regrouped, "with_exported_bodies": self.of("ia")}
+        chosen, armature = self.chosen, self.armature
+        regrouped = {"not_identifiable_apart_from": self.regrouped, "with_exported_bodies": chosen["ia"]}
         entry = {
-            "current_to_torque": _described(gain, gain.unit),
+            "current_to_torque": _described(self.gain, self.gain.unit),
             "delay": _described(self.delay, "s"),
-            "armature": armature if self.armature is None else _described(self.armature, self.armature.unit),
-            "damping": self.of("fv"),
-            "frictionloss": self.of("fs"),
-            "offset": self.of("off"),
+            "armature": regrouped if armature is None else _described(armature, armature.unit),
+            "damping": chosen["fv"],
+            "frictionloss": chosen["fs"],
+            "offset": chosen["off"],
         }
-        more = {"damping_cubic": self.of("f3"), "effort": self.limits.effort, "velocity": self.limits.velocity}
+        more = {"damping_cubic": chosen["f3"], "effort": self.limits.effort, "velocity": self.limits.velocity}
         return entry | {key: value for key, value in more.items() if value}
 
 
@@ -133,26 +112,28 @@ def _described(estimate: Estimate, unit: str) -> dict[str, Any]:
     return described | ({} if interval is None else {"interval": list(interval)})
 
 
-def actuators(model: ConsistentModel) -> tuple[Actuator, ...]:
-    """List the actuators of an identified model."""
-    return tuple(Actuator(model, joint, *_armature(model, joint)) for joint in model.result.robot.motors)
-
-
-def _armature(model: ConsistentModel, joint: str) -> tuple[Estimate | None, str]:
-    """Find the rotor inertia if it is a base parameter itself, else the base parameter that contains it."""
-    base, name = model.result.base, Parameter("ia", joint)
-    rows = np.flatnonzero(base.matrix[:, model.result.idm.parameter_names.index(name)])
-    if len(rows) == 1 and np.count_nonzero(base.matrix[rows[0]]) == 1:
-        estimate = model.result.parameters[base.names[rows[0]]]
-        if estimate.value is not None:
-            return replace(estimate, value=model.of("ia", joint)), ""
-    return None, base.names[rows[0]] if len(rows) else ""
+def _actuators(model: ConsistentModel) -> list[Actuator]:
+    result, actuators = model.result, []
+    base = result.base
+    for joint in result.robot.motors:
+        limits, delay = result.robot.joint(joint).limits, result.delays[joint]
+        gain = replace(result.drive_gains[joint], value=model.gains[joint])
+        chosen = {kind: model.of(kind, joint) for kind in ("ia", "fv", "fs", "f3", "off")}
+        rows = np.flatnonzero(base.matrix[:, result.idm.parameter_names.index(Parameter("ia", joint))])
+        names, armature = [base.names[row] for row in rows], None
+        if len(rows) == 1 and np.count_nonzero(base.matrix[rows[0]]) == 1:  # a base parameter itself
+            estimate = result.parameters[names[0]]
+            if estimate.value is not None:
+                armature = replace(estimate, value=chosen["ia"])
+        regrouped = names[0] if names else ""
+        actuators.append(Actuator(joint, limits, gain, delay, chosen, armature, regrouped))
+    return actuators
 
 
 def export_mujoco(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME_actuators.xml``, and ``NAME.xml``, the bodies that include it; raises GtauError."""
     model, name = consistent_model(result, "mujoco-actuators"), identifier(result.robot.name)
-    motors = actuators(model)
+    motors = _actuators(model)
     texts, notes, figures = _body_texts(model, motors)
     notes += _notes(motors)
     if limited := [motor.joint for motor in motors if motor.limits.velocity is not None]:
@@ -166,7 +147,7 @@ def export_mujoco(result: IdentifiedModel, out: Path) -> Exported:
 def export_mjlab(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME_mjlab.yaml`` and the bodies, ``NAME_body.xml``, into ``out``; raises GtauError."""
     model, name = consistent_model(result, "mjlab"), identifier(result.robot.name)
-    motors, body = actuators(model), f"{name}_body.xml"
+    motors, body = _actuators(model), f"{name}_body.xml"
     texts, notes, figures = _body_texts(model, motors)
     entries = [{"target_names_expr": [motor.joint], **_fields(motor)} for motor in motors]
     head = MJLAB_HEAD.format(robot=result.robot.name, body=body)
@@ -178,7 +159,7 @@ def export_mjlab(result: IdentifiedModel, out: Path) -> Exported:
 def export_isaaclab(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME_isaaclab.yaml``, and the bodies as in the export to URDF, into ``out``; raises GtauError."""
     model, name = consistent_model(result, "isaaclab"), identifier(result.robot.name)
-    bodies, motors = urdf.export(result, out), actuators(model)
+    bodies, motors = urdf.export(result, out), _actuators(model)
     entries = {motor.joint: _fields(motor) for motor in motors}
     actuator: dict[str, Any] = {"joint_names_expr": list(entries)}
     for field, key in ISAACLAB.items():
@@ -198,15 +179,15 @@ def export_isaaclab(result: IdentifiedModel, out: Path) -> Exported:
 
 
 def _fields(motor: Actuator) -> dict[str, Any]:
-    low, high = motor.lags
+    least, most = (max(round(end / TIMESTEP), 0) for end in motor.delay.interval() or (motor.lag, motor.lag))
     fields = {
         "armature": None if motor.armature is None else motor.armature.value,
-        "frictionloss": motor.of("fs"),
-        "viscous_damping": motor.of("fv"),
+        "frictionloss": motor.chosen["fs"],
+        "viscous_damping": motor.chosen["fv"],
         "effort_limit": motor.limits.effort,
         "velocity_limit": motor.limits.velocity,
-        "delay_min_lag": low,
-        "delay_max_lag": high,
+        "delay_min_lag": least,
+        "delay_max_lag": most,
     }
     return {field: value for field, value in fields.items() if value is not None}
 
@@ -217,8 +198,8 @@ def _notes(motors: Sequence[Actuator], target: str = "") -> list[str]:
     unlimited = [motor.joint for motor in motors if motor.limits.effort is None]
     unknown = [motor.joint for motor in motors if motor.delay.std is None]
     early = [motor.joint for motor in motors if motor.joint not in unknown and (motor.delay.value or 0.0) < 0]
-    bent = [motor.joint for motor in motors if target and motor.of("f3")]
-    offset = [motor.joint for motor in motors if target and motor.of("off")]
+    bent = [motor.joint for motor in motors if target and motor.chosen["f3"]]
+    offset = [motor.joint for motor in motors if target and motor.chosen["off"]]
     unrun = [target] * bool(target)
     notes = {
         "the armature is not identifiable apart from the inertia of links, whose sum is the base parameter in "
@@ -273,12 +254,12 @@ def _body_texts(
 
 def _general(motor: Actuator, step: float) -> dict[str, str]:
     """Make an actuator whose ``ctrl`` is the current (A) and whose force is the torque at the joint."""
-    offset, effort = motor.of("off"), motor.limits.effort
-    attributes = {"name": motor.joint, "joint": motor.joint, "gainprm": digits(motor.gain)}
+    gain, offset, effort = motor.gain.value or 0.0, motor.chosen["off"], motor.limits.effort
+    attributes = {"name": motor.joint, "joint": motor.joint, "gainprm": digits(gain)}
     if offset:
         attributes |= {"biastype": "affine", "biasprm": digits((-offset, 0.0, 0.0))}
     if effort is not None:
-        largest = effort / abs(motor.gain)
+        largest = effort / abs(gain)
         attributes |= {"forcerange": digits((-effort, effort)), "ctrlrange": digits((-largest, largest))}
     if step and motor.lag:
         attributes |= {"delay": digits(motor.lag), "nsample": str(ceil(motor.lag / step) + 1)}

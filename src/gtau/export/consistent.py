@@ -62,12 +62,13 @@ def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
     terms = {name: term.value or 0.0 for name, term in result.friction_parameters.items()}
     for joint in (joint.name for joint in result.robot.joints):
         if joint in result.curves:  # its friction comes from the model, not from the fit of rigid bodies
-            values |= {name: terms[name] for kind in PLAIN_FRICTION if (name := Parameter(kind, joint)) in terms}
+            plain = [Parameter(kind, joint) for kind in PLAIN_FRICTION]
+            values |= {name: terms[name] for name in plain if name in terms}
         viscous, coulomb, cubic = (Parameter(kind, joint) for kind in ("fv", "fs", "f3"))
-        identified_friction = values | terms
-        least = min(identified_friction.get(name, 0.0) for name in (viscous, coulomb, cubic))
+        friction = values | terms
+        least = min(friction.get(name, 0.0) for name in (viscous, coulomb, cubic))
         if least < 0 or terms.get(Parameter("fb", joint)):
-            values[viscous], values[coulomb] = result.friction_law.straight(identified_friction, joint)
+            values[viscous], values[coulomb] = result.friction_law.straight(friction, joint)
             straight.append(joint)
         elif terms.get(cubic):
             values[cubic] = terms[cubic]
@@ -76,25 +77,21 @@ def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
 
 
 def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> tuple[dict[str, float], str]:
-    """Compute the rms difference from the identified torques over random states, per cent by joint, and a note on it.
-
-    No state is faster than the logs. ``expressed`` are the parameters that the target holds; the identified torques
-    include all friction terms.
-    """
+    """Compute the rms difference from the identified torques at random states, % by joint, and a note on it."""
     result, idm = model.result, model.result.idm
+    motors = idm.layout.actuated
     motion = random_motion(idm, STATES, np.random.default_rng(0))
     logged = np.array([[result.logged_speeds.get(joint, 0.0)] for joint in idm.actuated])
-    ratio = np.abs(motion.yd[idm.layout.actuated]) / np.where(logged > 0, logged, np.inf)
+    ratio = np.abs(motion.yd[motors]) / np.where(logged > 0, logged, np.inf)
     slower = 1 / np.maximum(ratio.max(axis=0), 1.0)  # same path, longer duration
     motion = replace(motion, yd=motion.yd * slower, ydd=motion.ydd * slower**2)
     exact = identified(result)
     tau = torques_of(exact, motion, exact.values)
     values = np.array([expressed.get(name, 0.0) for name in idm.parameter_names])
     cubic = np.array([[expressed.get(Parameter("f3", joint), 0.0)] for joint in idm.actuated])
-    made = idm.full.torques_along(idm.layout, motion, values)
-    made += cubic * motion.yd[idm.layout.actuated] ** 3
+    made = idm.full.torques_along(idm.layout, motion, values) + cubic * motion.yd[motors] ** 3
     rms, size = (np.sqrt(np.mean(torques**2, axis=1)) for torques in (made - tau, tau))
-    per_cent = dict(zip(idm.actuated, map(float, 100 * rms / size), strict=True))
+    per_cent = dict(zip(idm.actuated, (100 * rms / size).tolist(), strict=True))
     worst = max(per_cent, key=per_cent.__getitem__)
     return per_cent, (
         f"over {STATES} random states within the logged speeds the exported torques differ from the identified "
@@ -125,19 +122,22 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
 
 def term_notes(model: ConsistentModel, target: str, expressed: Mapping[str, float], delays: bool = False) -> list[str]:
     """Note effects that no rigid-body format holds: friction not ``expressed``, and delays unless written elsewhere."""
-    result, notes = model.result, friction_notes(model)
-    widths = {name.body: estimate for name, estimate in result.friction.items() if name.kind == "width"}
-    if held := [f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths.items()]:
-        notes.append(f"{target} has no friction before sliding, of these widths: {', '.join(held)}")
-    left_out = [name for joint in model.cubic if (name := Parameter("f3", joint)) not in expressed]
-    left_out += [name for name in result.friction_parameters if name.kind not in (*PLAIN_FRICTION, "f3", "fb")]
-    if left_out:
-        named = ", ".join(f"{name} ({KINDS[name.kind].words})" for name in left_out)
-        notes.append(f"{target} cannot express this friction, left out: {named}")
-    late = [f"{1e3 * delay.value:.2g} ms ('{joint}')" for joint, delay in result.delays.items() if delay.value]
-    if late and not delays:
-        notes.append(f"delays between current and torque are not part of the file: {', '.join(late)}")
-    return notes
+    result = model.result
+    widths = [(name.body, width) for name, width in result.friction.items() if name.kind == "width"]
+    missing = [name for name in (Parameter("f3", joint) for joint in model.cubic) if name not in expressed]
+    missing += [name for name in result.friction_parameters if name.kind not in (*PLAIN_FRICTION, "f3", "fb")]
+    late = {} if delays else {joint: delay.value for joint, delay in result.delays.items() if delay.value}
+    notes = {
+        "{} has no friction before sliding, of these widths": [
+            f"{joint} ({width.value:.2g} {width.unit})" for joint, width in widths
+        ],
+        "{} cannot express this friction, left out": [f"{name} ({KINDS[name.kind].words})" for name in missing],
+        "delays between current and torque are not part of the file": [
+            f"{1e3 * delay:.2g} ms ('{joint}')" for joint, delay in late.items()
+        ],
+    }
+    listed = [f"{note.format(target)}: {', '.join(names)}" for note, names in notes.items() if names]
+    return friction_notes(model) + listed
 
 
 def motor_inertias(model: ConsistentModel) -> np.ndarray:
@@ -158,13 +158,13 @@ def serial_equivalent(model: ConsistentModel) -> dict[str, Any]:
     M, robot = motor_inertias(model), model.result.robot
     described = {}
     for k, joint in enumerate(robot.actuated):
-        home, armature = float(M[0, k, k]), model.of("ia", joint)
+        inertia, armature = M[:, k, k], model.of("ia", joint)
         described[joint] = {
-            "inertia": home,
-            "range": [float(M[:, k, k].min()), float(M[:, k, k].max())],
+            "inertia": float(inertia[0]),
+            "range": [float(inertia.min()), float(inertia.max())],
             "armature": armature,
-            "reflected": home - armature,
-            "coupling": dict(zip(robot.actuated, map(float, M[0, k]), strict=True)),
+            "reflected": float(inertia[0]) - armature,
+            "coupling": dict(zip(robot.actuated, M[0, k].tolist(), strict=True)),
             "unit": torque_unit(robot, joint).replace("N m", "kg m2").replace("N", "kg"),
         }
     return described

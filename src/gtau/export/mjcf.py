@@ -40,10 +40,7 @@ def export(result: IdentifiedModel, out: Path) -> Exported:
 def model_text(
     mujoco: ModuleType, model: ConsistentModel, delays: bool = False
 ) -> tuple[str, list[str], dict[str, float]]:
-    """Write a model as MJCF: text, notes on missing effects, and differences of torques; raises GtauError.
-
-    With ``delays``, these are written elsewhere and not noted as missing.
-    """
+    """Write a model as MJCF: text, notes (``delays`` are elsewhere), and differences of torques."""
     result = model.result
     spec, expressed = _spec(mujoco, model)
     layout, loops = result.idm.layout, result.idm.loops
@@ -52,9 +49,10 @@ def model_text(
     compiled(spec.compile)
     figures, difference = differences(model, expressed)
     said = [difference, *notes(model, expressed, delays)]
-    if forces := [spring.name for spring in result.robot.springs if spring_attributes(spring, model.values) is None]:
+    springs = [spring.name for spring in result.robot.springs if spring_attributes(spring, model.values) is None]
+    if springs:
         said.append(
-            f"no tendon has the force of {', '.join(forces)}: an actuator without gain does, whose ctrl has no effect"
+            f"no tendon has the force of {', '.join(springs)}: an actuator without gain does, whose ctrl has no effect"
         )
     return _text(mujoco, spec, friction_comments(model)), said, figures
 
@@ -107,15 +105,12 @@ def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
     ends += [(end.body, end.placement) for closure in robot.closures for end in (closure.a, closure.b)]
     look = {"contype": 0, "conaffinity": 0, "mass": 0.0, "rgba": (0.35, 0.45, 0.6, 1.0)}
     for name, placement in ends:
-        if name != GROUND and np.linalg.norm(placement.position) > THICKNESS:
-            segment = (0.0, 0.0, 0.0, *placement.position)
-            spec.body(link_name(robot, name)).add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=segment, size=(THICKNESS, 0, 0), **look
-            )
-        elif name != GROUND:
-            spec.body(link_name(robot, name)).add_geom(
-                type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1.5 * THICKNESS, 0, 0), **look
-            )
+        shape = {"type": mujoco.mjtGeom.mjGEOM_SPHERE, "size": (1.5 * THICKNESS, 0, 0)}
+        if np.linalg.norm(placement.position) > THICKNESS:
+            shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "size": (THICKNESS, 0, 0)}
+            shape["fromto"] = (0.0, 0.0, 0.0, *placement.position)
+        if name != GROUND:
+            spec.body(link_name(robot, name)).add_geom(**shape, **look)
 
 
 def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:

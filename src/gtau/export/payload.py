@@ -54,20 +54,16 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
             f"the mass of payload '{payload.name}' is not identifiable, and {kind} needs one; give its 'center' in the "
             "experiment file, or weigh it along another motion."
         )
-    name = identifier(payload.name)
     writer, expected = WRITERS[kind]
     notes = [f"in {payload.frame}; {expected}"]
-    if payload.unseen:
-        notes.append(
-            f"the motion does not show {', '.join(payload.unseen)} of '{payload.name}': they are taken from a "
-            "compact body, not measured"
-        )
     head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
-    if payload.unseen:
-        head += f"; {', '.join(payload.unseen)} not measured"
-    return Exported(
-        written(Path(out), writer(name, _shown(payload, payload.rigid), " ".join(head.split()))), tuple(notes)
-    )
+    if unseen := ", ".join(payload.unseen):
+        head += f"; {unseen} not measured"
+        notes.append(
+            f"the motion does not show {unseen} of '{payload.name}': they are taken from a compact body, not measured"
+        )
+    texts = writer(identifier(payload.name), _rounded(payload, payload.rigid), " ".join(head.split()))
+    return Exported(written(Path(out), texts), tuple(notes))
 
 
 TENSOR = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
@@ -75,22 +71,22 @@ FINE = 1e-6, 1e-4  # half-widths without an interval: of a centre, m; of an iner
 FINER = (1.0, 1e-1, 1e-2, 1e-3)  # shares of the half-widths, until the rounded inertia is realisable
 
 
-def _shown(payload: PayloadBody, rigid: RigidBody) -> RigidBody:
+def _rounded(payload: PayloadBody, rigid: RigidBody) -> RigidBody:
     """Round a body to the digits of its intervals, its inertia to a realisable one."""
+    half = {key: estimate.half_interval() for key, estimate in payload.parameters.items()}
 
     def rounded(values: np.ndarray, keys: Sequence[str], without: float, share: float = 1.0) -> list[float]:
-        halves = [payload.parameters[key].half_interval() or without for key in keys]
-        return [float(to_width(x, share * half)) + 0.0 for x, half in zip(values.tolist(), halves, strict=True)]
+        keyed = zip(values.tolist(), keys, strict=True)
+        return [float(to_width(x, share * (half[key] or without))) + 0.0 for x, key in keyed]
 
-    half, entries = payload.parameters["m"].half_interval(), rigid.inertia[np.triu_indices(3)]
-    inertia = rigid.inertia
+    entries, inertia = rigid.inertia[np.triu_indices(3)], rigid.inertia
     for share in FINER:
         xx, xy, xz, yy, yz, zz = rounded(entries, TENSOR, FINE[1] * float(np.abs(entries).max()), share)
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         least, middle, largest = np.linalg.eigvalsh(inertia)
         if least > 0 and least + middle >= largest:
             break
-    mass = float(to_width(rigid.mass, half)) if half else rigid.mass
+    mass = float(to_width(rigid.mass, half["m"])) if half["m"] else rigid.mass
     return RigidBody(mass, np.array(rounded(rigid.center, ("cx", "cy", "cz"), FINE[0])), inertia)
 
 
@@ -107,10 +103,8 @@ def refuse_unnamed(kind: str, frame: str, links: Sequence[str]) -> None:
 
 
 def _ur(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write a line of URScript.
+    """Write a line of URScript: kg, m, and ``[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]`` in kg m2, in axes of the flange.
 
-    Script manual, ``set_target_payload(m, cog, inertia, transition_time)``: kg, m from the tool flange, and
-    ``[Ixx, Iyy, Izz, Ixy, Ixz, Iyz]`` in kg m2 about the centre of gravity, in axes of the flange.
     https://www.universal-robots.com/manuals/EN/HTML/SW10_6/Content/prod-scriptmanual/G5/set_target_payload.htm
     """
     entries = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
@@ -119,12 +113,10 @@ def _ur(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
 
 
 def _franka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write the configuration of an end effector, and the request of a load.
+    """Write the configuration of an end effector, and the fields of the request of a load; matrices by columns.
 
-    ``endeffector-config.json`` of the Franka Operating System ("End effector commissioning"): ``centerOfMass`` (3),
-    ``inertia`` (9) and ``transformation`` (16) by columns. https://download.franka.de/ride-cli-doc-v1.1.1/
-    Load: ``franka::Robot::setLoad(load_mass, F_x_Cload, load_inertia)``, by columns, about the centre of mass, as the
-    fields of franka_msgs/srv/SetLoad. https://docs.ros.org/en/humble/p/franka_msgs/srv/SetLoad.html
+    https://download.franka.de/ride-cli-doc-v1.1.1/ ("End effector commissioning")
+    https://docs.ros.org/en/humble/p/franka_msgs/srv/SetLoad.html
     """
     center, by_columns = body.center.tolist(), body.inertia.flatten(order="F").tolist()
     effector = {
@@ -141,10 +133,8 @@ def _franka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
 
 
 def _kuka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write a line of ``$config.dat``.
+    """Write a line of ``$config.dat``: kg; mm; degrees about Z, Y', X'' to the principal axes; their moments, kg m2.
 
-    KRL structure LOAD: ``M`` kg; ``CM`` the centre of mass (X, Y, Z, mm) and the orientation of the principal axes of
-    inertia (A, B, C, degrees about Z, Y', X'') relative to the flange; ``J`` the principal moments, kg m2.
     https://infosys.beckhoff.com/content/1033/tf5120/13081587595.html (KRC_WriteLoadData)
     """
     moments, axes = body.principal
@@ -155,10 +145,8 @@ def _kuka(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
 
 
 def _abb(name: str, body: RigidBody, head: str) -> Mapping[str, str]:
-    """Write a module with a ``loaddata``.
+    """Write a module with a ``loaddata``: kg; mm; principal axes as a quaternion (scalar first), moments in kg m2.
 
-    RAPID reference, data type loaddata: ``mass`` kg, ``cog`` mm, ``aom`` the orientation of the axes of moment as a
-    quaternion (scalar first), ``ix``, ``iy``, ``iz`` kg m2 about these axes through the centre of gravity.
     https://developercenter.robotstudio.com/api/robotstudio/api/ABB.Robotics.RobotStudio.Stations.RsLoadData.html
     """
     from scipy.spatial.transform import Rotation

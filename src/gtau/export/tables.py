@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from math import pi
 from pathlib import Path
-from types import MappingProxyType
 from unicodedata import normalize
 
 from gtau.documents.files import identifier, in_csv
@@ -95,23 +94,22 @@ def export_latex(result: IdentifiedModel, out: Path) -> Exported:
 
 
 def _labels(names: Sequence[str], longest: int) -> dict[str, str]:
-    """Use the names if none is longer than ``longest``, or else numbers from 1."""
     brief = all(len(name) <= longest for name in names)
     return {name: name if brief else str(number) for number, name in enumerate(names, start=1)}
 
 
 def _legend(label: Mapping[str, str]) -> str:
     """List the names behind numbers; a line may break within long ones."""
-    parts = ((number, re.findall(".{1,8}", name) if len(name) > NAME else [name]) for name, number in label.items())
-    return ", ".join(f"{number} " + r"\allowbreak{}".join(map(in_latex, part)) for number, part in parts)
+    entries = []
+    for name, number in label.items():
+        parts = re.findall(".{1,8}", name) if len(name) > NAME else [name]
+        entries.append(f"{number} " + r"\allowbreak{}".join(map(in_latex, parts)))
+    return ", ".join(entries)
 
 
-def symbol(name: Parameter, label: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Write a parameter's name in the field's notation, without dollars: ``off_21R`` is tau with the index off 21R.
-
-    ``label`` maps a body's name to its label.
-    """
-    subscript = in_latex_index(label.get(name.body, name.body)) + ("R" if name.regrouped else "")
+def symbol(name: Parameter, label: Mapping[str, str] | None = None) -> str:
+    """Write a parameter's name in the field's notation, with bodies called by their ``label``."""
+    subscript = in_latex_index((label or {}).get(name.body, name.body)) + ("R" if name.regrouped else "")
     if name.kind == "off":
         return rf"\tau_{{\mathrm{{off}}_{{{subscript}}}}}"
     return rf"{{{KINDS[name.kind].latex or in_latex(name.kind)}}}_{{{subscript}}}"
@@ -175,13 +173,13 @@ def _geometry(robot: Robot) -> str:
 
 def _parameters(result: IdentifiedModel, label: Mapping[str, str]) -> str:
     """Tabulate drive gains and essential parameters with relative standard deviations, as in the paper's Table 3."""
-    gains = ((in_latex_index(label[joint]), estimate) for joint, estimate in result.drive_gains.items())
-    lines = [_line(rf"g_{{\tau\,{index}}}", estimate) for index, estimate in gains]
-    parameters = {**result.essential, **result.friction}
-    lines += [_line(symbol(name, label), estimate) for name, estimate in parameters.items()]
+    index = {name: in_latex_index(number) for name, number in label.items()}
+    lines = [_line(rf"g_{{\tau\,{index[joint]}}}", gain) for joint, gain in result.drive_gains.items()]
+    for name, estimate in {**result.essential, **result.friction}.items():
+        lines.append(_line(symbol(name, label), estimate))
     for payload in result.payloads:
-        named = rf"m_{{{in_latex_index(label[payload.name])}}}"
-        lines += [_line(named, estimate) for kind, estimate in payload.parameters.items() if kind == "m"]
+        if "m" in payload.parameters:
+            lines.append(_line(rf"m_{{{index[payload.name]}}}", payload.parameters["m"]))
     head = ("Par.", "Val.", r"$\hat\sigma$", r"$\%\hat\sigma$", "Unit")
     return _table("lrrrl", head, lines, f"Drive gains and essential parameters of {in_latex(result.robot.name)}.")
 

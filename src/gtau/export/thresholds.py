@@ -35,36 +35,36 @@ Residual = tuple[np.ndarray, np.ndarray, float]
 def export_thresholds(
     result: IdentifiedModel, runs: Sequence[Run], out: Path, hours: float = 8.0, observer: float | None = None
 ) -> Exported:
-    """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``.
-
-    The external torque is taken behind the low-pass of identification, or the momentum observer with a bandwidth of
-    ``observer`` Hz. Raises GtauError if the runs are too few, too short or too different.
-    """
+    """Write ``thresholds.json`` from ``runs`` without contact, for one false alarm of the robot in ``hours``."""
     if len(runs) < 2 or not 0 < hours < np.inf:
         raise GtauError("list two runs without contact under 'validation', at least, and give hours above zero.")
-    runs = [run.ordered(result.idm.actuated) for run in runs]
-    speeds = [
-        np.abs(position_filter(run.position, run.rate, result.preparation.at(run.rate).cutoff)[1]) for run in runs
-    ]
+    robot, joints = result.robot, result.idm.actuated
+    runs = [run.ordered(joints) for run in runs]
+    speeds = []
+    for run in runs:
+        cutoff = result.preparation.at(run.rate).cutoff
+        speeds.append(np.abs(position_filter(run.position, run.rate, cutoff)[1]))
     fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
-    residuals = [residual_of(result, run, speed / fastest, observer) for run, speed in zip(runs, speeds, strict=True)]
+    pairs = zip(runs, speeds, strict=True)
+    residuals = [residual_of(result, run, speed / fastest, observer) for run, speed in pairs]
     total = sum(len(torque) * step for torque, _, step in residuals)
     factor, alarms = raised(residuals, total / CHECKS)
-    values, robot, bounds = factor * thresholds(residuals, 3600 * hours), result.robot, (0.0, *SPEEDS)
+    values = factor * thresholds(residuals, 3600 * hours)
+    entries = [
+        {
+            "joint": joint,
+            "from_speed": bound * float(fastest[j]),
+            "speed_unit": f"{position_unit(robot, joint)}/s",
+            "threshold": float(values[k, j]),
+            "unit": torque_unit(robot, joint),
+        }
+        for j, joint in enumerate(joints)
+        for k, bound in enumerate((0.0, *SPEEDS))
+    ]
     document = {
         "hours_between_false_alarms": hours,
         "signal": "external torque" if observer is None else f"momentum observer, {observer:g} Hz",
-        "thresholds": [
-            {
-                "joint": joint,
-                "from_speed": bounds[k] * float(fastest[j]),
-                "speed_unit": f"{position_unit(robot, joint)}/s",
-                "threshold": float(values[k, j]),
-                "unit": torque_unit(robot, joint),
-            }
-            for j, joint in enumerate(result.idm.actuated)
-            for k in range(len(bounds))
-        ],
+        "thresholds": entries,
         "check": {"seconds": total, "expected_alarms": CHECKS, "alarms": alarms, "factor": factor},
     }
     raising = f", so all are raised by {100 * (factor - 1):.0f} %" if factor > 1 else ""
@@ -114,14 +114,16 @@ def thresholds(residuals: Sequence[Residual], seconds: float) -> np.ndarray:
 
 def raised(residuals: Sequence[Residual], seconds: float) -> tuple[float, int]:
     """Find the factor on the other logs' thresholds that bounds the alarms of each; also count alarms without it."""
-    pairs = [(judged, thresholds([log for log in residuals if log is not judged], seconds)) for judged in residuals]
+    checks = []
+    for judged in residuals:
+        torque, cell, step = judged
+        values = thresholds([log for log in residuals if log is not judged], seconds)
+        limit = np.take_along_axis(values, np.maximum(cell, 0), axis=0)
+        checks.append((torque, np.where(cell >= 0, limit, np.inf), step))
 
     def alarms(factor: float) -> int:
-        count = 0
-        for (torque, cell, step), values in pairs:
-            over = (torque > factor * np.take_along_axis(values, np.maximum(cell, 0), axis=0)) & (cell >= 0)
-            count += len(peaks(over.any(axis=1).astype(float), step, 0.5))
-        return count
+        over = [((torque > factor * limit).any(axis=1), step) for torque, limit, step in checks]
+        return sum(len(peaks(any_joint.astype(float), step, 0.5)) for any_joint, step in over)
 
     factor = 1.0
     while alarms(factor) > CHECKS:

@@ -1,4 +1,4 @@
-"""URDF with inertias and friction, new or in the robot's own file, and YAML files for loops and drives beside it."""
+"""URDF with inertias and friction, and YAML files for loops and drives beside it."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from gtau.export.consistent import (
     term_notes,
     what_is_lost,
 )
-from gtau.export.exported import Export, Exported, digits, written, xml_text
-from gtau.export.input_file import InputFile, input_file
+from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import KINDS, RigidBody, gain_unit, rigid_body, torque_unit, unit_of
 from gtau.robots.placement import compose, pose_of, turn
 from gtau.robots.robot import (
@@ -45,52 +44,21 @@ UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
 
 
 def export(result: IdentifiedModel, out: Path) -> Exported:
-    """Write ``NAME.urdf``, ``NAME.yaml`` where the robot has loops, and ``NAME_drives.yaml`` into ``out``.
-
-    A platform is the end of a chain with one passive joint per degree of freedom and massless links in between. Raises
-    GtauError without consistent parameters, or if a joint is coupled to more than one other.
-    """
+    """Write ``NAME.urdf``, ``NAME_drives.yaml``, and ``NAME.yaml`` where there are loops, into ``out``."""
     model, robot, name = consistent_model(result, "URDF"), result.robot, identifier(result.robot.name)
-    texts = {f"{name}.urdf": '<?xml version="1.0"?>\n' + xml_text(robot_element(model))}
+    texts = {f"{name}.urdf": '<?xml version="1.0"?>\n' + xml_text(_robot_element(model))}
     texts[f"{name}_drives.yaml"] = drives_text(model)
     if robot.closures:
-        texts[f"{name}.yaml"] = _loops_text(robot)
-    return _exported(model, written(out, texts))
+        loops = {  # as gtau and the Gepetto models of parallel robots write them
+            "closed_loop": [[f"closure_{k}_a", f"closure_{k}_b"] for k in range(1, len(robot.closures) + 1)],
+            "type": ["3d" if closure.kind == "connect" else "6d" for closure in robot.closures],
+            "name_mot": list(robot.actuated),
+        }
+        texts[f"{name}.yaml"] = yaml.safe_dump(loops, sort_keys=False)
+    return with_notes(model, written(out, texts))
 
 
-def export_into(result: IdentifiedModel, source: Path, out: Path) -> Exported:
-    """Write a copy of the URDF ``source`` with identified inertias and friction into ``out``, and the drives.
-
-    Raises GtauError without consistent parameters, or if the file describes another robot.
-    """
-    model = consistent_model(result, "URDF")
-    if source.suffix.lower() != ".urdf":
-        raise GtauError(f"{source} is no URDF; give the .urdf file that the robot came from.")
-    file = input_file(source, result.robot)
-    joints = {joint.name for joint in result.robot.joints}
-    carriers, lumped = _carriers(file, joints), []
-    for element in file.root.findall("link"):
-        name, inertial = element.get("name", ""), element.find("inertial")
-        carrier, direct = carriers.get(name, ("", False))
-        if direct:
-            file.put(element, inertial_element(rigid_body(model.values, carrier)))
-        elif carrier and inertial is not None:
-            file.remove(inertial)
-            lumped.append(name)
-    for element in file.root.findall("joint"):
-        if (name := element.get("name", "")) in joints:
-            if (dynamics := element.find("dynamics")) is None:
-                file.put(element, Element("dynamics", _friction(model, name)))
-            else:
-                file.set(dynamics, **_friction(model, name))
-    notes = []
-    if lumped:
-        notes = [f"links on fixed joints are part of those that carry them, and have no inertia: {', '.join(lumped)}"]
-    drives = {f"{identifier(result.robot.name)}_drives.yaml": drives_text(model)}
-    return _exported(model, (*file.save(out), *written(out, drives)), notes, "the robot's own YAML file")
-
-
-def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str] = (), loops: str = "") -> Exported:
+def with_notes(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[str] = (), loops: str = "") -> Exported:
     """Return the files, with notes on the loops, which are in the file ``loops``, and on effects that a URDF lacks."""
     robot, name = model.result.robot, identifier(model.result.robot.name)
     figures, difference = differences(model, model.values)
@@ -104,8 +72,7 @@ def _exported(model: ConsistentModel, files: tuple[Path, ...], more: Sequence[st
     return Exported(files, (*([lost] * bool(lost)), difference, *notes), figures, lost)
 
 
-def robot_element(model: ConsistentModel) -> Element:
-    """Build the robot as an XML element."""
+def _robot_element(model: ConsistentModel) -> Element:
     robot = model.result.robot
     turned, root = _to_vertical(robot), Element("robot", name=robot.name)
     root.extend(friction_comments(model))
@@ -113,40 +80,37 @@ def robot_element(model: ConsistentModel) -> Element:
     couplings = {coupling.joint: coupling for coupling in robot.couplings}
     for joint in robot.joints:
         body = rigid_body(model.values, joint.name) if joint.has_mass else None
-        element = _attach(root, joint.name, *_on(joint.antecedent, joint.placement, turned), link(joint.name), body)
+        element = _attach(root, joint.name, *_on(joint.antecedent, joint.placement, turned), body)
         _moving(element, joint)
-        SubElement(element, "dynamics", _friction(model, joint.name))
+        SubElement(element, "dynamics", friction_attributes(model, joint.name))
         if joint.name in couplings:
             _mimic(element, couplings[joint.name])
     for platform in robot.platforms:
         _platform(root, platform, turned, rigid_body(model.values, platform.name))
     for number, closure in enumerate(robot.closures, start=1):
-        for name, end in ((f"closure_{number}_a", closure.a), (f"closure_{number}_b", closure.b)):
-            _attach(root, name, *_on(end.body, end.placement, turned), link(name))
+        for side, end in (("a", closure.a), ("b", closure.b)):
+            _attach(root, f"closure_{number}_{side}", *_on(end.body, end.placement, turned))
     return root
-
-
-def link(name: str) -> str:
-    """Name of the link of a joint, platform or closure's end, which has its name in gtau."""
-    return f"link_{name}"
 
 
 def _on(body: str, placement: Placement, turned: Pose) -> tuple[str, Placement]:
     """Return a body's link, and a placement on it; the ground is ``turned`` in the root link."""
-    return (ROOT, compose(turned, placement)) if body == GROUND else (link(body), placement)
+    return (ROOT, compose(turned, placement)) if body == GROUND else (f"link_{body}", placement)
 
 
 def _attach(
-    root: Element, name: str, parent: str, placement: Placement, child: str, body: RigidBody | None = None
+    root: Element, name: str, parent: str, placement: Placement, body: RigidBody | None = None, link: str = ""
 ) -> Element:
     """Add a link, with its inertia where it has one, and the fixed joint that holds it; returns the joint."""
-    element = SubElement(root, "link", name=child)
+    link = f"link_{link or name}"
+    element = SubElement(root, "link", name=link)
     if body is not None and body.mass:
         element.append(inertial_element(body))
-    pose, joint = pose_of(placement.rotation, placement.position), SubElement(root, "joint", name=name, type="fixed")
+    pose = pose_of(placement.rotation, placement.position)
+    joint = SubElement(root, "joint", name=name, type="fixed")
     SubElement(joint, "origin", xyz=digits(pose.xyz), rpy=digits(pose.rpy))
     SubElement(joint, "parent", link=parent)
-    SubElement(joint, "child", link=child)
+    SubElement(joint, "child", link=link)
     return joint
 
 
@@ -160,7 +124,8 @@ def _moving(element: Element, joint: Joint) -> None:
     SubElement(element, "limit", {kind: digits(bound) for kind, bound in bounds.items()})
 
 
-def _friction(model: ConsistentModel, joint: str) -> dict[str, str]:
+def friction_attributes(model: ConsistentModel, joint: str) -> dict[str, str]:
+    """Return the attributes of a joint's ``<dynamics>``."""
     return {"damping": digits(model.of("fv", joint)), "friction": digits(model.of("fs", joint))}
 
 
@@ -171,7 +136,7 @@ def _mimic(element: Element, coupling: Coupling) -> None:
             "one; export to c instead."
         )
     ((other, ratio),) = coupling.ratios
-    SubElement(element, "mimic", {"joint": other, "multiplier": digits(ratio), "offset": digits(coupling.offset)})
+    SubElement(element, "mimic", joint=other, multiplier=digits(ratio), offset=digits(coupling.offset))
 
 
 def _platform(root: Element, platform: Platform, turned: Pose, body: RigidBody) -> None:
@@ -181,9 +146,9 @@ def _platform(root: Element, platform: Platform, turned: Pose, body: RigidBody) 
         name, slides = f"{dof}_{platform.name}", dof in TRANSLATIONS
         axis = tuple(np.eye(3)[(TRANSLATIONS if slides else ROTATIONS).index(dof)])
         joint = Joint(name, "", "prismatic" if slides else "revolute", axis=axis, actuated=False)
-        _moving(_attach(root, name, parent, placement, link(name)), joint)
-        parent, placement = link(name), Pose()
-    _attach(root, f"frame_{platform.name}", parent, Pose(rpy=platform.home.rpy), link(platform.name), body)
+        _moving(_attach(root, name, parent, placement), joint)
+        parent, placement = f"link_{name}", Pose()
+    _attach(root, f"frame_{platform.name}", parent, Pose(rpy=platform.home.rpy), body, platform.name)
 
 
 def _to_vertical(robot: Robot) -> Pose:
@@ -208,33 +173,21 @@ def inertial_element(body: RigidBody) -> Element:
     return element
 
 
-def _loops_text(robot: Robot) -> str:
-    """Write the loops as gtau and the Gepetto models of parallel robots do."""
-    document = {
-        "closed_loop": [[f"closure_{k}_a", f"closure_{k}_b"] for k in range(1, len(robot.closures) + 1)],
-        "type": ["3d" if closure.kind == "connect" else "6d" for closure in robot.closures],
-        "name_mot": list(robot.actuated),
-    }
-    return str(yaml.safe_dump(document, sort_keys=False))
-
-
 def drives_text(model: ConsistentModel) -> str:
     """Write drive gains, rotor inertias and other drive data as YAML."""
     robot = model.result.robot
     document: dict[str, Any] = {"robot": robot.name, "joints": {}}
     for joint in robot.joints:
-        name, unit = joint.name, torque_unit(robot, joint.name)
-        quantities: dict[str, tuple[float | None, str]] = {
-            key: (model.of(kind, name) or None, unit_of(kind, robot, name))
-            for key, kind in (("armature", "ia"), ("offset", "off"), ("cubic_friction", "f3"))
-        }
+        name, given = joint.name, {}
         if name in model.gains:
-            gain = (model.gains[name], gain_unit(robot, name, model.result.kind))
-            quantities = {"drive_gain": gain, **quantities}
+            given["drive_gain"] = _quantity(model.gains[name], gain_unit(robot, name, model.result.kind))
+        for key, kind in (("armature", "ia"), ("offset", "off"), ("cubic_friction", "f3")):
+            if value := model.of(kind, name):
+                given[key] = _quantity(value, unit_of(kind, robot, name))
         if joint.spring is not None:
-            quantities["stiffness"] = (model.of(STIFFNESS, name), f"{unit}/{joint.unit}")
-            quantities["springref"] = (joint.spring, joint.unit)
-        given = {key: {"value": value, "unit": unit} for key, (value, unit) in quantities.items() if value is not None}
+            unit = f"{torque_unit(robot, name)}/{joint.unit}"
+            given["stiffness"] = _quantity(model.of(STIFFNESS, name), unit)
+            given["springref"] = _quantity(joint.spring, joint.unit)
         if given:
             document["joints"][name] = given
     if robot.springs:
@@ -250,26 +203,12 @@ def _spring_data(model: ConsistentModel, spring: Spring) -> dict[str, object]:
     for end in (spring.a, spring.b):
         parent, placement = _on(end.body, end.placement, _to_vertical(robot))
         ends.append({"link": parent, "xyz": [float(component) for component in placement.position]})
-    units = {kind: unit_of(kind, robot, spring.name) for kind in spring.parameters}
-    values = {KINDS[kind].words: {"value": model.of(kind, spring.name), "unit": unit} for kind, unit in units.items()}
+    values = {
+        KINDS[kind].words: _quantity(model.of(kind, spring.name), unit_of(kind, robot, spring.name))
+        for kind in spring.parameters
+    }
     return {"between": ends, **values}
 
 
-def _carriers(file: InputFile, joints: set[str]) -> dict[str, tuple[str, bool]]:
-    """Find each link's joint of the robot that moves it, and whether the joint carries the link directly."""
-    above: dict[str, tuple[str, str]] = {}
-    for joint in file.root.findall("joint"):
-        parent, child = joint.find("parent"), joint.find("child")
-        if parent is not None and child is not None:
-            above[child.get("link", "")] = (joint.get("name", ""), parent.get("link", ""))
-    carriers = {}
-    for name, (carrier, parent_link) in above.items():
-        direct = carrier in joints
-        while carrier not in joints and parent_link in above:
-            carrier, parent_link = above[parent_link]
-        if carrier in joints:
-            carriers[name] = (carrier, direct)
-    return carriers
-
-
-EXPORTS = {"urdf": Export(export, into=export_into, simulates=True)}
+def _quantity(value: float, unit: str) -> dict[str, object]:
+    return {"value": value, "unit": unit}

@@ -1,28 +1,36 @@
-"""Identification of every robot of a fleet from its own experiment, independent of failures of others."""
+"""Identification of every robot of a fleet, independent of failures of others, and outliers among their gains."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from platform import node
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from gtau.documents.files import in_order, matching, system_refusals, write_atomically
 from gtau.documents.validation import Keys, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_file import model_text
 from gtau.fleet.workers import Mapper
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
-from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.native import native_text
 from gtau.signals.reading.experiment import Experiment, read_experiment
+
+LEAST = 8  # values: the spread of fewer is too uncertain to call one an outlier
+FALSE_ALARM = 0.05  # chance of an outlier in a fleet without outliers; 0.1 where the spread is small
+EFFICIENCY = 0.37  # of a median-based spread, relative to the standard deviation
+QUARTILE = 0.4549364  # median of the chi-square distribution with one degree of freedom
 
 
 @dataclass(frozen=True)
@@ -46,6 +54,68 @@ class Report:
     member: Member
     model: dict[str, Any] | None
     sentence: str = ""
+
+
+@dataclass(frozen=True)
+class FleetGain:
+    """Row of the fleet's table: a drive gain of one robot, compared with the rest of the fleet.
+
+    ``outcome`` and ``why`` are the verdict of its own identification; ``difference_percent`` from the median of the
+    fleet; ``z`` the same in standard deviations, and ``limit`` the outlier threshold, both None without others to
+    compare with; ``half_width`` half the 95 % interval, in ``unit``.
+    """
+
+    robot: str
+    model: str
+    joint: str
+    gain: float | None
+    std: float | None
+    unit: str
+    outcome: str
+    why: str
+    difference_percent: float | None = None
+    z: float | None = None
+    limit: float | None = None
+    outlier: bool = False
+    half_width: float | None = None
+
+
+@dataclass(frozen=True)
+class JointOfFleet:
+    """A joint over all robots of one model, in ``unit``: weighted ``median``, its standard deviation and ``spread``.
+
+    The spread is the standard deviation between the robots beyond the gains' own standard deviations; ``comparable``
+    says whether there are enough robots to find outliers.
+    """
+
+    model: str
+    joint: str
+    unit: str
+    robots: int
+    median: float
+    median_std: float
+    spread: float
+    comparable: bool
+
+
+@dataclass(frozen=True)
+class FleetTable:
+    """Every gain of every robot, the joints over the fleet, and the refused robots with the reason."""
+
+    gains: tuple[FleetGain, ...]
+    joints: tuple[JointOfFleet, ...]
+    refused: tuple[tuple[str, str], ...]
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """List the names of the identified robots."""
+        return tuple(dict.fromkeys(gain.robot for gain in self.gains))
+
+    @property
+    def outliers(self) -> tuple[FleetGain, ...]:
+        """List the outliers, the farthest first."""
+        outliers = [gain for gain in self.gains if gain.outlier]
+        return tuple(sorted(outliers, key=lambda gain: -abs(gain.z or 0.0) / (gain.limit or 1.0)))
 
 
 Patterns = Annotated[
@@ -73,11 +143,7 @@ class FleetFile(Keys):
 
 
 def read_fleet(paths: Sequence[str | Path]) -> tuple[Member, ...]:
-    """List the robots of one fleet file, or of experiment files and patterns that match some.
-
-    They are named after the parts in which their paths differ. Raises GtauError if no file matches, or a fleet file is
-    wrong.
-    """
+    """List the robots of a fleet file, or of experiment files and patterns; raises GtauError."""
     files = _matches(map(Path, paths))
     if len(files) == 1:
         document, folder = read_yaml(files[0]), files[0].parent
@@ -108,12 +174,10 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
     parts = [(path if path.is_dir() else path.with_suffix("")).absolute().parts for path in paths]
     if len(set(parts)) < len(parts):  # a.yaml and a.yml
         parts = [path.absolute().parts for path in paths]
-    shortest = min(len(names) for names in parts)
+    shortest = min(map(len, parts))
     first = next((k for k in range(shortest - 1) if len({names[k] for names in parts}) > 1), shortest - 1)
-    room = shortest - first - 1
+    room = shortest - first - 1 if len(paths) > 1 else 0
     last = next((k for k in range(room) if len({names[-1 - k] for names in parts}) > 1), room)
-    if len(paths) == 1:
-        last = 0
     return [("/".join(names[first : len(names) - last]), path) for names, path in zip(parts, paths, strict=True)]
 
 
@@ -123,20 +187,19 @@ def identify_fleet(
     """Identify every robot of a fleet; finished models are kept and not computed again.
 
     Each model is written to ``out/models/NAME.json``, and a key of its inputs to ``NAME.key``. A model is reused while
-    program, robot, experiment and logs are unchanged; any edit of the program counts as a change.
-
-    ``out`` is an existing folder, ``mapper`` comes from :mod:`gtau.fleet.workers`, ``method`` is passed to
-    :func:`gtau.identify`, and ``progress`` is called after each robot. Raises GtauError if the folder is not writable;
-    errors of a robot are in its report.
+    program, robot, experiment and logs are unchanged; any edit of the program counts as a change. ``mapper`` comes from
+    :mod:`gtau.fleet.workers`. Raises GtauError if the folder is not writable; errors of a robot are in its report.
     """
-    known = [_read_text(_file(out, member, "key")) if _file(out, member).is_file() else "" for member in members]
-    items = [(member.anywhere, key) for member, key in zip(members, known, strict=True)]
+    items = []
+    for member in members:
+        model, key = _files(out, member)
+        items.append((member.anywhere, _read_text(key) if model.is_file() else ""))
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
     for k, outcome in mapper(partial(identify_member, method), items):
         reports[k] = _keep(out, members[k], outcome)
         progress("robots", len(reports), len(members))
-    return tuple(report for _, report in sorted(reports.items(), key=lambda item: item[0]))
+    return tuple(reports[k] for k in sorted(reports))
 
 
 def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | GtauError:
@@ -161,16 +224,13 @@ def identify_member(method: str, item: tuple[Member, str]) -> tuple[str, str] | 
 
 
 def inputs_key(experiment: Experiment, method: str) -> str:
-    """Compute the SHA-256 of all inputs of a model: program, method, robot, settings and logs by name and content.
-
-    Raises GtauError if the robot or a log cannot be read.
-    """
+    """Compute the SHA-256 of all inputs of a model: program, method, robot, settings and logs by name and content."""
     settings = experiment.model_dump_json(exclude={"robot": True, "validation": True, "runs": {"__all__": {"log"}}})
     key = hashlib.sha256(_program())
     for text in (method, settings, native_text(load_robot(experiment.robot).with_file(source=""))):
         key.update(text.encode() + b"\0")
     for path in (log for run in experiment.runs for log in run.log):
-        for file in in_order(path.iterdir()) if path.is_dir() else [path]:
+        for file in in_order(filter(Path.is_file, path.rglob("*"))) if path.is_dir() else [path]:
             key.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
     return key.hexdigest()
 
@@ -187,7 +247,7 @@ def _digest(path: Path) -> bytes:
 
 
 def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:
-    model, key = _file(out, member), _file(out, member, "key")
+    model, key = _files(out, member)
     if isinstance(outcome, GtauError):
         key.unlink(missing_ok=True)
         model.unlink(missing_ok=True)
@@ -201,8 +261,9 @@ def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Re
     return Report(member, json.loads(_read_text(model)))
 
 
-def _file(out: Path, member: Member, ending: str = "json") -> Path:
-    return out / "models" / f"{member.name}.{ending}"
+def _files(out: Path, member: Member) -> tuple[Path, Path]:
+    model = out / "models" / f"{member.name}.json"
+    return model, model.with_name(f"{model.name.removesuffix('.json')}.key")
 
 
 def _read_text(path: Path) -> str:
@@ -210,3 +271,88 @@ def _read_text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except OSError:
         return ""
+
+
+def fleet_table(reports: Sequence[Report]) -> FleetTable:
+    """Compare the gains of each joint over the robots of the same model; see :func:`_median_and_spread`."""
+    gains, freedoms = list[FleetGain](), list[float]()
+    for report in reports:
+        if report.model is None:
+            continue
+        for row in report.model["drive_gains"]:
+            joint, gain, std, unit = (row[key] for key in ("joint", "value", "std", "unit"))
+            half_width = Estimate(joint, gain, std, unit, freedom=row["freedom"]).half_interval()
+            verdict = {"outcome": row["outcome"], "why": row["why"], "half_width": half_width}
+            gains.append(FleetGain(report.member.name, report.model["robot"], joint, gain, std, unit, **verdict))
+            freedoms.append(row["freedom"] or np.inf)
+    groups = defaultdict[tuple[str, str, str], list[int]](list)
+    for k, gain in enumerate(gains):
+        if gain.gain is not None and gain.std is not None:
+            groups[gain.model, gain.joint, gain.unit].append(k)
+    tests = sum(map(len, groups.values()))
+    joints = []
+    for group, members in groups.items():
+        rows = [(gains[k].gain, gains[k].std, freedoms[k]) for k in members]
+        values, std, freedom = np.array(rows, dtype=float).T
+        median, spread = _median_and_spread(values, std)
+        total = np.hypot(spread, std)
+        median_std = float(np.sqrt(np.pi / 2 / np.sum(1 / np.maximum(total, 1e-150) ** 2)))
+        comparable = len(members) >= LEAST
+        joints.append(JointOfFleet(*group, len(members), median, median_std, spread, comparable))
+        z = np.divide(values - median, total, out=np.zeros(len(values)), where=total > 0)
+        limits = _outlier_limits(freedom, spread, tests)
+        for place, k in enumerate(members):
+            if median:
+                gains[k] = replace(gains[k], difference_percent=float(100 * (values[place] / median - 1)))
+            if comparable:
+                distance, limit = float(z[place]), float(limits[place])
+                gains[k] = replace(gains[k], z=distance, limit=limit, outlier=abs(distance) > limit)
+    refused = tuple((report.member.name, report.sentence) for report in reports if report.model is None)
+    return FleetTable(tuple(gains), tuple(joints), refused)
+
+
+def _median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, float]:
+    """Compute the weighted median of values (N,), and their spread beyond their own standard deviations ``std``."""
+    median, spread = float(np.median(values)), 0.0
+    for _ in range(20):
+        before = median, spread
+        spread = _spread((values - median) ** 2, std**2)
+        median = _weighted_median(values, 1 / np.maximum(np.hypot(spread, std), 1e-300))
+        if (median, spread) == before:
+            break
+    return median, spread
+
+
+def _outlier_limits(freedom: np.ndarray, spread: float, tests: int) -> np.ndarray:
+    """Compute the ``|z|`` (N,) beyond which values are outliers.
+
+    A t distribution exceeds the limit with a probability of 5 % in ``tests`` draws, one per value tested in the whole
+    fleet. ``freedom`` (N,) are the degrees of freedom of the standard deviations (inf: very many).
+    """
+    from scipy.special import stdtrit
+
+    spread_freedom = max(EFFICIENCY * (len(freedom) - 1), 1.0)
+    # a spread may be the larger part: its few degrees of freedom then count for both
+    both = np.minimum(freedom, spread_freedom) if spread else freedom
+    return np.asarray(stdtrit(both, 1 - FALSE_ALARM / (2 * tests)))
+
+
+def _spread(squares: np.ndarray, variances: np.ndarray) -> float:
+    """Find the spread whose square, added to ``variances``, gives ``squares`` the median ratio of chi-square."""
+    from scipy.optimize import brentq
+
+    largest = float(squares.max()) / QUARTILE
+
+    def excess(share: float) -> float:
+        return float(np.median(squares / np.maximum(share * largest + variances, 1e-300))) - QUARTILE
+
+    return float(np.sqrt(largest * brentq(excess, 0.0, 1.0, xtol=1e-15))) if excess(0.0) > 0 else 0.0
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    cumulated = np.cumsum(weights[order])
+    half = cumulated[-1] / 2
+    k = int(np.searchsorted(cumulated, half))
+    tie = k + 1 < len(values) and np.isclose(cumulated[k], half, rtol=1e-12)
+    return float(values[order[k : k + 2 if tie else k + 1]].mean())

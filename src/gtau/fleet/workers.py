@@ -8,12 +8,12 @@ import signal
 import sys
 import threading
 import time
-from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
@@ -25,11 +25,7 @@ if TYPE_CHECKING:
 
 Function = Callable[[Any], Any]
 Mapper = Callable[[Function, Sequence[Any]], Iterable[tuple[int, Any]]]
-"""Calls a function for every item, in this process or elsewhere.
-
-It yields the index of each item with the function's result as soon as that is there, in any order. A GtauError in
-place of the result says why there is none.
-"""
+"""Calls a function for every item; yields the index of each item with the result, or a GtauError, in any order."""
 QUIET = "ignore:resource_tracker"  # warning option of the process that cleans up what killed workers leave
 LIMITS = {"GTAU_THREADS": "1", "POLARS_MAX_THREADS": "1"}
 """Environment of a worker process: one thread each, as there are as many processes as cores."""
@@ -50,17 +46,18 @@ def mapper_of(
 ) -> Mapper:
     """Make a map from a function that submits items to an executor.
 
-    ``failure`` turns a future's exception into a GtauError, :class:`WorkerDied` if its worker died, or raises it and
-    ends all work. At most ``at_once`` items are submitted at a time, since all of them may fail with one worker.
-    ``check`` is called at least once a second, and may raise. Items whose worker died are tried once more, one by one.
+    ``failure`` turns a future's exception into a GtauError, or raises it and ends all work. At most ``at_once`` items
+    are submitted at a time, since all of them may fail with one worker; those whose worker died are tried once more,
+    one by one. ``check`` is called at least once a second, and may raise.
     """
 
     def results(function: Function, items: Sequence[Any], indices: Iterable[int]) -> Iterator[tuple[int, Any]]:
-        waiting, futures = deque(indices), dict[Future[Any], int]()
-        while waiting or futures:
-            while waiting and len(futures) < at_once:
-                k = waiting.popleft()
+        waiting, futures = iter(indices), dict[Future[Any], int]()
+        while True:
+            for k in islice(waiting, at_once - len(futures)):
                 futures[submit(function, items[k])] = k
+            if not futures:
+                return
             done = wait(futures, timeout=1.0, return_when=FIRST_COMPLETED).done
             check()
             for future in done:
@@ -126,10 +123,7 @@ def _end_with(parent: Connection) -> None:
 
 @contextmanager
 def shielded_from_terminal() -> Iterator[None]:
-    """Shield processes and threads begun within from Ctrl-C and from SIGHUP; they end with the process that began them.
-
-    A terminal signals them too, and those that die before this process reports it would be taken for failures.
-    """
+    """Shield processes and threads begun within from a terminal's Ctrl-C and SIGHUP, by which they seem to fail."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
@@ -155,11 +149,8 @@ def dask_workers(
 ) -> Iterator[Mapper]:
     """Open a map over the workers of the Dask scheduler at ``address``, or of this machine: ``local``.
 
-    Leaving cancels the work that is still going on. ``patience`` is the time for the scheduler and its first worker
-    to answer, and ``without_workers`` that without any worker until the work is given up, in s.
-
-    Raises GtauError where Dask is missing, the scheduler cannot be reached, stops or has no workers, or they have
-    another gtau.
+    Leaving cancels the work that is still going on. Raises GtauError where Dask is missing, the scheduler cannot be
+    reached, stops or has no workers for some time, or they have another gtau.
     """
     try:
         from distributed import Client, LocalCluster
@@ -253,7 +244,7 @@ def _dask_failure(error: BaseException) -> GtauError:
     if isinstance(error, KilledWorker):
         return WorkerDied(
             f"it killed one Dask worker after the other, the last one {error.last_worker.address}, usually for lack "
-            f"of memory; give them more."
+            "of memory; give them more."
         )
     if isinstance(error, (CancelledError, DaskCancelledError, CommClosedError)):
         raise GtauError(

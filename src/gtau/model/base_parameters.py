@@ -10,8 +10,8 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, NAMES, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.model.interpreter.program import single_threaded_blas
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.program import single_threaded_blas
 from gtau.model.singularities import random_motion
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import identical_legs
@@ -21,9 +21,9 @@ from gtau.robots.robot import DRIVE, INERTIAL, Robot
 DEPENDENT = 1e-8  # share of a unit column left outside the columns kept before it
 IDLE = 1e-10  # share of the largest column: a smaller one is rounding
 ROWS = 2  # of the regressor for each of its columns that are drawn at once
-SAMPLES = 60  # that are drawn at once at least: as many give the rank that 1500 do, on all robots of the catalog
+SAMPLES = 60  # drawn at once at least: they give the rank that 1500 do
 COUNTING, STEPS = "counting base parameters", 3  # of a draw: its regressor, factor and rank
-SQUARED_JOINTS = 40_000  # joints of a chain by joints whose equations take a minute: 0.25 min of 100, 4 min of 400
+SQUARED_JOINTS = 40_000  # whose equations take a minute: 0.25 min of 100, 4 min of 400
 DRAWS = 12  # after which the rank must have settled
 
 
@@ -65,10 +65,7 @@ class BaseParameters:
 
 
 def symmetric_order(robot: Robot, names: Sequence[Parameter]) -> list[Parameter]:
-    """Order ``names`` as eq. (23): platforms first, then parameter by parameter over like legs.
-
-    Joints between the ground and a motor precede the others, so that coupling bars take up no motor's parameters.
-    """
+    """Order ``names`` as eq. (23): platforms, then like legs in turn, first joints that lead from ground to motors."""
     order = [Parameter(kind, platform.name) for platform in robot.platforms for kind in INERTIAL]
     kinds = list(dict.fromkeys(name.kind for name in names))
     towards_motors: set[str] = set()
@@ -142,10 +139,7 @@ def base_parameters(
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """A robot's model, and the base parameters of its motors and ``sensors``, computed when first needed.
-
-    ``known`` are the base parameters if they have been computed already.
-    """
+    """A robot's model, and the base parameters of its motors and ``sensors``, computed when first needed."""
 
     model: InverseDynamics
     sensors: tuple[str, ...] = ()
@@ -154,7 +148,7 @@ class Equations:
     @cached_property
     def base(self) -> BaseParameters:
         """Base parameters of motors and torque sensors together."""
-        return base_parameters(self.model, sensors=self.sensors) if self.known is None else self.known
+        return self.known or base_parameters(self.model, sensors=self.sensors)
 
 
 def _settled_triangle(
@@ -191,10 +185,9 @@ def _settled_triangle(
 
 
 def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]]:
-    """Select the columns of ``A`` (r, c), any matrix or its triangular factor, that do not depend on those before them.
+    """Select the columns of ``A`` (r, c) that do not depend on those before them.
 
-    Returns the indices ``kept`` of the b independent columns, coefficients (b, c) with which column k of ``A`` is
-    ``A[:, kept] @ coefficients[:, k]``, and the indices of the columns that are zero.
+    Returns their indices ``kept``, coefficients with which ``A = A[:, kept] @ coefficients``, and those that are zero.
     """
     norms = np.linalg.norm(A, axis=0)
     idle = norms <= IDLE * norms.max(initial=0.0)

@@ -41,10 +41,8 @@ def _acceleration(
 def error_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Express the errors (rows,) of the loops at any ``c``, closed or not, and their scaled Jacobian at closed poses.
 
-    Closures come before couplings, and flips of welds last. Near a closed configuration the errors are the residual of
-    :func:`closure_expressions`. That of a weld whose frames are turned by an angle is its sine, zero again at half a
-    turn; here it is twice the sine of half the angle. Its flip is one less the cosine of the angle, which is not zero
-    at half a turn either.
+    Where :func:`closure_expressions` have the sine of the angle by which a weld's frames are turned, zero again at half
+    a turn, the errors have twice the sine of half the angle, and at the end the flips, one less its cosine.
     """
     residual, velocity, _ = closure_expressions(layout, c, yd)
     frame, rows, flips, start = frames(layout, c), [], [], 0
@@ -67,12 +65,11 @@ def _largest(values: ca.SX) -> ca.SX:
 
 def _on_unit_quaternions(layout: Coordinates, c: ca.SX) -> ca.SX:
     """Normalise the quaternions of a configuration ``c``, as a guess has other lengths."""
-    parts = [c[: len(layout.robot.joints)]]
+    c = ca.SX(c)
     for slots in layout.platforms:
-        parts.append(c[slots.position])
         if slots.quaternion is not None:
-            parts.append(c[slots.quaternion] / ca.sqrt(ca.sumsqr(c[slots.quaternion])))
-    return ca.vertcat(*parts)
+            c[slots.quaternion] /= ca.sqrt(ca.sumsqr(c[slots.quaternion]))
+    return c
 
 
 def _scaled(layout: Coordinates, velocity: ca.SX, yd: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -115,9 +112,7 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
 
     From c (n_c,), its quaternions of unit length, and yd (n_y,): residual, velocity and gamma (rows,), in rad or
     lengths over the characteristic length, and per s and s2. ``G = jacobian(velocity, yd)``, and accelerations obey ``G
-    ydd + gamma = 0``. Where the loops are closed velocity and gamma are the time derivatives of the residual, so that
-    derivatives along the closed loops may be taken of any of the three (``ca.gradient``, with
-    :func:`gtau.model.kinematics.configuration_rates` for those by c).
+    ydd + gamma = 0``. Where the loops are closed, velocity and gamma are the time derivatives of the residual.
     """
     robot, length = layout.robot, layout.length
     frame = frames(layout, c)
@@ -152,10 +147,8 @@ def closure_expressions(layout: Coordinates, c: ca.SX, yd: ca.SX) -> tuple[ca.SX
 def solve(a: ca.SX, b: ca.SX, refine: bool) -> tuple[ca.SX, ca.SX]:
     """Solve ``min |a x - b|`` by the sparse ``L D L^T`` of the normal equations, a (m, n) sparse, b (m, k).
 
-    The order of elimination preserves sparsity, so that the cost is proportional to the number of legs; ``refine``
-    restores the digits that the normal equations lose. Beside x (n, k) returns the square root of ``trace(M)
-    trace(M^-1)``, ``M = a^T a``, which is 1 to n times the condition number of ``a``, and huge or not a number where
-    ``a`` is singular.
+    ``refine`` restores the digits that the normal equations lose. Beside x (n, k) returns the square root of ``trace(M)
+    trace(M^-1)``, ``M = a^T a``: 1 to n times the condition number of ``a``, huge or not a number where it is singular.
     """
     normal = a.T @ a
     d, lt, order = ca.ldl(normal, True)

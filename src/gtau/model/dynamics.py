@@ -28,14 +28,11 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import DAMPING, DRIVE, INERTIAL, PRELOAD, STIFFNESS, Robot, Spring
 
-TOUCHING = 1e-9  # m: the length of a spring whose points coincide, where the line between them has no direction
+TOUCHING = 1e-9  # m: length of a spring whose points coincide
 
 
 def parameter_names(robot: Robot, parameters: str = "all") -> tuple[Parameter, ...]:
-    """List the names of the standard parameters: of each joint, 14 at most, 10 of each platform, and of the springs.
-
-    ``"inertial"`` leaves out rotor inertia, friction, offset and springs.
-    """
+    """List the standard parameters of joints, platforms and springs; ``"inertial"`` ones are of bodies alone."""
     kinds = {"all": INERTIAL + DRIVE, "inertial": INERTIAL, "drive": DRIVE, "none": ()}
     joints: list[Parameter] = []
     for joint in robot.joints:
@@ -94,7 +91,7 @@ def torques(
     acceleration = accelerations(layout, frame, twist, yd, ydd, gravity)
     massive = [body for body in robot.bodies if Parameter("m", body) in chi]
     wrench = {body: _wrench(chi, body, twist[body], acceleration[body]) for body in massive}
-    pulls = []  # of the springs: the rate of whose length they want, and the force against it
+    pulls = []  # of the springs, against their lengthening
     for spring in robot.springs:
         length, direction = spring_length(spring, frame)
         stretching = _lengthening(spring, direction, frame, twist)
@@ -126,10 +123,7 @@ def torques(
 
 
 def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[WrenchFrame], wrenches: ca.SX) -> ca.SX:
-    """Express the forces ``J^T w`` (n,) of external wrenches at the actuated joints, by virtual power (eq. 14).
-
-    The motors' torques are less by these. ``wrenches`` (6 k,) are moment (N m) and force (N) of each frame.
-    """
+    """Express the forces ``J^T w`` (n,) of ``wrenches`` (6 k,), N m and N, at the actuated joints (eq. 14)."""
     frame = frames(layout, c)
     tau = []
     for k in range(J.shape[1]):
@@ -140,7 +134,7 @@ def wrench_torques(layout: Coordinates, c: ca.SX, J: ca.SX, frames_of: Sequence[
             angular, linear = partial[body].angular, partial[body].linear
             if in_world:
                 angular, linear = frame[body].R_0 @ angular, frame[body].R_0 @ linear
-                linear += ca.cross(frame[body].p_0, angular)  # of the point that is at the origin of the world
+                linear += ca.cross(frame[body].p_0, angular)  # at the origin of the world
             power += ca.dot(moment, angular) + ca.dot(force, linear)
         tau.append(power)
     return ca.vertcat(*tau)

@@ -1,14 +1,9 @@
-"""Solve for the home configuration in which a robot's loops close, from the model's own closure equations.
-
-Readers return home as written in the file, if it is given. Here it is solved by Levenberg-Marquardt,
-and every displacement above rounding is reported in a note of the robot.
-"""
+"""Load a robot, and solve for the home in which its loops close; a note says what was moved from the file's home."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, replace
-from functools import lru_cache
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +11,7 @@ import numpy as np
 
 from gtau.documents.validation import MAPPING, NAMES, some_of, takes, validate
 from gtau.documents.yaml_document import Document
-from gtau.errors import GtauError
+from gtau.errors import GtauError, errors_at
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import (
     FAR,
@@ -89,17 +84,13 @@ def load_robot(
     """
     if isinstance(source, Robot):
         return source
-    if isinstance(source, RobotSource):
-        described, name = source, source.file
-    else:
-        options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints), "held": dict(held or {})}
-        options["limits"] = dict(limits or {})
-        described, name = validate(RobotSource, Document("load_robot", options)), str(source)
-    robot = read_robot(described)
-    try:
+    if not isinstance(source, RobotSource):
+        options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints)}
+        options |= {"held": dict(held or {}), "limits": dict(limits or {})}
+        source = validate(RobotSource, Document("load_robot", options))
+    robot = read_robot(source)
+    with errors_at(source.file):
         return close_home(robot)
-    except GtauError as error:
-        raise GtauError(f"{name}: {error}") from None
 
 
 def close_home(robot: Robot) -> Robot:
@@ -108,14 +99,8 @@ def close_home(robot: Robot) -> Robot:
     With the motors held at home, the passive coordinates are moved. If the loops do not close near there within the
     position limits, all coordinates in loops are moved, from home and then from random starts, always the same, and the
     solution nearest to home is taken, at any distance if the file gives no home. A solution close to a singularity is
-    moved within its assembly mode until it is well-conditioned. Coordinates in no loop stay, but within limits. Raises
-    GtauError where the loops close nowhere, or only far from the home that the file gives.
+    moved within its assembly mode until it is well-conditioned. Coordinates in no loop stay, but within limits.
     """
-    return _home_closed(robot, astuple(robot.file))  # of robots that are equal, files may state other things
-
-
-@lru_cache(maxsize=16)
-def _home_closed(robot: Robot, written: tuple[Any, ...]) -> Robot:
     if not (robot.closures or robot.couplings):
         return _within_limits(robot, set())
     errors = loop_errors(Coordinates(robot))

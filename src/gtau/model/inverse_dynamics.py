@@ -15,30 +15,29 @@ import numpy as np
 from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
-from gtau.model.interpreter.program import NONE, Program, compile_program, share
 from gtau.model.kinematics import Coordinates
 from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, displaced, follow, numbers
+from gtau.model.program import NONE, Program, compile_program, share
 from gtau.robots.parameter import Parameter
 from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Robot
 
 P = ParamSpec("P")
 PATH = 65536  # samples whose loops are closed together, in parallel segments
-BLOCK = 2048  # samples whose motion is computed together: enough to amortise Python, few enough for the cache
+BLOCK = 2048  # samples computed together: enough to amortise Python, few enough for the cache
 
 
 @dataclass(frozen=True, eq=False)
 class Regressor:
     """Columns of ``IDM_st``: entry k, structurally non-zero, is in row ``rows[k]`` (joint) and column ``columns[k]``.
 
-    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J; ``compiled`` is its
-    program, where it has other symbols too.
+    ``matrix`` (n, columns) is an expression in ``inputs``: c, yd, ydd and the passive rows of J; and in ``parameters``.
     """
 
     names: tuple[str, ...]
     inputs: list[ca.SX]
     matrix: ca.SX
-    compiled: Program | None = None
+    parameters: tuple[ca.SX, ...] = ()
 
     @cached_property
     def rows(self) -> np.ndarray:
@@ -53,7 +52,7 @@ class Regressor:
     @cached_property
     def program(self) -> Program:
         """Program that maps the inputs of a sample to its entries."""
-        return self.compiled or compile_program(self.inputs, [self.matrix.nz[:]])
+        return compile_program(self.inputs, [self.matrix.nz[:]], self.parameters)
 
     @cached_property
     def summed(self) -> Program:
@@ -141,9 +140,7 @@ class InverseDynamics:
         self.parameter_names = parameter_names(robot, parameters)
         self.actuated = robot.actuated
         self._kind = parameters
-        self._regressors: dict[tuple[str, ...], Regressor] = {}
-        self._gravity: dict[tuple[Parameter, ...], Regressor] = {}
-        self._wrenches: dict[tuple[WrenchFrame, ...], Regressor] = {}
+        self._regressors: dict[tuple[object, ...], Regressor] = {}
 
     def __reduce__(self) -> tuple[type[InverseDynamics], tuple[Robot, str]]:
         """Pickle the arguments of the model: compiled programs hold CasADi symbols, which cannot be pickled."""
@@ -207,14 +204,14 @@ class InverseDynamics:
 
     def wrenches(self, frames: Sequence[WrenchFrame]) -> Regressor:
         """Return the columns (n, 6 k) by which moments and forces on k bodies give torques ``J^T w``, eq. (14)."""
-        frames = tuple(frames)
-        if frames not in self._wrenches:
+        key = "wrenches", *frames
+        if key not in self._regressors:
             inputs, J = self.symbols
             wrench = ca.SX.sym("w", 6 * len(frames))
             matrix = ca.jacobian(wrench_torques(self.layout, inputs[0], J, frames, wrench), wrench)
             names = tuple(Parameter(kind, frame.body) for frame in frames for kind in WRENCH)
-            self._wrenches[frames] = Regressor(names, inputs, matrix)
-        return self._wrenches[frames]
+            self._regressors[key] = Regressor(names, inputs, matrix)
+        return self._regressors[key]
 
     @cached_property
     def symbols(self) -> tuple[list[ca.SX], ca.SX]:
@@ -238,17 +235,15 @@ class InverseDynamics:
 
     def gravity_torques(self, names: Sequence[Parameter]) -> Regressor:
         """Return a regressor of gravity along the base axes, whose program takes values of ``names``, others zero."""
-        names = tuple(names)
-        if names in self._gravity:
-            return self._gravity[names]
-        (c, yd, ydd, passive), J = self.symbols
-        gravity, values = ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
-        chi = {name: ca.SX(1, 1) for name in self.parameter_names} | dict(zip(names, ca.vertsplit(values), strict=True))
-        tau = torques(self.layout, c, ca.SX(*yd.shape), ca.SX(*ydd.shape), J, chi, gravity)
-        matrix = ca.jacobian(tau, gravity)
-        program = compile_program([c, yd, ydd, passive], [matrix.nz[:]], [values])
-        self._gravity[names] = Regressor(("x", "y", "z"), [c, yd, ydd, passive], matrix, program)
-        return self._gravity[names]
+        key = "gravity", *names
+        if key in self._regressors:
+            return self._regressors[key]
+        inputs, J = self.symbols
+        still, gravity, values = ca.SX(self.layout.n_y, 1), ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
+        chi = dict.fromkeys(self.parameter_names, ca.SX(1, 1)) | dict(zip(names, ca.vertsplit(values), strict=True))
+        tau = torques(self.layout, inputs[0], still, still, J, chi, gravity)
+        self._regressors[key] = Regressor(("x", "y", "z"), inputs, ca.jacobian(tau, gravity), (values,))
+        return self._regressors[key]
 
     @property
     def full(self) -> Regressor:

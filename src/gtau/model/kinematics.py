@@ -1,12 +1,8 @@
-"""Express positions, twists and accelerations of all bodies symbolically.
+"""Express positions, twists and accelerations of all bodies symbolically, at the bodies' origins and in their axes.
 
-Twists and accelerations are taken at a body's frame origin in the body's own axes, the form in which
-its inertial parameters are constant.
-
-``c`` is the configuration: all joint coordinates, then for every platform its position and, if it
-turns, a unit quaternion (w, x, y, z), which has no singular angles. ``y`` counts the velocities
-``yd``: all joint rates, then for every platform the components of its twist named by its degrees of
-freedom. The two differ only where a platform turns (paper, eq. 9: T).
+``c`` is the configuration: all joint coordinates, then for every platform its position and, if it turns, a unit
+quaternion (w, x, y, z). ``y`` counts the velocities ``yd``: all joint rates, then for every platform the components of
+its twist named by its degrees of freedom. The two differ only where a platform turns (paper, eq. 9: T).
 """
 
 from __future__ import annotations
@@ -15,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, repeat
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -24,6 +21,13 @@ from gtau.robots.placement import pose_of
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Placement, Platform, Pose, Robot
 
 SAME_LENGTH = 1e-6  # relative difference of lengths intended to be equal
+
+
+def _rotations() -> Any:
+    """Import SciPy's rotations only for robots with platforms."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation
 
 
 @dataclass(frozen=True)
@@ -39,17 +43,13 @@ class PlatformSlots:
         """Compute the orientation (3, 3) of the platform at a configuration (n_c,)."""
         if self.quaternion is None:
             return self.platform.home.rotation
-        from scipy.spatial.transform import Rotation
-
-        return np.asarray(Rotation.from_quat(c[self.quaternion], scalar_first=True).as_matrix())
+        return np.asarray(_rotations().from_quat(c[self.quaternion], scalar_first=True).as_matrix())
 
     def displacement(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Compute the platform's displacement between configurations (n_c,), in its degrees of freedom, m and rad."""
         shifted, turned = after[self.position] - before[self.position], np.zeros(3)
         if self.quaternion is not None:
-            from scipy.spatial.transform import Rotation
-
-            turned = Rotation.from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
+            turned = _rotations().from_matrix(self.rotation(after) @ self.rotation(before).T).as_rotvec()
         components = dict(zip(TRANSLATIONS + ROTATIONS, (*shifted, *turned), strict=True))
         return np.array([components[dof] for dof in self.platform.dof])
 
@@ -123,9 +123,7 @@ class Coordinates:
         for slots in self.platforms:
             c[slots.position] = slots.platform.home.position
             if slots.quaternion is not None:
-                from scipy.spatial.transform import Rotation
-
-                c[slots.quaternion] = Rotation.from_matrix(slots.platform.home.rotation).as_quat(scalar_first=True)
+                c[slots.quaternion] = _rotations().from_matrix(slots.platform.home.rotation).as_quat(scalar_first=True)
         return c
 
     def retract(self, c: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -140,18 +138,15 @@ class Coordinates:
             )
             moved[slots.position] += shift
             if slots.quaternion is not None:
-                from scipy.spatial.transform import Rotation
-
-                before = Rotation.from_quat(c[slots.quaternion].T, scalar_first=True)
-                moved[slots.quaternion] = (Rotation.from_rotvec(turn.T) * before).as_quat(scalar_first=True).T
+                before = _rotations().from_quat(c[slots.quaternion].T, scalar_first=True)
+                moved[slots.quaternion] = (_rotations().from_rotvec(turn.T) * before).as_quat(scalar_first=True).T
         return moved
 
 
 Vector = ca.SX  # (3, 1)
 
 
-@dataclass(frozen=True)
-class Frame:
+class Frame(NamedTuple):
     """A frame's pose in its antecedent (``R``, ``p``) and in the base (``R_0``, ``p_0``)."""
 
     R: ca.SX
@@ -160,8 +155,7 @@ class Frame:
     p_0: Vector
 
 
-@dataclass(frozen=True)
-class Twist:
+class Twist(NamedTuple):
     """Angular and linear velocity, or acceleration."""
 
     angular: Vector
@@ -327,9 +321,8 @@ def accelerations(
         before, at, axis = accelerations[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
         omega = twist[joint.antecedent].angular
         angular = at.R.T @ before.angular
-        linear = at.R.T @ (
-            before.linear + ca.cross(before.angular, at.p) + ca.cross(omega, ca.cross(omega, at.p))
-        )  # fmt: skip
+        linear = before.linear + ca.cross(before.angular, at.p) + ca.cross(omega, ca.cross(omega, at.p))
+        linear = at.R.T @ linear
         turning = ca.cross(twist[joint.name].angular, axis) * yd[k]
         if joint.turns:
             angular = angular + axis * ydd[k] + turning

@@ -1,8 +1,4 @@
-"""Geometric constants of a robot, lengths and encoder zeros, and the sensitivity of a body's pose to them.
-
-With another length the loops close at other passive coordinates (eqs. 3 and 4); differentiated, they give the
-derivative of a pose by each length at constant motor positions.
-"""
+"""Geometric constants of a robot, lengths and encoder zeros, and the sensitivity of a body's pose to them."""
 
 from __future__ import annotations
 
@@ -13,19 +9,17 @@ import casadi as ca
 import numpy as np
 
 from gtau.model.closures import closure_expressions
-from gtau.model.interpreter.program import Program, compile_program
 from gtau.model.kinematics import SAME_LENGTH, Coordinates, constant, frames, placements, shifted, twists
+from gtau.model.program import Program, compile_program
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Mdh, Placement, Robot
 
 # Measured on 17 robots of the catalog and of third-party robot files: the shortest length is 0.046 of the
 # characteristic length and the closest two differ by 0.0013, while rounding parts equal ones by 1e-13 at most.
-SHORT = 1e-4  # of the characteristic length: anything shorter is not intended as a length
-HOLDING = 1e-6  # of a length's change: largest closure error with which the closures still follow it
+SHORT = 1e-4  # of the characteristic length: anything shorter is no length
+HOLDING = 1e-6  # of a length's change: closure error with which the closures follow it
 CLOSED = 1e-11  # last correction of the passive coordinates, rad or characteristic lengths
 STEPS = 20
-
-Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -35,29 +29,26 @@ class Constant:
     name: str
     value: float
     unit: str
-    directions: tuple[tuple[int, Vector], ...] = ()
+    directions: tuple[tuple[int, np.ndarray], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class BodyPose:
-    """Position (N, 3) and orientation (N, 3, 3) of a body in the base.
+    """Pose of a body in the base, with derivatives in m and rad."""
 
-    Derivatives (N, 6, constants) and (N, 6, n) are in m and rad; nan by a constant that the closures cannot follow.
-    """
-
-    position: np.ndarray
-    rotation: np.ndarray
-    by_constants: np.ndarray
-    by_joints: np.ndarray
+    position: np.ndarray  # (N, 3)
+    rotation: np.ndarray  # (N, 3, 3)
+    by_constants: np.ndarray  # (N, 6, constants); nan by a constant that the closures cannot follow
+    by_joints: np.ndarray  # (N, 6, n)
 
 
 @dataclass(frozen=True, eq=False)
 class VariableGeometry:
-    """A robot with variable geometric ``constants``, and the pose of one of its bodies.
+    """A robot with variable ``constants``, lengths and then the actuated joints' zeros, and the pose of a body.
 
-    The zeros of the actuated joints are the last constants. ``program`` maps c and, for all samples alike, the shifts
-    of all places to the residual (``rows``,) of the closures, their derivatives by the scaled passive coordinates, the
-    actuated ones and the shifts, and to the pose of the body with its derivatives by yd and the shifts.
+    ``program`` maps c and, for all samples alike, the shifts of all places to the residual (``rows``,) of the closures,
+    their derivatives by the scaled passive coordinates, the actuated ones and the shifts, and to the pose of the body
+    with its derivatives by yd and the shifts.
     """
 
     layout: Coordinates
@@ -67,11 +58,7 @@ class VariableGeometry:
     program: Program
 
     def close(self, c: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
-        """Close the loops after a change of the constants (constants,), with the motors at the same logged positions.
-
-        ``c`` (n_c, N) are closed with the changes ``before``, and are to be with ``after``; None where they cannot
-        follow.
-        """
+        """Close ``c`` (n_c, N), closed with changes ``before`` of the constants, with those ``after``, if it can be."""
         layout, shift = self.layout, self.shifts @ after
         step = np.zeros((layout.n_y, c.shape[1]))
         step[layout.actuated] = (after - before)[-len(layout.actuated) :, None]
@@ -114,11 +101,7 @@ class VariableGeometry:
 
 
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
-    """Derive the pose of a ``body`` as a function of the robot's geometric constants.
-
-    These are the lengths of all placements (an oblique distance and its components; d, r and b of MDH placements), each
-    by itself and those that are the same together, and the zeros of the actuated joints.
-    """
+    """Derive the pose of a ``body`` as a function of all lengths, also of equal ones together, and encoder zeros."""
     layout = Coordinates(robot)
     lengths = list(_constants(robot))
     zeros = [Constant(f"zero of '{name}'", 0.0, robot.joint(name).unit) for name in robot.actuated]
@@ -148,7 +131,7 @@ def _constants(robot: Robot) -> Iterator[Constant]:
     for number, closure in enumerate(robot.closures, start=1):
         names += [f"closure {number} on '{end.body}'" for end in (closure.a, closure.b)]
     shortest = SHORT * characteristic_length(robot)
-    same: dict[float, list[tuple[str, tuple[int, Vector]]]] = {}
+    same: dict[float, list[tuple[str, tuple[int, np.ndarray]]]] = {}
     for k, (place, placement) in enumerate(zip(names, placements(robot), strict=False)):  # springs come last
         for what, value, direction in _lengths(placement):
             if value > shortest:
@@ -164,24 +147,19 @@ def _constants(robot: Robot) -> Iterator[Constant]:
             yield Constant(f"{name} at all {len(uses)} places", value, "m", tuple(at for _, at in uses))
 
 
-def _lengths(placement: Placement) -> Iterator[tuple[str, float, Vector]]:
+def _lengths(placement: Placement) -> Iterator[tuple[str, float, np.ndarray]]:
     """Iterate over the lengths of a placement, with its directions of displacement as they grow."""
     if isinstance(placement, Mdh):
         before = replace(placement, d=0.0, b=0.0, r=0.0)
         for name in ("d", "r", "b"):
             value = getattr(placement, name)
             if value:
-                yield name, abs(value), _vector(replace(before, **{name: float(np.sign(value))}).position)
+                yield name, abs(value), replace(before, **{name: float(np.sign(value))}).position
         return
     position = placement.position
     if np.count_nonzero(position) > 1:
         length = float(np.linalg.norm(position))
-        yield "distance", length, _vector(position / length)
+        yield "distance", length, position / length
     for name, value, axis in zip("xyz", position.tolist(), np.eye(3), strict=True):
         if value:
-            yield name, abs(value), _vector(np.sign(value) * axis)
-
-
-def _vector(values: np.ndarray) -> Vector:
-    x, y, z = values.tolist()
-    return x, y, z
+            yield name, abs(value), np.sign(value) * axis

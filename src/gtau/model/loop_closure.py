@@ -18,13 +18,13 @@ from gtau.robots.robot import Joint, Robot
 # Lengths are in characteristic lengths of the robot, angles in rad.
 CLOSED = 1e-11  # largest error of a loop that is closed
 STALLED = 15  # steps with little improvement, after which a start is abandoned
-NEAR = 1e-3  # a home displaced by less than this by the solution is the intended one: no note
+NEAR = 1e-3  # a home displaced by less is the intended one: no note
 FAR = 1.0  # largest admissible error of a home given in the file
-LIMITS = 1e-4  # rad or m: files round homes and limits, so one beyond a limit by less than this is within it
-WELL_CONDITIONED = 30.0  # condition number of the scaled passive columns that the home search aims for
+LIMITS = 1e-4  # rad or m by which a home may be beyond a limit, as files round both
+WELL_CONDITIONED = 30.0  # condition number that the home search aims for
 STEP = 0.1
 STARTS = 40
-MOTOR_DECIMALS = 6  # of the motors' positions in a home that was searched for: beyond them processors may differ
+MOTOR_DECIMALS = 6  # of a home that was searched for: beyond them processors may differ
 CLOSER = "correct the placements or give the passive joints a 'home' closer to the assembled robot"
 
 
@@ -67,13 +67,13 @@ class LoopErrors:
     def gap(self, c: np.ndarray) -> str:
         """Find the loop with the largest closure error at ``c`` (n_c,), and that error."""
         robot, start, gaps, error = self.layout.robot, 0, [], self(c)[0]
-        welds = sum(closure.kind == "weld" for closure in robot.closures)
+        welds = sum(tie.kind == "weld" for tie in robot.closures)
         turned = iter(np.arccos(np.clip(1.0 - error[len(error) - welds :], -1.0, 1.0)))
         for number, closure in enumerate(robot.closures, start=1):
             distance, angle = float(np.linalg.norm(error[start : start + 3])), 0.0
             start += 3
             if closure.kind == "weld":
-                angle = max(float(np.linalg.norm(error[start : start + 3])), float(next(turned)))
+                angle = float(np.fmax(np.linalg.norm(error[start : start + 3]), next(turned)))
                 start += 3
             most, shift = max(distance, angle), 1e3 * distance * self.layout.length
             sizes = [f"{shift:.3g} mm"] * (distance > 1e-3 * most)
@@ -102,7 +102,7 @@ def loop_errors(layout: Coordinates) -> LoopErrors:
 
 
 def closed(errors: LoopErrors, c: np.ndarray, moving: np.ndarray) -> np.ndarray:
-    """Minimise the loop errors by Levenberg-Marquardt from ``c`` (n_c,); only ``moving`` coordinates of yd move."""
+    """Minimise the loop errors by Levenberg-Marquardt from ``c`` (n_c,), with the ``moving`` coordinates of yd."""
     damping, stalled = 1e-3, 0
     error, G = errors(c)
     for _ in range(200):
@@ -167,7 +167,7 @@ def nearest_closed(errors: LoopErrors, given: np.ndarray, tolerance: float = CLO
 def _unwound(errors: LoopErrors, given: np.ndarray, solved: np.ndarray) -> np.ndarray:
     """Remove full turns from a configuration, except for coupled joints, whose couplings would no longer hold."""
     robot, unwound = errors.layout.robot, solved.copy()
-    coupled = {name for coupling in robot.couplings for name in (coupling.joint, *dict(coupling.ratios))}
+    coupled = {name for tie in robot.couplings for name in tie.terms}
     turning = [k for k, joint in enumerate(robot.joints) if joint.turns and joint.name not in coupled]
     unwound[turning] = given[turning] + within_a_turn(solved[turning] - given[turning])
     return unwound
@@ -196,10 +196,7 @@ def limit_excess(joint: Joint, value: float) -> float:
 
 
 def well_conditioned(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
-    """Move a closed configuration (n_c,) step by step until it is well conditioned or stops improving.
-
-    Steps are projected displacements of single coordinates, which, other than a basis, do not depend on the processor.
-    """
+    """Move a closed configuration (n_c,) step by step until it is well conditioned or stops improving."""
     condition, size, limited = errors.condition(c), STEP, _outside(errors, c)
     while condition > WELL_CONDITIONED and size > STEP / 10:
         best = float(f"{condition:.3g}"), c
@@ -224,7 +221,7 @@ def with_round_motors(errors: LoopErrors, c: np.ndarray) -> np.ndarray:
 
 def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
     """List displacements (n_y,) that keep the loops closed, their largest entries 1; motors' first."""
-    looped = errors.looped
+    looped = errors.looped  # whose projections do not depend on the processor
     _, sigma, Vt = np.linalg.svd(errors(c)[1][:, looped])
     null = Vt[int((sigma > 1e-7).sum()) :]
     projector = null.T @ null
@@ -235,7 +232,7 @@ def _directions(errors: LoopErrors, c: np.ndarray) -> list[np.ndarray]:
         if size >= 0.1 and not any(alike):
             directions.append(projector[k] / np.abs(projector[k]).max())
     steps = np.zeros((len(directions), errors.layout.n_y))
-    steps[:, looped] = np.reshape(directions, (len(directions), looped.size))
+    steps[:, looped] = np.reshape(directions, (-1, looped.size))
     return list(steps)
 
 

@@ -1,8 +1,7 @@
 """Loops closed for many samples, in one assembly mode, with velocities and accelerations (paper, eqs. 3 to 8).
 
-Every sample is reached along a path from the home configuration: steps are halved until Newton's
-corrections shrink fast, so a solution never jumps to another assembly mode unseen. Many paths are
-followed at once.
+Every sample is reached along a path from the home configuration: steps are halved until Newton's corrections shrink
+fast, so a solution never jumps to another assembly mode unseen.
 """
 
 from __future__ import annotations
@@ -16,16 +15,16 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.model.closures import closed_motion, newton_step
-from gtau.model.interpreter.program import Program, compile_program, share
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import closed_home
+from gtau.model.program import Program, compile_program, share
 from gtau.robots.robot import Robot
 
 CONDITION = 1e3  # of the scaled passive columns: above this a pose counts as singular
 RESIDUAL = 1e-12  # of a closed loop: rad, or lengths over the characteristic length
 CONTRACTION = 0.3  # a step is too long if Newton's second correction is not this much smaller
 REACH = 0.5  # or if it leads this share of the way to a singular pose, where assembly modes meet
-SHORTEST = 2.0**-14  # of the way between two samples: if shorter steps are needed, there is no path
+SHORTEST = 2.0**-14  # of the way between two samples: in shorter steps there is no path
 SEGMENTS = 128  # of a path, followed in parallel, each of at least SEGMENT samples
 SEGMENT = 16
 PATHS = 64  # that a thread follows at least
@@ -41,16 +40,13 @@ def numbers(first: int = 0) -> Labels:
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of the whole tree: ``c`` (n_c, N), ``yd`` and ``ydd`` (n_y, N), ``J = dy/dq`` (n_y, n, N).
+    """Motion of the whole tree."""
 
-    ``condition`` (N,) is the condition number of the passive columns, lengths scaled by the characteristic length.
-    """
-
-    c: np.ndarray
-    yd: np.ndarray
+    c: np.ndarray  # (n_c, N)
+    yd: np.ndarray  # (n_y, N)
     ydd: np.ndarray
-    J: np.ndarray
-    condition: np.ndarray
+    J: np.ndarray  # dy/dq (n_y, n, N)
+    condition: np.ndarray  # (N,) of the scaled passive columns
 
     def __getitem__(self, samples: slice) -> Motion:
         """Select the motion at some of the samples."""
@@ -65,26 +61,20 @@ def joined(parts: Sequence[Motion]) -> Motion:
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """Closures of a robot with its solved home configuration ``home`` (n_c,), compiled for many samples.
-
-    ``step`` maps c to the configuration after a step of Newton's method, the largest correction and the condition
-    number of the passive columns, ``fast_step`` to the same without the condition number, and ``gap`` to the largest
-    residual less what angles of many turns are rounded by. ``motion`` maps c, qd and qdd to the condition number, yd,
-    ydd and J (n_y, n) (eqs. 5 to 8). Residuals and columns are pure numbers: rad, or lengths over the robot's.
-    """
+    """Closures of a robot, compiled for many samples (eqs. 5 to 8); gaps in rad, or lengths over the robot's."""
 
     layout: Coordinates
-    home: np.ndarray
-    step: Program
-    fast_step: Program
-    gap: Program
-    motion: Program
+    home: np.ndarray  # (n_c,) solved
+    step: Program  # from c: the next one by Newton's method, correction, condition
+    fast_step: Program  # the same without the condition
+    gap: Program  # largest residual less what angles of many turns are rounded by
+    motion: Program  # from c, qd and qdd: condition number, yd, ydd and J (n_y, n)
 
     @property
     def rows(self) -> int:
         """Number of closure equations."""
         robot = self.layout.robot
-        return sum(6 if closure.kind == "weld" else 3 for closure in robot.closures) + len(robot.couplings)
+        return sum(6 if tie.kind == "weld" else 3 for tie in robot.closures) + len(robot.couplings)
 
     def condition(self, c: np.ndarray) -> np.ndarray:
         """Compute the condition number (N,) of the scaled passive columns at closed configurations ``c`` (n_c, N)."""
@@ -125,10 +115,7 @@ def close_loops(robot: Robot) -> Loops:
 
 
 def advance(loops: Loops, c: np.ndarray, q: np.ndarray, shortest: float = SHORTEST) -> tuple[np.ndarray, np.ndarray]:
-    """Move from closed ``c`` (n_c, N) straight to ``q`` (n, N) as far as the loops close: c, and which arrive (N,).
-
-    A step below the share ``shortest`` of the way is not tried.
-    """
+    """Move from closed ``c`` (n_c, N) straight to ``q`` (n, N) as far as the loops close: c, and which arrive (N,)."""
     pairs = np.repeat(np.asarray(c, dtype=float), 2, axis=1)
     filled = _filled(loops, np.repeat(q, 2, axis=1), pairs, np.arange(0, pairs.shape[1], 2), 2, shortest)
     return np.ascontiguousarray(pairs[:, 1::2]), filled == 2
@@ -138,8 +125,7 @@ def displaced(loops: Loops, c: np.ndarray, q: np.ndarray, labels: Labels) -> np.
     """Move from closed ``c`` (n_c, N) straight to ``q`` (n, N); raises GtauError where the loops do not close."""
     c, reached = advance(loops, c, q)
     if not reached.all():
-        first = int(np.argmin(reached))
-        raise _unreachable(loops, q[:, first], labels(first))
+        raise _unreachable(loops, q, int(np.argmin(reached)), labels)
     return c
 
 
@@ -149,7 +135,6 @@ def follow(
     """Find the configurations (n_c, N) along the path ``q`` (n, N), rad or m, all in the assembly mode of home.
 
     The path begins at the closed configuration ``start`` (n_c,), or home, and is followed in ``segments`` in parallel.
-    Raises GtauError, with the name of ``labels``, where a sample cannot be reached within the assembly mode.
     """
     q, samples = np.ascontiguousarray(q, dtype=float), q.shape[1]
     labels = labels or numbers()
@@ -161,7 +146,7 @@ def follow(
     starts = np.arange(0, samples, length)
     c[:, [0]], first_reached = advance(loops, begin[:, None], q[:, [0]])
     if not first_reached[0]:
-        raise _unreachable(loops, q[:, 0], labels(0))
+        raise _unreachable(loops, q, 0, labels)
     reached = np.ones(starts.size, dtype=bool)
     half = 1 << (starts.size - 1).bit_length()
     while half := half // 2:  # the head in the middle of the way, the heads of its halves, and so on
@@ -186,8 +171,7 @@ def follow(
             lost -= set(range(starts[k], min(starts[k] + length, samples)))
             lost |= _follow_segments(loops, q, c, starts[[k]], length)
     if lost:
-        first = min(lost)
-        raise _unreachable(loops, q[:, first], labels(first))
+        raise _unreachable(loops, q, min(lost), labels)
     return c
 
 
@@ -195,7 +179,7 @@ def _filled(
     loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int, shortest: float = SHORTEST
 ) -> np.ndarray:
     """Fill ``c`` from each of ``starts`` for ``length`` samples, or as many as can be reached; return how many were."""
-    from gtau.model.interpreter import kernel
+    from gtau.model import kernel
 
     filled = np.zeros(starts.size, dtype=np.int64)
 
@@ -209,18 +193,15 @@ def _filled(
 def _follow_segments(loops: Loops, q: np.ndarray, c: np.ndarray, starts: np.ndarray, length: int) -> set[int]:
     """Fill ``c`` from each of ``starts`` for ``length`` samples; return those that were not reached."""
     ends, filled = np.minimum(starts + length, q.shape[1]), _filled(loops, q, c, starts, length)
-    lost: set[int] = set()
-    for first_lost, end in zip(starts + filled, ends, strict=True):
-        lost |= set(range(first_lost, end))
-    return lost
+    return set().union(*map(range, starts + filled, ends))
 
 
-def _unreachable(loops: Loops, q: np.ndarray, label: str) -> GtauError:
+def _unreachable(loops: Loops, q: np.ndarray, sample: int, labels: Labels) -> GtauError:
     robot = loops.layout.robot
     return GtauError(
-        f"robot '{robot.name}': at {label} ({pose_words(robot, q)}) the loops cannot be closed, or only beyond a "
-        "singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of the positions "
-        "and the robot's geometry, or leave these samples out."
+        f"robot '{robot.name}': at {labels(sample)} ({pose_words(robot, q[:, sample])}) the loops cannot be closed, or "
+        "only beyond a singular pose (type 2), outside the assembly mode of home; check the units, signs and zeros of "
+        "the positions and the robot's geometry, or leave these samples out."
     )
 
 
@@ -230,13 +211,9 @@ def pose_words(robot: Robot, q: np.ndarray) -> str:
 
 
 def differentiate(loops: Loops, c: np.ndarray, qd: np.ndarray, qdd: np.ndarray, labels: Labels | None = None) -> Motion:
-    """Compute velocities and accelerations at closed ``c`` (n_c, N) from qd and qdd (n, N) (eqs. 5 to 8).
-
-    Raises GtauError, with the name of ``labels``, at a pose too close to a singularity.
-    """
+    """Compute velocities and accelerations at closed ``c`` (n_c, N) from qd and qdd (n, N) (eqs. 5 to 8)."""
     layout, samples = loops.layout, c.shape[1]
-    motion = loops.motion(c, qd, qdd)
-    condition, yd, ydd, J = np.split(motion, np.cumsum([1, layout.n_y, layout.n_y]))
+    condition, yd, ydd, J = np.split(loops.motion(c, qd, qdd), np.cumsum([1, layout.n_y, layout.n_y]))
     condition = np.nan_to_num(condition[0], nan=np.inf)
     singular = condition >= CONDITION
     if singular.any():

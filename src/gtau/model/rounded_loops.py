@@ -1,10 +1,8 @@
 """Adjust the placements in loops that close only up to the digits of their file, so that they close exactly.
 
-A planar loop has more closure equations than it needs, since none of its bars leaves the plane. With rounded numbers
-its pins are no longer parallel, and taken literally no joint of it could move. The numbers nearest to the written ones
-are found with which the loops close in every pose and parallel axes stay parallel, by Gauss and Newton, the joints'
-coordinates solved for. No number moves by more than half a unit of its last digit. A gap that this cannot close is no
-rounding, nor is one in poses out of reach, where the loops are stretched.
+With rounded numbers the pins of a planar loop are not parallel, and taken literally none of its joints could move. The
+numbers nearest to the written ones are found with which the loops close in every pose and parallel axes stay parallel,
+by Gauss and Newton. None moves by more than half a unit of its last digit: a larger gap is no rounding.
 """
 
 from __future__ import annotations
@@ -24,24 +22,21 @@ from gtau.robots.placement import angles_of, digits_of, euler_angles, is_written
 from gtau.robots.robot import GROUND, Attachment, Joint, Mdh, Placement, Pose, Robot
 
 # Lengths are in characteristic lengths of the robot, angles in rad.
-DRAWN = 1e-2  # with three decimals, the worst of 40 planar loops: gap 3e-3, placements moved by 1.3e-3
-LITERAL = 1e-13  # gap of loops that close as they are written: on all robots of the catalog 8e-16 at most
-POSES = 12  # number of poses in which loops must close: more than the coordinates of a placement
+DRAWN = 1e-2  # the worst of 40 planar loops with three decimals: gap 3e-3
+LITERAL = 1e-13  # gap of loops as written: in the catalog 8e-16 at most
+POSES = 12  # in which loops must close: more than the coordinates of a placement
 SPREAD = 0.3  # of the motors around home
 HALVINGS = 6  # of the motors' steps, until a pose is within reach
-STRETCHED = 0.2  # share of home's smallest singular value below which a pose is out of reach, or nearly so
+STRETCHED = 0.2  # share of home's smallest singular value in poses out of reach
 STEPS = 12
-TURNS = 4  # roundings of one angle by which axes may be turned that are meant to be parallel or perpendicular
+TURNS = 4  # roundings of an angle by which axes may be off from parallel or perpendicular
 EXACT = 1e-14  # gap at which the placements are final
 MDH_ANGLES = (True, False, True, False, True, False)
 POSE_ANGLES = (False, False, False, True, True, True)
 
 
 def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robot:
-    """Move the placements in loops that close up to rounding, so that they close in every pose, with a note.
-
-    Returns the robot itself where its loops close already, or the digits of its numbers do not explain why not.
-    """
+    """Move the placements in loops that close up to rounding, so that they close in every pose, with a note."""
     moving = _moving(errors, home)
     if moving is None:
         return robot
@@ -71,7 +66,7 @@ def with_exact_loops(robot: Robot, errors: LoopErrors, home: np.ndarray) -> Robo
 
 def _moving(errors: LoopErrors, home: np.ndarray) -> np.ndarray | None:
     """Select the coordinates of yd that close the loops, redundant motors too; None if more than equations."""
-    welds = sum(closure.kind == "weld" for closure in errors.layout.robot.closures)
+    welds = sum(tie.kind == "weld" for tie in errors.layout.robot.closures)
     passive, G = errors.passive, errors(home)[1]
     G = G[: len(G) - welds]
     if len(G) < passive.size or not passive.size:
@@ -156,8 +151,8 @@ def _varied_placement(placement: Placement, change: ca.SX, computed: bool) -> Va
 def _bounds(robot: Robot, placements: list[Placement], joints: list[Joint]) -> tuple[np.ndarray, np.ndarray]:
     """Find how far the numbers of placements (places, 6) may move, m and rad, and which are not zero.
 
-    A number moves by half a unit of its last digit, one computed by a reader by what the numbers of two placements
-    allow, one written with all digits not at all. Multiples of pi/12 may have been rounded, and count as zero.
+    A number computed by a reader moves by what the numbers of two placements allow, one written with all digits not at
+    all. Multiples of pi/12 may have been rounded, and count as zero.
     """
     numbers = np.array([_numbers(placement) for placement in placements])
     angular = np.array([MDH_ANGLES if isinstance(placement, Mdh) else POSE_ANGLES for placement in placements])
@@ -208,10 +203,7 @@ def _aligned(
 def _varied(
     layout: Coordinates, places: Mapping[str, Attachment], joints: list[Joint], pairs: list[tuple[int, int, bool]]
 ) -> ca.Function:
-    """Compile from c and changes (6 places,) errors and Jacobian of the loops and of pairs of axes, and slopes.
-
-    The slopes are the derivatives of both errors by the changes.
-    """
+    """Compile from c and changes (6 places,): errors of loops and axes with their Jacobians, and slopes by changes."""
     c, yd, change = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("change", 6 * len(places))
     computed, parts = layout.robot.file.rounding is not None, ca.vertsplit(change, 6)
     placements = {
@@ -264,7 +256,7 @@ def _least(A: np.ndarray, b: np.ndarray, bound: np.ndarray, worst: float) -> np.
     x, free = np.zeros(bound.size), np.ones(bound.size, dtype=bool)
     while free.any():
         U, sigma, Vt = np.linalg.svd(A[:, free], full_matrices=False)
-        kept = sigma > max(1e-7, 10 * worst) * max(sigma.max(initial=0.0), 1.0)  # the others vanish as the loops close
+        kept = sigma > max(1e-7, 10 * worst) * max(sigma.max(initial=0.0), 1.0)
         x[free] = Vt[kept].T @ ((U[:, kept].T @ (b - A[:, ~free] @ x[~free])) / sigma[kept])
         beyond = free & (np.abs(x) > bound)
         if not beyond.any():

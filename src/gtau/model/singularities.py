@@ -5,18 +5,16 @@ passive columns G_p of the closures lose rank, and nothing can be identified the
 actuated joints can move although the tool stands still: the tool's Jacobian J_t loses rank, as at the border of the
 workspace; the model holds there.
 
-Distances are reciprocal condition numbers, 1 at best and 0 at a singularity, that do not depend on the unit of length:
-``k / sqrt(sum(s^2) sum(1 / s^2))`` of k singular values s, lengths being counted in characteristic lengths. For type 2
-these are the singular values of G_p. For type 1 they belong to the tool's rows of an orthonormal basis of the motions
-(qd, twist of the tool): ``s / sqrt(1 + s^2)`` with singular values s of J_t, since J_t itself is ill-conditioned near
-singularities of type 2 too. Only as many of them count as J_t has at most poses: a tool may have fewer freedoms than
-motors. A single one is compared with the largest among random poses.
+Distances are reciprocal condition numbers, 1 at best and 0 at a singularity: ``k / sqrt(sum(s^2) sum(1 / s^2))`` of k
+singular values s, lengths being counted in characteristic lengths. For type 2 these are the singular values of G_p. For
+type 1 they belong to the tool's rows of an orthonormal basis of the motions (qd, twist of the tool): ``s / sqrt(1 +
+s^2)`` with singular values s of J_t, as many as J_t has at most poses. A single one is compared with the largest among
+random poses.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from math import ceil
 from typing import Literal
 
@@ -24,10 +22,10 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.interpreter.program import compile_program
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import constant, frames, twists
 from gtau.model.loops import CONDITION, Motion, advance, differentiate, joined
+from gtau.model.program import compile_program
 from gtau.robots.robot import Joint
 
 FEASIBLE = 0.02  # share of random poses: where fewer are, they are drawn nearer to home
@@ -49,9 +47,8 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
 
     Speeds and accelerations are normally distributed with a third of their limits (1 rad/s or m/s and ten times that
     per second where there are none) as standard deviation. A pose that cannot be reached in the assembly mode of home
-    is replaced by the last one on the way to it; one that hardly left home, is nearly singular or beyond the limits is
-    redrawn. If few feasible poses remain, all are drawn closer to home; raises GtauError where hardly any pose around
-    it is feasible. A pose is regular where the condition number of the scaled passive columns is below ``condition``.
+    is replaced by the last one on the way to it; one that hardly left home, whose condition number is above
+    ``condition``, or beyond the limits is redrawn, and if few are feasible, all closer to home.
     """
     joints = [idm.robot.joint(name) for name in idm.actuated]
     length = idm.layout.length if idm.loops else 1.0
@@ -96,13 +93,13 @@ def _regular(
     return differentiate(idm.loops, c[:, regular], qd[:, regular], qdd[:, regular])
 
 
+Distances = Callable[[Motion], np.ndarray]
 TYPES: tuple[Literal[1, 2], ...] = (1, 2)
 POSES = 64  # random ones, that show the rank of J_t
 NO_MOTION = 1e-7  # share of the largest singular value of J_t: rounding
 
 
-@lru_cache(maxsize=8)
-def singular_distances(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
+def singular_distances(idm: InverseDynamics) -> Distances:
     """Prepare the distances (2, N) of motions to singularities of type 1 and 2, NaN for type 2 without closures."""
     layout, jacobian = idm.layout, tool_jacobian(idm)
     # the rank of J_t at most poses, and its largest singular value there
@@ -125,16 +122,12 @@ def singular_distances(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
     return distances
 
 
-@lru_cache(maxsize=8)
 def tool_jacobian(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
-    """Compile the tool's Jacobian J_t (N, rows, n) along motions, lengths in characteristic lengths.
-
-    The tool carries payloads; where a loop is closed by a ``connect`` at that link, as in a five-bar, it is that point.
-    """
+    """Compile the Jacobian J_t (N, rows, n) of the tool, or of the point where a ``connect`` ties it, along motions."""
     layout, robot, length = idm.layout, idm.robot, idm.layout.length
     n, passive = len(layout.actuated), layout.passive
     (c, _, _, symbols), J = idm.symbols
-    ends = [end for closure in robot.closures if closure.kind == "connect" for end in (closure.a, closure.b)]
+    ends = [end for tie in robot.closures if tie.kind == "connect" for end in (tie.a, tie.b)]
     points = [] if robot.platforms else [end.placement.position for end in ends if end.body == robot.tool]
     speeds = ca.SX.sym("qd", n)
     twist = twists(layout, frames(layout, c), J @ speeds)[robot.tool]

@@ -18,7 +18,7 @@ from gtau.findings.words import moment
 from gtau.progress import Progress, silent
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label
 from gtau.signals.preparation.prepared_run import Preparation
-from gtau.signals.reading.notes import reading
+from gtau.signals.reading.formats import reading
 from gtau.signals.run import Run
 from gtau.uses.prediction import predict
 from gtau.uses.weigh import undeclared_load

@@ -17,7 +17,7 @@ from gtau.report.chart import Axis, Chart, Panel, Rule, Series, intervals
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 
 if TYPE_CHECKING:
-    from gtau.fleet.gains import FleetTable, JointOfFleet
+    from gtau.fleet.fleet import FleetTable, JointOfFleet
 
 LISTED = 20  # most outliers or refused robots that are listed
 NAMED = 40  # most robots whose names fit below the axis
@@ -38,7 +38,7 @@ def fleet_document(fleet: FleetTable) -> dict[str, Any]:
     return {
         "schema": "gtau-fleet/1",
         "joints": [asdict(joint) for joint in fleet.joints],
-        "gains": [gain.row for gain in fleet.gains],
+        "gains": [asdict(gain) for gain in fleet.gains],
         "refused": [{"robot": robot, "why": why} for robot, why in fleet.refused],
     }
 
@@ -94,9 +94,9 @@ GAIN: tuple[ColumnOf, ...] = (
     (Column("robot"), "robot"),
     (Column("joint"), lambda gain: joint_label(gain.joint)),
     (Column("verdict", Kind.BADGE), lambda gain: "outlier" if gain.outlier else gain.outcome),
-    (Column("gain", Kind.NUMBER, 5), "estimate.value"),
-    (Column("std", Kind.NUMBER, 2), "estimate.std"),
-    (Column("unit"), "estimate.unit"),
+    (Column("gain", Kind.NUMBER, 5), "gain"),
+    (Column("std", Kind.NUMBER, 2), "std"),
+    (Column("unit"), "unit"),
     (Column("from median, %", Kind.NUMBER, 3), "difference_percent"),
     (Column("z", Kind.NUMBER, 3), "z"),
     (Column("limit", Kind.NUMBER, 3), "limit"),
@@ -123,7 +123,7 @@ def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
     gains = [
         gain
         for gain in fleet.gains
-        if (gain.model, gain.joint, gain.estimate.unit) == (joint.model, joint.joint, joint.unit)
+        if (gain.model, gain.joint, gain.unit) == (joint.model, joint.joint, joint.unit)
         and gain.difference_percent is not None
     ]
     percent = 100 / abs(joint.median)
@@ -131,7 +131,7 @@ def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
     for outlier, label, mark in ((False, "robot, 95 % interval", "disc"), (True, "outlier", "diamond")):
         at = np.flatnonzero([gain.outlier == outlier for gain in gains])
         values = np.array([gains[k].difference_percent for k in at], dtype=float)
-        halves = percent * np.array([gains[k].estimate.half_interval() or 0.0 for k in at])
+        halves = percent * np.array([gains[k].half_width or 0.0 for k in at])
         hue = "residual" if outlier else "predicted"
         series += [Series(label, at.astype(float), values, hue, mark, half=halves, upright=True)] if len(at) else []  # type: ignore[arg-type]
     names = {float(k): gain.robot for k, gain in enumerate(gains)} if len(gains) <= NAMED else {}
@@ -150,7 +150,7 @@ def write_fleet(fleet: FleetTable, out: Path) -> list[Path]:
 
     schema = {name: getattr(pl, kind) for kind, names in GAIN_COLUMNS for name in names.split()}
     refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in fleet.refused]
-    frame = pl.DataFrame([gain.row for gain in fleet.gains] + refused, schema=schema)
+    frame = pl.DataFrame([asdict(gain) for gain in fleet.gains] + refused, schema=schema)
     written = [out / "gains.csv", out / "gains.parquet"]
     for path in written:
         write_table(frame, path)

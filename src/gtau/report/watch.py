@@ -15,7 +15,7 @@ from gtau.report.chart import Axis, Chart, Panel, Rule, Series
 from gtau.report.page import Column, Kind, Page, Section, Table, Text
 from gtau.watch.alarms import FEWEST_OF_WEEK, beyond, power, visible_changes, week_of
 from gtau.watch.history import HISTORY, Alarm, Event, History
-from gtau.watch.quantities import SHOWN, Quantity, unseen_zeros
+from gtau.watch.statistics import SHOWN, Quantity, unseen_zeros
 from gtau.watch.watch import Status, Watch
 
 VISIBLE = (

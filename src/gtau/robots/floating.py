@@ -14,7 +14,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.geometry import moved_ends
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter, stated_inertias
 from gtau.robots.placement import Placement, Pose
 from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Joint, Robot, base_rows
 
@@ -43,11 +43,7 @@ def _chain(names: Sequence[str], kinds: Sequence[str], antecedent: str, placemen
 
 
 def float_base(robot: Robot, name: str = "base") -> Robot:
-    """Let the base of a robot float: a body ``name`` then carries everything mounted on the ground.
-
-    The joints of the base have no motors. Platforms with fewer than six degrees of freedom, which are tied to the
-    ground, are refused.
-    """
+    """Let the base of a robot float: a body ``name`` then carries everything mounted on the ground."""
     if robot.floating:
         raise GtauError(f"robot '{robot.name}': its base '{robot.floating}' floats already.")
     for platform in robot.platforms:
@@ -63,17 +59,13 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
 
     joints = tuple(replace(joint, antecedent=on(joint.antecedent)) for joint in robot.joints)
     closures, springs = moved_ends(robot, lambda end: replace(end, body=on(end.body)))
-    stated = ((parameter_of(parameter), value) for parameter, value in robot.file.inertias)
-    return replace(
-        robot, joints=base_joints(name) + joints, closures=closures, springs=springs, floating=name
-    ).with_file(inertias=tuple((Parameter(parameter.kind, on(parameter.body)), value) for parameter, value in stated))
+    stated = {Parameter(key.kind, on(key.body)): value for key, value in stated_inertias(robot).items()}
+    floated = replace(robot, joints=base_joints(name) + joints, closures=closures, springs=springs, floating=name)
+    return floated.with_file(inertias=tuple(stated.items()))
 
 
 def drawn_base(robot: Robot) -> tuple[str, ...]:
-    """Find the chain of three slides and three turns, unactuated and untied, that represents a floating base in a file.
-
-    It starts at the ground and carries all other joints; empty if there is none.
-    """
+    """Find the three slides and three turns, unactuated and untied, that carry all other joints as a floating base."""
     before, six = GROUND, list[Joint]()
     while len(six) < 6:
         following = [joint for joint in robot.joints if joint.antecedent == before]
@@ -83,7 +75,7 @@ def drawn_base(robot: Robot) -> tuple[str, ...]:
         before = following[0].name
     names = tuple(joint.name for joint in six)
     ends = {GROUND, *names[:-1]}.intersection(end.body for end in robot.ends)
-    coupled = {name for coupling in robot.couplings for name in coupling.terms}
+    coupled = {name for tie in robot.couplings for name in tie.terms}
     axes = ([joint.axis for joint in six if joint.kind == kind] for kind in ("prismatic", "revolute"))
     spanning = all(len(directions) == 3 and np.linalg.matrix_rank(directions) == 3 for directions in axes)
     return names if spanning and not ends and coupled.isdisjoint(names) else ()

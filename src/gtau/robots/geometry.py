@@ -7,6 +7,7 @@ from dataclasses import replace
 from math import pi
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gtau.robots.parameter import parameter_of
 from gtau.robots.robot import GROUND, INERTIAL, Attachment, Closure, Joint, Placement, Robot, Spring
@@ -25,22 +26,18 @@ def characteristic_length(robot: Robot) -> float:
     placements = [joint.placement for joint in robot.joints]
     placements += [end.placement for tie in robot.closures for end in (tie.a, tie.b)]
     lengths = [float(np.linalg.norm(placement.position)) for placement in placements]
-    lengths = [length for length in lengths if length > 1e-9]
-    return float(np.mean(lengths)) if lengths else 1.0
+    return float(np.mean([length for length in lengths if length > 1e-9] or [1.0]))
 
 
 def places_on(robot: Robot, body: str) -> list[np.ndarray]:
     """List the origins (3,), m, of the frames of joints and closures on a body, in its frame."""
     joints = [joint.placement.position for joint in robot.joints if joint.antecedent == body]
-    ends = (end for closure in robot.closures for end in (closure.a, closure.b))
+    ends = (end for tie in robot.closures for end in (tie.a, tie.b))
     return joints + [end.placement.position for end in ends if end.body == body]
 
 
 def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
-    """Bound the frames of a body, its joints and closures by a ball: centre (3,) and radius in m, in its frame.
-
-    Also returns whether the chain ends here, without joints and closures.
-    """
+    """Bound the frames on a body by a ball: centre (3,) and radius, m, in its frame; tell if the chain ends here."""
     points = places_on(robot, body)
     frames = np.array([np.zeros(3), *points])
     centre = (frames.min(axis=0) + frames.max(axis=0)) / 2
@@ -57,7 +54,7 @@ def moved_ends(
     robot: Robot, moved: Callable[[Attachment], Attachment]
 ) -> tuple[tuple[Closure, ...], tuple[Spring, ...]]:
     """Move both ends of all closures and springs."""
-    closures = tuple(replace(closure, a=moved(closure.a), b=moved(closure.b)) for closure in robot.closures)
+    closures = tuple(replace(tie, a=moved(tie.a), b=moved(tie.b)) for tie in robot.closures)
     return closures, tuple(replace(spring, a=moved(spring.a), b=moved(spring.b)) for spring in robot.springs)
 
 
@@ -78,26 +75,12 @@ def legs(robot: Robot) -> list[tuple[str, ...]]:
 
 
 def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
-    """Group legs of the same geometry, whatever their mounting pose, home and limits.
-
-    Their joints have the same kinds, axes, parameters and placements, and the same closures and springs at the same
-    places.
-    """
+    """Group legs of the same geometry and parameters, whatever their mounting pose, home and limits."""
     groups: dict[tuple, list[tuple[str, ...]]] = {}
     for leg in legs(robot):
         joints = [robot.joint(name) for name in leg]
-        tree = tuple(
-            (
-                joint.kind,
-                joint.actuated,
-                joint.parameters,
-                joint.spring,
-                _numbers(np.array(joint.axis)),
-                leg.index(joint.antecedent) if k else -1,
-                _placement(joint.placement) if k else (),
-            )
-            for k, joint in enumerate(joints)
-        )
+        alike = [(joint.kind, joint.actuated, joint.parameters, joint.spring, _numbers(joint.axis)) for joint in joints]
+        mounted = tuple((leg.index(joint.antecedent), _placement(joint.placement)) for joint in joints[1:])
         ties: list[tuple[tuple[str, ...], Attachment]] = []
         ties += [((tie.kind,), end) for tie in robot.closures for end in (tie.a, tie.b)]
         ties += [(tie.parameters, end) for tie in robot.springs for end in (tie.a, tie.b)]
@@ -109,7 +92,7 @@ def identical_legs(robot: Robot) -> list[list[tuple[str, ...]]]:
             for name, ratio in ((coupling.joint, 1.0), *coupling.ratios)
             if name in leg
         )
-        groups.setdefault((tree, tuple(tied), tuple(coupled)), []).append(leg)
+        groups.setdefault((tuple(alike), mounted, tuple(tied), tuple(coupled)), []).append(leg)
     return list(groups.values())
 
 
@@ -117,8 +100,8 @@ def _placement(placement: Placement) -> tuple[float, ...]:
     return _numbers(placement.rotation) + _numbers(placement.position)
 
 
-def _numbers(array: np.ndarray) -> tuple[float, ...]:
-    return tuple((np.round(array, SAME) + 0.0).ravel().tolist())
+def _numbers(array: ArrayLike) -> tuple[float, ...]:
+    return tuple((np.round(np.asarray(array, dtype=float), SAME) + 0.0).ravel().tolist())
 
 
 def oddities(robot: Robot) -> tuple[str, ...]:
@@ -128,12 +111,11 @@ def oddities(robot: Robot) -> tuple[str, ...]:
 
 def tool_note(robot: Robot) -> tuple[str, ...]:
     """Note which body is assumed to carry the payload, if the file names none and several are possible."""
-    antecedents = {joint.antecedent for joint in robot.joints}
-    ends = [joint for joint in robot.joints if joint.has_mass and joint.name not in antecedents]
+    links = [joint.name for joint in robot.joints if joint.has_mass]
+    ends = set(links).difference(joint.antecedent for joint in robot.joints)
     if robot.named_tool or robot.platforms or not (robot.closures or len(ends) > 1):
         return ()
-    last = [joint.name for joint in robot.joints if joint.has_mass][-1:] == [robot.tool]
-    why = "the last link of the robot's file" if last else "which carries the fingers"
+    why = "the last link of the robot's file" if links[-1:] == [robot.tool] else "which carries the fingers"
     return (
         f"the payload is assumed to be on '{robot.tool}', {why}; if it is on another body, write"
         " 'tool: BODY' in the robot file (gtau robot --save makes one of any robot)",

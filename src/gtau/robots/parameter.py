@@ -17,25 +17,18 @@ from gtau.robots.robot import DAMPING, INERTIAL, PRELOAD, STIFFNESS, Attachment,
 
 
 class Parameter(str):
-    """A parameter: its kind (``mx``, ``fs``, ``gain``), its body, joint or channel, and the run it differs in.
-
-    Its text is the printed name: ``mx_31``, ``mx_31R`` of one that regroups others, or ``fs_left@2`` for the difference
-    in the second run. ``run`` is the number of a run from 0 for the difference of a drifting parameter from its mean,
-    None otherwise.
-    """
+    """A parameter, by its printed name: ``mx_31``, ``mx_31R`` if it regroups others, ``fs_left@2`` of a run."""
 
     __slots__ = ("body", "kind", "regrouped", "run")
-    kind: str
-    body: str
-    run: int | None
+    kind: str  # mx, fs, gain
+    body: str  # or joint or channel; empty for m of a payload
+    run: int | None  # from 0, in which a drifting parameter differs
     regrouped: bool
 
     def __new__(cls, kind: str, body: str, run: int | None = None, regrouped: bool = False) -> Parameter:
         """Print the name, and keep what it is made of."""
-        text = (
-            (f"{kind}_{body}" if body else kind) + ("R" if regrouped else "") + ("" if run is None else f"@{run + 1}")
-        )
-        made = super().__new__(cls, text)
+        label = f"{kind}_{body}" if body else kind
+        made = super().__new__(cls, label + "R" * regrouped + ("" if run is None else f"@{run + 1}"))
         made.kind, made.body, made.run, made.regrouped = kind, body, run, regrouped
         return made
 
@@ -45,11 +38,7 @@ class Parameter(str):
 
 
 def parameter_of(name: str, regrouped: bool = False) -> Parameter:
-    """Return the parameter of a name in a file; of one without a body (``m`` of a payload) the body is empty.
-
-    ``regrouped`` says whether a base parameter that regroups others has this name, which ends in ``R``: the name
-    alone does not show it.
-    """
+    """Return the parameter of a name in a file; ``regrouped`` says whether an ``R`` at its end is no part of it."""
     if isinstance(name, Parameter):
         return name
     label, _, run = name.partition("@")
@@ -57,6 +46,11 @@ def parameter_of(name: str, regrouped: bool = False) -> Parameter:
         label, run = name, ""
     kind, _, body = (label.removesuffix("R") if regrouped else label).partition("_")
     return Parameter(kind, body, int(run) - 1 if run else None, regrouped)
+
+
+def stated_inertias(robot: Robot) -> dict[Parameter, float]:
+    """Return the parameters that the robot's file states, SI units."""
+    return {parameter_of(name): value for name, value in robot.file.inertias}
 
 
 def payload_label(robot: Robot, run: int) -> str:
@@ -71,42 +65,21 @@ def payload_label(robot: Robot, run: int) -> str:
 class ParameterKind:
     """What a kind of parameter is.
 
-    Attributes
-    ----------
-    symbol : str
-        The kind in the names of parameters.
-    words : str
-        What it is, in notes on exports and on pages.
-    units : tuple of str
-        SI unit at a revolute and at a prismatic joint; per unit of temperature for a temperature slope.
-    latex, heading : str
-        Symbol in formulas and in the head of a table, where it differs from ``symbol``.
-    nonnegative : bool
-        Whether physics forbids negative values.
-    friction : str
-        For friction its part: "plain" among the standard parameters, a further "term" of the equations, a "curve" of
-        the friction on all samples alone, or a "shape" in which friction is nonlinear; else empty.
-    dry : bool
-        Whether it acts by the direction of the speed, whatever its size.
-    drifts : bool
-        Whether its value may differ from run to run.
-    by_load : bool
-        Whether it grows with the torque that the joint transmits.
-    slope_of : str
-        The kind that changes by it with the temperature.
+    Friction is "plain" among the standard parameters, a further "term" of the equations, a "curve" of the friction on
+    all samples alone, or a "shape" in which friction is nonlinear.
     """
 
-    symbol: str
-    words: str
-    units: tuple[str, str]
-    latex: str = ""
+    symbol: str  # in the names of parameters
+    words: str  # in notes on exports and on pages
+    units: tuple[str, str]  # at a revolute and a prismatic joint
+    latex: str = ""  # where the symbol differs there
     heading: str = ""
-    nonnegative: bool = False
+    nonnegative: bool = False  # by physics
     friction: Literal["", "plain", "term", "curve", "shape"] = ""
-    dry: bool = False
-    drifts: bool = False
-    by_load: bool = False
-    slope_of: str = ""
+    dry: bool = False  # acts by the direction of the speed, whatever its size
+    drifts: bool = False  # may differ from run to run
+    by_load: bool = False  # grows with the torque that the joint transmits
+    slope_of: str = ""  # the kind that changes by it with the temperature
 
 
 _INERTIA, _TORQUE, _VISCOUS = ("kg m2", "kg m2"), ("N m", "N"), ("N m s/rad", "N s/m")
@@ -147,11 +120,7 @@ TERMS = kinds_where(lambda kind: kind.friction == "term" and not kind.slope_of)
 TEMPERATURE_TERMS = {symbol: KINDS[symbol].slope_of for symbol in kinds_where(lambda kind: kind.slope_of)}
 """Changes of friction with the temperature, and the kinds that they change."""
 SHAPES = kinds_where(lambda kind: kind.friction == "shape")
-"""Kinds in which a joint's friction is nonlinear.
-
-The width of presliding, rad or m, and the speed v_s, rad/s or m/s, over which friction at rest becomes the friction of
-sliding.
-"""
+"""Kinds in which friction is nonlinear: the width of presliding, and the speed v_s over which it starts to slide."""
 FURTHER_FRICTION = kinds_where(lambda kind: kind.friction and kind.friction != "plain")
 """Friction that is not among the standard parameters."""
 DRY = kinds_where(lambda kind: kind.dry)

@@ -1,8 +1,7 @@
 """Hold some joints of a robot, to isolate one leg, one arm of two, or an arm without its gripper; lock idle pins.
 
-CAD exporters put a hinge on both parts that a loop joins. The closure then ties two coaxial pins, and the piece between
-them turns freely. So does a pin through the centre of a ball, and a rod or leg between two balls, wherever the loop is
-cut. These degrees of freedom do not belong to the robot.
+CAD exporters put a hinge on both parts that a loop joins, so that the piece between them turns freely. So does a pin
+through the centre of a ball, and a rod or leg between two balls. These degrees of freedom do not belong to the robot.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
-from functools import partial
 
 import numpy as np
 
@@ -18,20 +16,16 @@ from gtau.documents.validation import some_of, unknown
 from gtau.errors import GtauError
 from gtau.robots.floating import turning
 from gtau.robots.geometry import moved_ends
-from gtau.robots.parameter import Parameter, lumped, parameter_of, rigid_body
-from gtau.robots.placement import compose, euler_angles, pose_of, rounded, turn
-from gtau.robots.robot import GROUND, INERTIAL, Attachment, Coupling, Joint, Placement, Pose, Robot
+from gtau.robots.parameter import Parameter, lumped, rigid_body, stated_inertias
+from gtau.robots.placement import euler_angles, pose_of, rounded, turn
+from gtau.robots.robot import GROUND, INERTIAL, Attachment, Closure, Coupling, Joint, Pose, Robot, Spring
 
 NAMED = 6  # joints that a note lists
 COAXIAL = 1e-8  # rad, and share of the length of the closure's arms
 
 
 def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, float]) -> Robot:
-    """Let some joints of a robot move, and hold the others, listed in a note.
-
-    ``patterns`` are names of moving joints, with ``*`` and ``?``; if empty, all joints not in ``held`` move. ``held``
-    maps held joints to positions, rad or m; other held joints are at home.
-    """
+    """Let joints move by ``patterns``, or all not in ``held``, by position; hold the others at home, with a note."""
     names = [joint.name for joint in robot.joints if joint.name not in robot.base]
     for name in held:
         if name not in names:
@@ -61,51 +55,43 @@ def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot
 
 
 def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
-    """Merge the links of joints at ``positions``, and their masses, into their carriers.
-
-    Closures and springs with both ends on one body are dropped.
-    """
+    """Merge the links of joints at ``positions``, and their masses, into their carriers."""
     fixed = (GROUND, *(platform.name for platform in robot.platforms))
     carried = {body: Attachment(body) for body in fixed}
     joints: list[Joint] = []
     heavy = set()
     for joint in robot.joints:
-        before = carried[joint.antecedent]
-        placement = joint.placement
-        if before.placement != Pose():
-            placement = compose(before.placement, placement)
+        at = carried[joint.antecedent].at(joint.placement)
         if joint.name not in positions:
-            joints.append(replace(joint, antecedent=before.body, placement=placement))
+            joints.append(replace(joint, antecedent=at.body, placement=at.placement))
             carried[joint.name] = Attachment(joint.name)
             continue
-        carried[joint.name] = Attachment(before.body, _after(joint, placement, positions[joint.name]))
+        carried[joint.name] = _after(joint, at, positions[joint.name])
         if joint.has_mass:
-            heavy.add(before.body)
+            heavy.add(at.body)
     if not joints:
         raise GtauError(f"robot '{robot.name}': all joints are held; hold fewer of them.")
 
-    closures, springs = moved_ends(robot, partial(_on_carrier, carried))
+    closures, springs = _carried_ends(robot, carried)
     tool = carried[robot.named_tool].body if robot.named_tool else ""
     return replace(
         robot,
         joints=tuple(_heavy(joint) if joint.name in heavy else joint for joint in joints),
-        closures=tuple(closure for closure in closures if closure.a.body != closure.b.body),
+        closures=tuple(tie for tie in closures if tie.a.body != tie.b.body),
         couplings=tuple(_couplings(robot, positions)),
         springs=tuple(spring for spring in springs if spring.a.body != spring.b.body),
         named_tool="" if tool == GROUND else tool,
         floating="" if robot.floating in positions else robot.floating,
-        file=replace(robot.file, inertias=_inertias(robot, carried)),
-    )
+    ).with_file(inertias=_inertias(robot, carried))
 
 
-def _on_carrier(carried: Mapping[str, Attachment], end: Attachment) -> Attachment:
-    at = carried[end.body]
-    return end if at == Attachment(end.body) else Attachment(at.body, compose(at.placement, end.placement))
+def _carried_ends(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[Closure, ...], tuple[Spring, ...]]:
+    return moved_ends(robot, lambda end: carried[end.body].at(end.placement))
 
 
 def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
     """Add the stated inertias of locked links to the links that carry them; their rotors no longer turn."""
-    stated = {parameter_of(name): value for name, value in robot.file.inertias}
+    stated = stated_inertias(robot)
     bodies = dict.fromkeys(name.body for name in stated if name.kind in INERTIAL)
     summed = lumped((carried[body], rigid_body(robot.inertias, body)) for body in bodies)
     turning = {body for body, at in carried.items() if at.body == body}
@@ -113,16 +99,13 @@ def _inertias(robot: Robot, carried: Mapping[str, Attachment]) -> tuple[tuple[st
     return (*summed.items(), *((name, stated[name]) for name in rotors))
 
 
-def _after(joint: Joint, placement: Placement, position: float) -> Placement:
-    """Compute the placement of a joint's link at a position, from its ``placement`` at zero."""
+def _after(joint: Joint, at: Attachment, position: float) -> Attachment:
+    """Attach a joint's link at a position, from its attachment at zero."""
     if not position:
-        return placement
-    axis, rotation, shift = np.array(joint.axis), np.eye(3), np.zeros(3)
-    if joint.turns:
-        rotation = turn(axis, position)
-    else:
-        shift = axis * position
-    return compose(placement, pose_of(rotation, shift))
+        return at
+    axis = np.array(joint.axis)
+    motion = pose_of(turn(axis, position), np.zeros(3)) if joint.turns else pose_of(np.eye(3), axis * position)
+    return at.at(motion)
 
 
 def _heavy(joint: Joint) -> Joint:
@@ -167,8 +150,7 @@ def without_idle_pins(robot: Robot) -> Robot:
     """Lock, at zero, one of two coaxial pins at each closure, and pins through the point of a ``connect`` or a ball.
 
     Pins are passive revolute joints that carry only the closure, the ball, or a leg that slides along their axis to
-    this point. If a pin is the last of three that form a ball, their axes are chosen so that it is idle. Notes name the
-    locked joints.
+    this point. If a pin is the last of three that form a ball, their axes are chosen so that it is idle.
     """
     if (carried := _on_ball(robot)) is not robot:
         return without_idle_pins(carried)
@@ -210,26 +192,26 @@ def without_idle_pins(robot: Robot) -> Robot:
 
 def _on_ball(robot: Robot) -> Robot:
     """Put a free rod (a platform held at two points only) on a ball at the first point that a link carries."""
-    placed: dict[str, Placement] = {GROUND: Pose()}
+    placed = {GROUND: Attachment(GROUND)}
     for joint in robot.joints:
-        placed[joint.name] = compose(placed[joint.antecedent], _after(joint, joint.placement, joint.home))
+        placed[joint.name] = _after(joint, placed[joint.antecedent].at(joint.placement), joint.home)
     for rod in robot.platforms:
-        ties = [closure for closure in robot.closures if rod.name in (closure.a.body, closure.b.body)]
+        ties = [tie for tie in robot.closures if rod.name in (tie.a.body, tie.b.body)]
         carried = [tie for tie in ties if not placed.keys().isdisjoint((tie.a.body, tie.b.body))]
         sprung = any(rod.name in (spring.a.body, spring.b.body) for spring in robot.springs)
         if [tie.kind for tie in ties] != ["connect", "connect"] or not carried or sprung:
             continue
         end, point = sorted((carried[0].a, carried[0].b), key=lambda it: it.body != rod.name)
-        turned = placed[point.body].rotation.T @ rod.home.rotation
+        turned = placed[point.body].placement.rotation.T @ rod.home.rotation
         ball = turning(rod.name, point.body, pose_of(turned, point.placement.position), "xyz")
         at = {body: Attachment(body) for body in (GROUND, *robot.bodies)}
         at[rod.name] = Attachment(rod.name, pose_of(np.eye(3), -end.placement.position))
-        rest = replace(robot, closures=tuple(closure for closure in robot.closures if closure is not carried[0]))
+        rest = replace(robot, closures=tuple(tie for tie in robot.closures if tie is not carried[0]))
         return replace(
             robot,
             joints=robot.joints + tuple(replace(joint, actuated=False) for joint in ball),
             platforms=tuple(platform for platform in robot.platforms if platform is not rod),
-            closures=moved_ends(rest, partial(_on_carrier, at))[0],
+            closures=_carried_ends(rest, at)[0],
             file=replace(robot.file, inertias=_inertias(robot, at)),
         )
     return robot
@@ -241,7 +223,7 @@ def _before_slides(robot: Robot, end: Attachment) -> tuple[Attachment, list[np.n
     while (slide := _lone(robot, end.body)) is not None and slide.kind == "prismatic":
         turned = slide.placement.rotation
         directions = [turned @ direction for direction in (np.array(slide.axis), *directions)]
-        end = Attachment(slide.antecedent, compose(slide.placement, end.placement))
+        end = Attachment(slide.antecedent, slide.placement).at(end.placement)
     return end, directions
 
 
@@ -256,7 +238,7 @@ def _lone(robot: Robot, body: str) -> Joint | None:
     if all(joint.name != body for joint in robot.joints):
         return None
     uses = [joint.antecedent for joint in robot.joints] + [end.body for end in robot.ends]
-    uses += [name for coupling in robot.couplings for name in coupling.terms]
+    uses += [name for tie in robot.couplings for name in tie.terms]
     return robot.joint(body) if uses.count(body) == 1 else None
 
 
@@ -269,29 +251,27 @@ def _line(pin: Joint, end: Attachment) -> tuple[np.ndarray, np.ndarray]:
 def _with_ball(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
     """Make a ball of three hinges that meet in one point, the last one ``pin`` not ``along`` a rod (3,).
 
-    The rod then turns about itself without effect. Masses of links between the hinges move to the point, on the body
-    that carries the ball; their inertias and the friction of the hinges are left out.
+    Masses of links between the hinges move to the point, on the body that carries the ball.
     """
     hinges = _hinges(robot, pin)
     if hinges is None or _ball(robot, pin) or np.linalg.norm(np.cross(pin.axis, along)) < COAXIAL:
         return robot
     first, second, _ = hinges
+    between = {link.name: link for link in (first, second)}
     at = {body: Attachment(body) for body in (GROUND, *robot.bodies)}
-    at |= dict.fromkeys((first.name, second.name), Attachment(first.antecedent, first.placement))
-    stated = [(name, value) for name, value in robot.file.inertias if parameter_of(name).body != second.name]
-    masses = {link.name: rigid_body(robot.inertias, link.name).mass for link in (first, second)}
-    stated = [(name, value) for name, value in stated if parameter_of(name).body != first.name]
-    if mass := sum(masses.values()):
-        stated.append((str(Parameter("m", first.name)), mass))
-    links = replace(robot, file=replace(robot.file, inertias=tuple(stated)))
-    made = {link.name: replace(link, parameters="none") for link in (first, second)}
+    at |= dict.fromkeys(between, Attachment(first.antecedent, first.placement))
+    stated = {name: value for name, value in stated_inertias(robot).items() if name.body not in between}
+    if mass := sum(rigid_body(robot.inertias, name).mass for name in between):
+        stated[Parameter("m", first.name)] = mass
+    links = robot.with_file(inertias=tuple(stated.items()))
+    made = {name: replace(link, parameters="none") for name, link in between.items()}
     made[pin.name] = replace(pin, parameters="inertial")
     heavy = first.antecedent if mass else ""
     joints = (made.get(joint.name, _heavy(joint) if joint.name == heavy else joint) for joint in robot.joints)
     names = listed([joint.name for joint in hinges])
     note = f"the joints {names} meet in one point and let the link of '{pin.name}' turn about itself: they are a ball"
     note += f", without friction, and the {mass:.3g} kg of the links between them are at its centre" * (mass > 0)
-    return replace(robot, joints=tuple(joints), file=replace(robot.file, inertias=_inertias(links, at))).noted(note)
+    return replace(robot, joints=tuple(joints)).with_file(inertias=_inertias(links, at)).noted(note)
 
 
 def _ball(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
@@ -314,10 +294,7 @@ def _hinges(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
 
 
 def _aimed(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
-    """Choose the axes of a ball anew: turn the axis of ``pin``, its last, ``along`` a direction (3,) of its link.
-
-    The robot itself where the pin is not the last of a ball, or its axis is along already.
-    """
+    """Choose the axes of a ball anew, if ``pin`` is its last: turn that axis ``along`` a direction (3,) of its link."""
     pin = robot.joint(pin.name)
     if (ball := _ball(robot, pin)) is None or np.linalg.norm(np.cross(pin.axis, along)) < COAXIAL:
         return robot

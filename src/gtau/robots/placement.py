@@ -16,10 +16,10 @@ ROUNDING = 1e-10  # exporters write pi/2 as 1.57079632679 and zero as 2.8e-17
 
 NEARLY = 1e-6  # rad: angles in single precision
 SHORT = 2e-3  # rad: 3.14 stands for pi
-MEANT = 1e-3  # rad: with fewer decimals, 0.79 or 0.26 need not stand for a multiple of pi/12
+MEANT = 1e-3  # rad: 0.79 or 0.26 need not stand for a multiple of pi/12
 STEP = pi / 12  # of angles that may be written short
 
-PRINTED = 5  # least significant digits that programs write; MuJoCo and others that print by %g write 6
+PRINTED = 5  # least significant digits that programs write; %g writes 6
 COMPUTED = 14  # least significant digits of computed numbers; 1 of 1,000 has fewer
 FEWEST = 3  # least decimals of rounded numbers, m or rad
 
@@ -89,10 +89,7 @@ WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 
 
 class WrenchFrame(NamedTuple):
-    """Frame of a wrench: the body on which it acts, and whether axes and origin are the world's or the body's.
-
-    For measured wrenches on a floating base, a foot on a force plate, or a flange with a force sensor.
-    """
+    """Frame of a wrench: the body on which it acts, and whether axes and origin are the world's or the body's."""
 
     body: str
     in_world: bool = False
@@ -160,9 +157,8 @@ def in_degrees(angle: float) -> bool:
 def exact_angle(angle: float) -> float:
     """Return the multiple of pi/12 (15 degrees) that an angle in a file stands for, or the angle itself.
 
-    Files give pi/2 with fewer digits (1.5708, 1.571, 1.57) or in single precision, pi/4 as 0.7854. An angle stands for
-    a multiple if it is within 1e-6, or if it is the multiple rounded or truncated to the digits written: at least two
-    decimals for multiples of pi/2, three for others. Calibrated angles differ by more.
+    It stands for a multiple if it is within 1e-6, or if it is the multiple rounded or truncated to the digits written:
+    at least two decimals for multiples of pi/2, three for others. Calibrated angles differ by more.
     """
     steps = round(angle / STEP)
     off, unit = abs(steps * STEP) - abs(angle), smallest_unit([angle])
@@ -220,15 +216,11 @@ def is_written(number: float) -> bool:
 
 @dataclass(frozen=True)
 class Digits:
-    """The digits of the numbers in a file: ``decimals``, and ``significant`` digits where they limit the precision.
-
-    The longest number shows them, as trailing zeros are often left out. ``turn`` is the largest rotation by rounding,
-    rad, where a reader computes placements from the numbers.
-    """
+    """The digits of the longest number in a file."""
 
     decimals: int
-    significant: int
-    turn: float = 0.0
+    significant: int  # where they limit the precision
+    turn: float = 0.0  # rad, where a reader computes placements
 
     def half_unit(self, number: float) -> float:
         """Return half a unit of the last digit of a number, 0 if the digits are unknown."""

@@ -1,8 +1,4 @@
-"""The robot: a spanning tree of one-dof joints, optional free platforms, and closures.
-
-A serial arm is the case without closures; nothing else in the package distinguishes the two.
-Everything here is frozen data; the mathematics is in :mod:`gtau.model`.
-"""
+"""The robot: a spanning tree of one-dof joints, optional free platforms, and closures, as frozen data."""
 
 from __future__ import annotations
 
@@ -15,7 +11,7 @@ import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError, UnknownName
-from gtau.robots.placement import Digits
+from gtau.robots.placement import Digits, compose
 from gtau.robots.placement import Mdh as Mdh
 from gtau.robots.placement import Placement as Placement
 from gtau.robots.placement import Pose as Pose
@@ -29,10 +25,11 @@ DRIVE = ("ia", "fv", "fs", "off")
 """Rotor inertia, viscous and Coulomb friction, and offset of a joint."""
 PLAIN_FRICTION = DRIVE[1:]
 STIFFNESS = "k"  # of a spring across a joint, or between two points
-PRELOAD, DAMPING = "f0", "c"  # force of a spring between two points at length zero, and its damping
-SPRING = (PRELOAD, STIFFNESS, DAMPING)
-MOST_PARTS = 2000  # links, or rows of a table: humanoids with all their frames have some 300
-MOST_JOINTS = 200  # that move: 150 in one chain take 50 s and 1 GB, and both grow as the cube
+PRELOAD, DAMPING = "f0", "c"  # of a spring between two points: force at length zero
+SPRING_WORDS = {"preload": PRELOAD, "stiffness": STIFFNESS, "damping": DAMPING}
+SPRING = tuple(SPRING_WORDS.values())
+MOST_PARTS = 2000  # links or rows: humanoids with all their frames have some 300
+MOST_JOINTS = 200  # 150 in one chain take 50 s and 1 GB, and both grow as the cube
 
 
 @dataclass(frozen=True)
@@ -84,11 +81,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Coupling:
-    """A joint that moves with others, ``q = sum of ratio * q_other + offset``.
-
-    Gears, mimic joints, and motors that move several joints: such a motor is an actuated joint of its own, and the
-    joints that it moves are passive.
-    """
+    """A joint that moves with others, ``q = sum of ratio * q_other + offset``: by gears, or by one motor of several."""
 
     joint: str
     ratios: tuple[tuple[str, float], ...]
@@ -101,7 +94,7 @@ class Coupling:
 
 
 TRANSLATIONS, ROTATIONS = ("x", "y", "z"), ("rx", "ry", "rz")
-RATIO = 1e6  # of a coupling: a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 the rank of the closures fails
+RATIO = 1e6  # a screw of 1 mm a turn has 6283 rad/m; beyond 1e7 the rank of the closures fails
 
 
 def base_rows(name: str) -> tuple[str, ...]:
@@ -128,6 +121,10 @@ class Attachment:
 
     body: str
     placement: Placement = Pose()
+
+    def at(self, placement: Placement) -> Attachment:
+        """Attach the frame that is at ``placement`` in this one."""
+        return Attachment(self.body, placement if self.placement == Pose() else compose(self.placement, placement))
 
 
 @dataclass(frozen=True)
@@ -157,11 +154,9 @@ class Spring:
 class RobotFile:
     """Content of a robot's file beside the robot itself; robots compare only the ``source``.
 
-    ``notes`` state, a sentence each, what a reader found odd or decided for the user. Without ``home_given`` the homes
-    of joints and platforms are only starting points of a search. ``constants`` are the named numbers, and ``inertias``
-    the stated inertial parameters of bodies and rotors by name, SI units, with which estimates are compared.
-    ``rounding`` is the rounding of the numbers from which placements are computed; without it, the file states the
-    placements themselves.
+    ``notes`` state what a reader found odd or decided for the user, ``inertias`` the parameters of bodies and rotors by
+    name, SI units. Without ``home_given`` homes are only starting points of a search. ``rounding`` is of the numbers
+    from which a reader computes placements; without it, the file states the placements themselves.
     """
 
     source: str = ""
@@ -267,7 +262,7 @@ class Robot:
     @property
     def driven(self) -> frozenset[str]:
         """Names of the joints that a motor moves itself, or that are coupled to one."""
-        coupled = {name for coupling in self.couplings for name in coupling.terms}
+        coupled = {name for tie in self.couplings for name in tie.terms}
         return frozenset(coupled.union(self.actuated))
 
     def joint(self, name: str) -> Joint:
@@ -378,11 +373,9 @@ def _coupling_problems(what: str, coupling: Coupling, joints: Collection[str]) -
 
 
 def _palm(robot: Robot, links: list[str]) -> str:
-    """Find the link that carries the fingers if the last of the ``links`` with a mass is one of them; else that link.
-
-    Fingers are branches of an arm: another one has as many joints, or three others are alike as beside a thumb, and
-    none has more joints than the arm before them, unlike the arms of a torso, and legs.
-    """
+    """Find the link that carries the fingers, if the last of the ``links`` with a mass is one; else that link."""
+    # Fingers are branches of an arm: another one has as many joints, or three others are alike as beside a thumb, and
+    # none has more joints than the arm before them, unlike the arms of a torso, and legs.
     before: dict[str, tuple[str, ...]] = {}  # from the ground to each joint
     for joint in robot.joints:
         before[joint.name] = (*before.get(joint.antecedent, ()), joint.name)
@@ -394,6 +387,7 @@ def _palm(robot: Robot, links: list[str]) -> str:
                 lengths[chain[depth]] = max(lengths.get(chain[depth], 0), len(chain) - depth)
         alike = Counter(lengths.values())
         fingers = alike[lengths[last[depth]]] > 1 or max(alike.values()) > 2
-        if palm in links and fingers and max(lengths.values()) <= depth - len(robot.base):  # whose joints are no arm's
+        arm = depth - len(robot.base)
+        if palm in links and fingers and max(lengths.values()) <= arm:
             return palm
     return links[-1]

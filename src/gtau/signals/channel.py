@@ -1,7 +1,4 @@
-"""Measured channels, signals in A, N m or N that the model predicts or takes as given, and side signals.
-
-The attributes of a :class:`ChannelKind` say what sets it apart; other modules query these.
-"""
+"""Measured channels, signals in A, N m or N that the model predicts or takes as given, and side signals."""
 
 from __future__ import annotations
 
@@ -15,14 +12,13 @@ from gtau.robots.placement import WRENCH, WrenchFrame
 
 @dataclass(frozen=True)
 class ChannelKind:
-    """A kind of channel.
+    """A kind of channel; its attributes say what sets it apart.
 
     Messages call it ``name``, and all columns that a log updates together ``group``. ``calibration`` is its key under
-    ``calibration`` of the signals, for the accuracy of its scale, empty where the gain is unknown; on the ``link_side``
-    it is also the key of its columns and units. ``modelled``: a row of the model explains it; otherwise the model takes
-    it as given. ``measures_joint``: it measures one joint of the user; such a signal never rests, and is clipped at a
-    limit. ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of motor
-    and gear, offset of the current), and has an offset and bearing friction of its own.
+    ``calibration`` of the signals, empty where the gain is unknown; on the ``link_side`` also that of its columns and
+    units. ``modelled``: a row of the model explains it. ``measures_joint``: such a signal never rests, and is clipped
+    at a limit. ``link_side``: it measures a joint's torque without the terms of its drive (rotor inertia, friction of
+    motor and gear, offset of the current), and has an offset and bearing friction of its own.
     """
 
     name: str
@@ -59,9 +55,8 @@ def link_side_kind(name: str) -> ChannelKind:
 class SideSignal:
     """A slow signal logged beside positions and commands, in one column for all joints or in one for each.
 
-    ``key`` names it under ``signals`` and ``units`` of an experiment file and on a run. The first of the ``units``
-    holds where none is given. A draft offers the columns whose names hold one of the ``words``, and says its
-    ``effect``.
+    ``key`` names it in files and on a run; the first of the ``units`` is the default. A draft offers the columns whose
+    names hold one of the ``words``, and says its ``effect``.
     """
 
     key: str
@@ -98,11 +93,10 @@ class SideValues:
 class Channel:
     """A motor, the torque sensor of a joint, a row of a floating base, or a component of a measured wrench.
 
-    ``name`` is the suffix of its own parameters (``off_2_sensor``), ``joint`` the one whose torque it measures, or the
-    body of a wrench, ``row`` the number of the joint, or of the component.
-    Its ``unit`` is ``A``, or ``N m`` for the unit of the joint's torque (N where it is prismatic), ``delay`` (s) is by
-    what it lagged behind the positions in the log, and is compensated, ``std`` is the relative standard deviation of
-    its scale, 0 where none is stated. A wrench has a ``frame``.
+    ``name`` is the suffix of its own parameters (``off_2_sensor``), ``joint`` the joint or body, ``row`` the number of
+    the joint, or of the component. The ``unit`` is ``A``, or ``N m`` for the unit of the joint's torque; ``delay`` (s)
+    is by what it lagged behind the positions; ``std`` is the relative standard deviation of its scale, 0 where none is
+    stated.
     """
 
     name: str
@@ -122,12 +116,7 @@ def channels_of(
     wrenches: Sequence[WrenchFrame] = (),
     unit: str = "A",
 ) -> tuple[Channel, ...]:
-    """List the channels of a run, in the order of its columns.
-
-    ``joints`` are the rows of the model, ``base`` the rows of a floating base among them; ``sensors`` are joints by the
-    kind of their sensor on the link side; measured ``wrenches`` have six components each; ``unit`` is the
-    commands' unit.
-    """
+    """List the channels of a run: ``joints``, with ``base`` rows among them, ``sensors`` of joints, ``wrenches``."""
     return (
         *(Channel(joint, BASE if joint in base else MOTOR, joint, row, unit) for row, joint in enumerate(joints)),
         *(

@@ -17,13 +17,11 @@ from gtau.robots.robot import base_rows
 from gtau.signals.channel import BASE, SENSOR, SIDE_SIGNALS, Channel, SideValues, channels_of
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats.columnar import as_log
-from gtau.signals.reading.logs import read_logs
+from gtau.signals.reading.logs import read_logs, read_side_signals
 from gtau.signals.reading.samples import WHOLE, Part
-from gtau.signals.reading.side_signals import read_side_signals
 from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings, as_payload
 from gtau.signals.reading.units import Units
-from gtau.signals.repair.checks import check
-from gtau.signals.repair.gaps import parts_between_gaps
+from gtau.signals.repair.checks import check, parts_between_gaps
 from gtau.signals.storage import blocks, store
 
 
@@ -31,10 +29,9 @@ from gtau.signals.storage import blocks, store
 class Log:
     """Origin of a run: files, one or two, and their columns and units; none where it was built of arrays or a table.
 
-    ``settings`` of the preparation were made by hand, ``notes`` report repairs, ``whole_share`` is the share of
-    whole numbers among the joints' commands before they were resampled (None: they were not), ``side`` are the values
-    of side signals by key, ``window`` (s) is the length of a moving average that had smoothed the commands, and
-    ``updates`` (Hz) is the rate at which held signals change.
+    ``whole_share`` is the share of whole numbers among the joints' commands before they were resampled (None: they were
+    not), ``window`` (s) the length of a moving average that had smoothed the commands, and ``updates`` (Hz) the rate at
+    which held signals change.
     """
 
     paths: tuple[Path, ...] = ()
@@ -179,22 +176,18 @@ class Run:
         return min(self.log.updates or self.rate, self.rate)
 
     def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:
-        """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``.
-
-        Raises GtauError if these are not the joints of the run.
-        """
+        """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``."""
         if set(self.joints) != set(joints) or len(self.joints) != len(joints):
             raise GtauError(
                 f"run '{self.name}' has the joints {', '.join(self.joints)}, but the robot's actuated joints are "
                 f"{', '.join(joints)}; give signals for exactly these."
             )
         place = [joints.index(joint) for joint in self.joints]
-        kept = [k for k, channel in enumerate(self.channels) if link_side or not channel.kind.link_side]
         rows = [place[channel.row] if channel.kind.modelled else channel.row for channel in self.channels]
-        order = sorted(
-            kept, key=lambda k: (not self.channels[k].kind.modelled, self.channels[k].kind.link_side, rows[k])
-        )
-        if order == list(range(len(self.channels))):
+        kinds = [channel.kind for channel in self.channels]
+        kept = [k for k, kind in enumerate(kinds) if link_side or not kind.link_side]
+        order = sorted(kept, key=lambda k: (not kinds[k].modelled, kinds[k].link_side, rows[k]))
+        if order == list(range(len(kinds))):
             return self
 
         def columns(array: np.ndarray, chosen: Sequence[int]) -> np.ndarray:
@@ -273,22 +266,12 @@ def read_parts(
     samples = read_logs(paths, signals, units, notes, part, progress)
     channels = tuple(replace(channel, delay=settings.delay) for channel in samples.channels)
     samples = replace(samples, channels=channels)
-    side, runs = read_side_signals(paths, signals, units, part), []
+    side, runs = read_side_signals(paths, signals, units, part), list[Run]()
+    stem, load = paths[0].name if paths[0].is_dir() else paths[0].stem, as_payload(payload)
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
         checked, valid, whole_share, window, updates = check(piece, notes, settings.clock)
-        runs.append(
-            Run(
-                (paths[0].name if paths[0].is_dir() else paths[0].stem) + checked.part.label,
-                signals.joints,
-                checked.time,
-                checked.position,
-                checked.command,
-                signals.kind,
-                as_payload(payload),
-                valid=valid,
-                channels=channels,
-                log=Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window, updates),
-            )
-        )
+        arrays = checked.time, checked.position, checked.command
+        log = Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window, updates)
+        runs.append(Run(stem + checked.part.label, signals.joints, *arrays, signals.kind, load, valid, channels, log))
         notes = []
     return tuple(runs)

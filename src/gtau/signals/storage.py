@@ -31,10 +31,7 @@ def stride_of(samples: int) -> int:
 
 
 def spans(samples: int, size: int = 0, before: int = 0) -> Iterator[tuple[int, int]]:
-    """Yield the first sample, and the one after the last, of blocks of ``size`` that make up ``samples``.
-
-    Each is extended by some samples ``before`` it, where there are any.
-    """
+    """Yield start and stop of blocks of ``size`` that make up ``samples``, each with some samples ``before`` it."""
     size = size or block_size()
     return ((max(start - before, 0), min(start + size, samples)) for start in range(0, samples, size))
 
@@ -44,11 +41,15 @@ def blocks(array: np.ndarray, before: int = 0) -> Iterator[np.ndarray]:
     return (block(array, start, stop) for start, stop in spans(len(array), before=before))
 
 
+def steps(array: np.ndarray) -> Iterator[np.ndarray]:
+    """Compute the steps from row to row of an array of any length, block by block."""
+    return (np.diff(part, axis=0) for part in blocks(array, before=1))
+
+
 class Store:
     """Array that grows by blocks of rows of a ``width``; a long one is stored in a file deleted with it.
 
-    The file has no name: it is in the folder for temporary files (``TMPDIR``), and even a killed program leaves
-    nothing there. Where that folder is full, GtauError is raised.
+    The file has no name: it is in the folder for temporary files, and even a killed program leaves nothing there.
     """
 
     def __init__(self, width: tuple[int, ...] = (), dtype: type = float):

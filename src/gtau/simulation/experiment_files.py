@@ -22,7 +22,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.floating import refuse_floating
 from gtau.robots.parameter import Parameter, parameter_of
-from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.native import native_text
 from gtau.robots.robot import Robot
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import Engine, Hardware, Simulated, close_loop, hardware, pid, sample, write_log

@@ -14,7 +14,7 @@ from gtau.documents.validation import Keys, Positive, expect, validate
 from gtau.documents.yaml_document import Document, read_yaml
 from gtau.robots.parameter import Parameter, parameter_of
 from gtau.robots.robot import DAMPING, Robot
-from gtau.signals.reading.logged_run import RobotName
+from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import Payload
 from gtau.simulation.closed_loop import BANDWIDTH, JointHardware
 from gtau.simulation.joint_friction import WIDTH

@@ -11,7 +11,7 @@ from gtau.estimation.experiment_runs import Options, Subject, read, read_validat
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment

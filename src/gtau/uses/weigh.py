@@ -29,7 +29,7 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import TERMS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot

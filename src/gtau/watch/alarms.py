@@ -7,7 +7,7 @@ friction of all joints by one factor, their median; the change beyond this facto
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,12 +16,10 @@ from scipy.special import stdtrit
 
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.robots.robot import PLAIN_FRICTION
-from gtau.watch.causes import causes_of, contacts_of
+from gtau.watch.causes import SIGNAL_FAULTS, causes_of, contacts_of, signal_faults
 from gtau.watch.detectors import FEWEST, WINDOW, ChangeEvidence, alone, evidence, far_off, mean_of, median
 from gtau.watch.history import Alarm, Cause, History, Logs, WatchSettings
-from gtau.watch.quantities import Quantity, identified
-from gtau.watch.signal_faults import SIGNAL_FAULTS, signal_faults
-from gtau.watch.statistics import RESIDUAL, LogStatistics
+from gtau.watch.statistics import RESIDUAL, LogStatistics, Quantity, identified
 
 WEEK, WEEKLY = 7.0, 7  # days, and logs that count as a week where they have one date
 FEWEST_OF_WEEK = 3  # logs of a week; earlier logs fill up a shorter week
@@ -70,10 +68,7 @@ class View:
 
     @cached_property
     def odd(self) -> np.ndarray:
-        """Mask (N, m) of outliers: values of a single log, far from the other logs and beyond their tolerance.
-
-        A value is no outlier if the next log is far off on the same side. Too few logs are compared with the model.
-        """
+        """Mask (N, m) of values of a single log, far from the others (if few, the model) and beyond tolerance."""
         shown = np.isfinite(self.excess)
         few = shown.sum(axis=0) < FEWEST
         change = self.excess - np.where(few, self.reference, median(self.excess))
@@ -111,10 +106,10 @@ class View:
         """Number of logs that count since the last maintenance."""
         return int(self.logs.counts[self.there].sum())
 
-    @property
-    def limit(self) -> float:
-        """Logarithm of the limit of each quantity's e-detector, which grows with their number."""
-        return float(np.log(self.settings.limit * max(np.isfinite(self.values).any(axis=0).sum(), 1)))
+    def certain(self, proof: ChangeEvidence) -> np.ndarray:
+        """Mask of e-detectors beyond their limit, which grows with the number of quantities."""
+        quantities = max(np.isfinite(self.values).any(axis=0).sum(), 1)
+        return (proof.log_e >= float(np.log(self.settings.limit * quantities))) & proof.confirmed
 
     def has_kind(self, *kinds: str) -> np.ndarray:
         """Mask (m,) of the quantities of some kinds."""
@@ -124,14 +119,15 @@ class View:
 def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History) -> View:
     """Select the logs that count, given the events: maintenance, forgotten and repaired logs, new references."""
     logs = history.logs(len(charts), len(model.robot.actuated))
-    friction = [chart.group == "friction" for chart in charts]
-    parts = [Quantity("friction", charts[k].joint, "1") if friction[k] else charts[k] for k in range(len(charts))]
+    parts = [chart._replace(kind=chart.group, unit="1") if chart.group == "friction" else chart for chart in charts]
     quantities = tuple(dict.fromkeys(parts))
     speed = dict(zip(model.robot.actuated, np.nan_to_num(median(logs.speeds), nan=1.0), strict=True))
-    S = np.zeros((len(charts), len(quantities)))  # combinations of charts
+    S, known = np.zeros((len(charts), len(quantities))), np.ones(len(charts))  # combinations of charts
     for k, chart in enumerate(charts):
         S[k, quantities.index(parts[k])] = speed[chart.joint] if chart.kind == "fv" else 1.0
-    total = np.array([identified(model, charts[k].name) if friction[k] else 1.0 for k in range(len(charts))]) @ S
+        if chart.group == "friction":
+            known[k] = identified(model, chart.name)
+    total = known @ S
     S /= np.where(total > 0, total, np.nan)
     shown = np.isfinite(logs.charts).astype(float) @ (S != 0) > 0
     values = np.where(shown, np.nan_to_num(logs.charts) @ S, np.nan)
@@ -141,9 +137,12 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
     tolerance = np.array([accepted.get(quantity.kind, np.inf) for quantity in quantities])
     vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
     tolerance[vague] = np.inf  # one log does not determine these; errors of the model are larger
-    gain_stds = {joint: (gain.std or 0.0) / abs(gain.value or 1.0) for joint, gain in model.drive_gains.items()}
-    model_std = np.array([gain_stds.get(quantity.joint, 0.0) * (quantity.kind == "gain") for quantity in quantities])
-    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), model_std, [])
+    model_std, reference = np.zeros((2, len(quantities)))
+    for k, quantity in enumerate(quantities):
+        if quantity.kind == "gain" and quantity.joint in model.drive_gains:
+            gain = model.drive_gains[quantity.joint]
+            model_std[k] = (gain.std or 0.0) / abs(gain.value or 1.0)
+    view = View(history.settings, logs, quantities, values, std, tolerance, reference, model_std, [])
     for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
             values[logs.dates < event.subject] = np.nan
@@ -162,10 +161,7 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
 def judge(
     model: IdentifiedModel, view: View, log: LogStatistics, row: int, previous: Alarm | None
 ) -> tuple[Alarm | None, int | None]:
-    """Judge the robot after the log in a ``row``, given the previous alarm.
-
-    Returns the alarm or None, and the row since which the robot is repaired or None.
-    """
+    """Judge the robot after the log in a ``row``: the alarm, if any, and the row since which it is repaired."""
     if previous is not None and previous.kind == "log":
         previous = None
     if view.odd[row].any():
@@ -187,8 +183,8 @@ def judge(
 def _fresh(model: IdentifiedModel, view: View, log: LogStatistics) -> Alarm | None:
     start, changed = 0, np.zeros(0, dtype=int)
     if view.baseline > view.settings.baseline:
-        proof = evidence_of(view)
-        certain = (proof.log_e >= view.limit) & proof.confirmed
+        proof = _evidence_of(view)
+        certain = view.certain(proof)
         changed = np.array([k for k in np.argsort(-proof.log_e) if certain[k]], dtype=int)
         if len(changed):
             start = int(view.there[-WINDOW:][proof.start[changed[0]]])
@@ -214,7 +210,7 @@ def _is_beyond(view: View, cause: Cause, far: np.ndarray) -> bool:
     return bool((concerned & far & (size > view.tolerance)).any())
 
 
-def evidence_of(view: View) -> ChangeEvidence:
+def _evidence_of(view: View) -> ChangeEvidence:
     """Compute the evidence of a change over the last logs."""
     rows = view.there[-WINDOW:]
     learning = view.settings.baseline if view.baseline <= WINDOW else FEWEST
@@ -224,9 +220,13 @@ def evidence_of(view: View) -> ChangeEvidence:
 def accepted(view: View, alarm: Alarm) -> dict[str, object]:
     """Return the new reference after a change: the first log of an alarm, and the means by quantity since then."""
     first = view.logs.place(alarm)
-    moved, means = evidence_of(view).log_e > 0, mean_of(view.counted[first:])
-    changed = [k for k, name in enumerate(view.names) if np.isfinite(means[k]) and (moved[k] or name in alarm.charts)]
-    return {"first": int(view.logs.ids[first]), "changed": {view.names[k]: float(means[k]) for k in changed}}
+    moved, means = _evidence_of(view).log_e > 0, mean_of(view.counted[first:])
+    changed = {
+        name: float(mean)
+        for name, mean, has_moved in zip(view.names, means, moved, strict=True)
+        if np.isfinite(mean) and (has_moved or name in alarm.charts)
+    }
+    return {"first": int(view.logs.ids[first]), "changed": changed}
 
 
 def _last(x: np.ndarray, excluded: np.ndarray) -> np.ndarray:
@@ -263,10 +263,7 @@ def _alarm(kind: str, model: IdentifiedModel, view: View, log: LogStatistics, co
 
 
 def week_of(view: View, since: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Average the logs of the last week, at least the last few, ``since`` a row.
-
-    Returns the means and half the 95 % intervals (m,), NaN without enough logs.
-    """
+    """Average the last week, at least a few logs, ``since`` a row: means and half the 95 % intervals (m,)."""
     days = view.logs.days
     seen = np.isfinite(view.counted) & (np.arange(len(days)) >= since)[:, None]
     recent = (days > days.max(initial=-np.inf) - WEEK)[:, None]
@@ -299,18 +296,15 @@ def visible_changes(view: View) -> np.ndarray:
     if len(rows) < FEWEST:
         return np.full((x.shape[1], len(PERIODS) + 1), np.nan)
     scale = 1.4826 * median(np.abs(x - median(x)))
-    half = np.nan_to_num(week_of(view)[1], nan=np.inf)
-    smallest = np.tile((view.tolerance + 2 * half)[:, None], len(PERIODS) + 1)
     columns = np.flatnonzero(scale > 0)
     sizes = np.outer(scale[columns], SIZES)
     before, white = (np.repeat(part[:, columns], len(SIZES), axis=1) for part in (x, std))
-    for p, days in enumerate(PERIODS):
-        logs = int(np.clip(round(days * view.settings.logs_per_year / 365), 2, WINDOW // 2))
+    smallest = _seen_by_tolerance(view)
+    for p, logs in _periods(view):
         after = np.resize(before[-logs:], (logs, before.shape[1])) + sizes.ravel()
         values = np.vstack([before, after])
         proof = evidence(values, np.resize(white, values.shape) ** 2, FEWEST)
-        certain = ((proof.log_e >= view.limit) & proof.confirmed).reshape(sizes.shape)
-        change = np.where(certain, sizes, np.inf).min(axis=1)
+        change = np.where(view.certain(proof).reshape(sizes.shape), sizes, np.inf).min(axis=1)
         smallest[columns, p] = np.minimum(smallest[columns, p], change)
     return np.where(np.isfinite(smallest), smallest, np.nan)
 
@@ -320,17 +314,26 @@ def power(view: View) -> np.ndarray:
 
     The detector then depends only on the ratio of change to scatter, and is simulated once for all quantities.
     """
-    rows, logs_of = view.there, view.settings.logs_per_year / 365
+    rows = view.there
     shown = np.isfinite(view.compared[rows]).any(axis=0)
-    smallest = np.tile((view.tolerance + 2 * np.nan_to_num(week_of(view)[1], nan=np.inf))[:, None], len(PERIODS) + 1)
     scale = np.full(len(shown), np.nan)
     scale[shown] = np.nanstd(view.compared[rows][:, shown], axis=0)
-    for p, days in enumerate(PERIODS):
-        logs = int(np.clip(round(days * logs_of), 2, WINDOW // 2))
+    smallest = _seen_by_tolerance(view)
+    for p, logs in _periods(view):
         x = np.random.default_rng(0).normal(size=(len(rows) + logs, len(SIZES), DRAWS))
         x[len(rows) :] += SIZES[:, None]
         proof = evidence(x.reshape(len(x), -1), np.ones((len(x), SIZES.size * DRAWS)), view.settings.baseline)
-        share = ((proof.log_e >= view.limit) & proof.confirmed).reshape(len(SIZES), DRAWS).mean(axis=1)
-        visible = SIZES[share >= FOUND]
-        smallest[:, p] = np.fmin(smallest[:, p], scale * visible.min(initial=np.inf))
+        share = view.certain(proof).reshape(len(SIZES), DRAWS).mean(axis=1)
+        smallest[:, p] = np.fmin(smallest[:, p], scale * SIZES[share >= FOUND].min(initial=np.inf))
     return np.where(np.isfinite(smallest), smallest, np.nan)
+
+
+def _seen_by_tolerance(view: View) -> np.ndarray:
+    half = np.nan_to_num(week_of(view)[1], nan=np.inf)
+    return np.tile((view.tolerance + 2 * half)[:, None], len(PERIODS) + 1)
+
+
+def _periods(view: View) -> Iterator[tuple[int, int]]:
+    """Count the logs of each period, with its number."""
+    logs = np.array(PERIODS) * view.settings.logs_per_year / 365
+    return enumerate(np.clip(np.rint(logs).astype(int), 2, WINDOW // 2).tolist())

@@ -1,31 +1,53 @@
-"""Causes of a change: competing hypotheses of gain, load, friction, warming, zero, delay, clock, units, contact.
+"""Causes of a change: faults of a log's samples, and competing hypotheses on the charts.
 
-A change of one kind moves all charts in a known way (``response``). Each hypothesis is fitted by generalised least
-squares to the difference between the logs after the change and the logs before it, or the model, with the covariance
-between healthy logs. All causes that are nearly as likely as the best one are listed, because they cannot be
-distinguished. Pairs of causes are tried where no single cause explains the change. Implausible sizes are not offered
-as causes, nor changes whose interval includes 0.
+A change of one kind (gain, load, friction, warming, zero, delay, clock) moves all charts in a known way
+(``response``). Each hypothesis is fitted by generalised least squares to the difference between the logs after the
+change and the logs before it, or the model, with the covariance between healthy logs. All causes that are nearly as
+likely as the best one are listed, because they cannot be distinguished. Pairs of causes are tried where no single cause
+explains the change. Implausible sizes are not offered as causes, nor changes whose interval includes 0.
 
 With some ten logs and forty charts the empirical covariance is singular; it is shrunk towards the standard deviations
 of the logs with the correlations that independent residuals would have (``formula``).
+
+Faults that the samples of the newest log show come first: a frozen encoder, exchanged columns, a rub, a ripple. They
+are considered if all quantities, free at every joint, leave a larger residual than in healthy logs. A fault is named if
+it leaves far less: after two columns are exchanged back, or after a function of one joint's position is removed from
+its residual, by the mixed model of :mod:`gtau.estimation.effects`. A residual that is as uneven along the log as after
+a contact is no function of the position. An encoder is frozen if it stands still in such a log and moved in earlier
+logs.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from itertools import combinations
+from dataclasses import replace
+from itertools import combinations, product
 from operator import itemgetter
 
 import numpy as np
 from scipy.stats import t as student
 
+from gtau.errors import GtauError
+from gtau.estimation.effects.knots import hats
+from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings.words import to_width
+from gtau.robots.parameter import torque_unit
+from gtau.signals.run import Run
 from gtau.watch.detectors import FEWEST, mean_of
 from gtau.watch.history import Cause
-from gtau.watch.quantities import SHOWN, Quantity, identified
-from gtau.watch.statistics import RESIDUAL, UNEVEN, LogStatistics, unevenness
+from gtau.watch.statistics import (
+    RESIDUAL,
+    SHOWN,
+    UNEVEN,
+    LogStatistics,
+    Quantity,
+    identified,
+    normal_equations,
+    residuals_of,
+    unevenness,
+)
 
 CLOSE = 9.2  # 2 log(100): the best explanation is a hundred times as likely
 PER_PARAMETER = 2.0  # minimum improvement of the misfit per additional parameter, by Akaike's criterion
@@ -40,6 +62,18 @@ STOPPED = -1.1  # least relative change of friction: it cannot fall below 0, wit
 LEADING = ("m", "fs")  # stated first
 RESCALED = 2.0  # a gain that changes by a larger factor is a unit or a sign of the channel
 
+SIGNAL_FAULTS = ("frozen", "exchanged", "rub", "ripple")
+FEW_VALUES = 8  # most positions of a frozen encoder; a joint with 4096 steps a turn takes more within a degree
+STILL, LIVELY = 0.1, 0.5  # share of a log with one position, and of the command's scatter elsewhere meanwhile: of
+# joints at rest in healthy logs of a UR10e, 8 of 30 exceed both, but all quantities leave nothing there
+GROWN = 2.0  # residual squares of a joint over healthy logs: at most 1.8 in 14 healthy logs of two measured arms
+LEFT = 0.5  # share of the excess residual that the right fault leaves: at most 0.04 for 46 faults put into healthy logs
+# of a five-bar, a UR10e and an xMate 7 Pro; 11 and more for the same faults in logs with lags of 20 and 40 ms
+NODES = 61  # of a piecewise linear function over a joint's range
+STEPS = np.tri(NODES) / np.sqrt(NODES)  # its steps from node to node are what is random
+LOOSE = 50.0  # times the residual of the model: standard deviation of the function before the data
+EXTREMES = (0.02, 0.98)  # quantiles of it along the log, between which its size is stated
+
 COMMON = {"gain": "drive gain of all drives", "clock": "lag of all currents", "warming": "friction of all joints"}
 """Names of changes of all joints at once."""
 ADVICE = {
@@ -52,9 +86,18 @@ ADVICE = {
     "clock": "check the time stamps of the log",
     "rate": "check the sampling rate and the time stamps of the log",
     "units": "check units, signs and order of the columns of the log",
+    "contact": "check for cables and obstacles that touch the robot, and run the motion again",
+    "frozen": "check the encoder, its cable and the column of its position",
+    "exchanged": "check the order of the columns of the log",
+    "rub": "check bearings, seals, covers and cables of the joint",
+    "ripple": "check gear and bearings of the joint, and cables or springs that pull at it",
 }
 Hypothesis = tuple[str, str, np.ndarray]
 """A kind of change, its joint, and combinations (p, c) of the quantities, of which charted ones can be stated."""
+
+
+def _cause(kind: str, joint: str, size: float, text: str, unit: str = "1") -> Cause:
+    return Cause(kind=kind, joint=joint, size=size, unit=unit, text=text, advice=ADVICE[kind])
 
 
 def causes_of(
@@ -84,13 +127,14 @@ def causes_of(
 
     def fit(*several: Hypothesis) -> list[tuple[float, Cause]]:
         """Fit one or two hypotheses together; return misfit and cause, or nothing if one is implausible."""
-        ends = np.cumsum([columns.shape[1] for *_, columns in several])[:-1]
-        sizes, halves, misfit = _fit(change, response @ np.hstack([columns for *_, columns in several]), len(complete))
+        columns = [columns for *_, columns in several]
+        ends = np.cumsum([part.shape[1] for part in columns])[:-1]
+        sizes, halves, misfit = _fit(change, response @ np.hstack(columns), len(complete))
         parts = zip(several, np.split(sizes, ends), np.split(halves, ends), strict=True)
-        causes = [cause for part in parts if (cause := _stated(model, log, heaviest, *part))]
-        if len(causes) < len(several):
+        first, *others = (_stated(model, log, heaviest, *part) for part in parts)
+        if first is None or None in others:
             return []
-        return [(misfit, causes[0].model_copy(update={"and_also": causes[1] if causes[1:] else None}))]
+        return [(misfit, first.model_copy(update={"and_also": others[0] if others else None}))]
 
     hypotheses = list(_hypotheses(model, log.quantities))
     fits = [fitted for hypothesis in hypotheses for fitted in fit(hypothesis)]
@@ -153,20 +197,16 @@ def _stated(
         return None
     unit = "1" if kind in ("warming", "units") else quantity.unit
     relative = size / known if known and joint else None
-    cause = Cause(kind=kind, joint=joint, quantity=quantity.kind, size=size, half=half, unit=unit, relative=relative,
-                  text="", advice=ADVICE[kind])  # fmt: skip
-    return cause.model_copy(update={"text": _described(cause, quantity.title)})
-
-
-def _described(cause: Cause, title: str) -> str:
-    """Describe a cause, whose quantity has a ``title``, with its size."""
-    if cause.kind == "units":
-        return f"scale of the current of {cause.joint or 'all drives'} {cause.size:.3g} times"
-    shown, factor = SHOWN.get(cause.unit, (cause.unit, 1.0))
-    size, half = factor * cause.size, factor * cause.half
-    title = title if cause.joint else COMMON.get(cause.kind, title)
-    text = f"{title} {'+' * (size > 0)}{to_width(size, half)} ± {to_width(half, half)} {shown}"
-    return text if cause.relative is None else f"{text}, {100 * cause.relative:+.0f} % of the model's"
+    shown, factor = SHOWN.get(unit, (unit, 1.0))
+    title = quantity.title if joint else COMMON.get(kind, quantity.title)
+    width = factor * half
+    text = f"{title} {'+' * (size > 0)}{to_width(factor * size, width)} ± {to_width(width, width)} {shown}"
+    if kind == "units":
+        text = f"scale of the current of {joint or 'all drives'} {size:.3g} times"
+    elif relative is not None:
+        text += f", {100 * relative:+.0f} % of the model's"
+    more = {"quantity": quantity.kind, "half": half, "relative": relative}
+    return _cause(kind, joint, size, text, unit).model_copy(update=more)
 
 
 def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Iterator[Hypothesis]:
@@ -175,24 +215,13 @@ def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Ite
         if quantity.kind != "off":
             groups[quantity.group, quantity.joint].append(k)
     for (group, joint), members in groups.items():
-        yield group, joint, np.eye(len(quantities))[:, sorted(members, key=lambda k: quantities[k].kind not in LEADING)]
+        members.sort(key=lambda k: quantities[k].kind not in LEADING)
+        yield group, joint, np.eye(len(quantities))[:, members]
     if len({quantity.joint for quantity in quantities} - {""}) > 1:
         for kind, group in (("clock", "delay"), ("gain", "gain")):
             yield kind, "", np.array([[float(quantity.group == group)] for quantity in quantities])
         friction = [identified(model, quantity.name) * quantity.charted for quantity in quantities]
         yield "warming", "", np.array(friction)[:, None]
-
-
-def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
-    """Suspect a contact if a joint's residual is far more uneven along the log than in any healthy log."""
-    ratio = unevenness(log, uneven)
-    j = int(np.argmax(ratio))
-    if ratio[j] < UNEVEN:
-        return ()
-    joint = [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
-    text = f"contact of {joint} (residual {ratio[j]:.3g} times less even than in any healthy log)"
-    advice = "check for cables and obstacles that touch the robot, and run the motion again"
-    return (Cause(kind="contact", joint=joint, size=float(ratio[j]), text=text, advice=advice),)
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
@@ -211,3 +240,102 @@ def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
     R = share * (0.9 * target + 0.1 * np.eye(k)) + (1 - share) * (S / sizes / sizes[:, None])
     np.fill_diagonal(R, 1.0)
     return np.asarray(R * sizes * sizes[:, None])
+
+
+def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
+    """Suspect a contact if a joint's residual is far more uneven along the log than in any healthy log."""
+    ratio = unevenness(log, uneven)
+    j = int(np.argmax(ratio))
+    if ratio[j] < UNEVEN:
+        return ()
+    joint = [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
+    text = f"contact of {joint} (residual {ratio[j]:.3g} times less even than in any healthy log)"
+    return (_cause("contact", joint, float(ratio[j]), text),)
+
+
+def signal_faults(
+    model: IdentifiedModel, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
+) -> tuple[Cause, ...]:
+    """Name the fault that the samples of a log show, given charts, speeds and unevenness of healthy logs."""
+    run, parts = log.run.ordered(model.idm.actuated, link_side=False), list[tuple[np.ndarray, ...]]()
+    friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
+    usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
+    single, all_free = _mean_squares(model, run, parts, friction, [*range(len(log.quantities))])
+    seen, grown = np.isfinite(single + usual), single > GROWN * usual
+    if not (all_free > GROWN * usual)[seen].any():
+        return ()
+    if frozen := tuple(_frozen(run, speed)):
+        return frozen
+    limit = LEFT * float(np.maximum(all_free - usual, 0.0)[seen].sum())
+    local = np.flatnonzero(grown & (unevenness(log, uneven) < UNEVEN))
+    faults = [_position_fault(model, run, parts, friction, single, j) for j in local.tolist()]
+    faults += _exchanged(model, run, friction, grown)
+    misfits = [float(np.maximum(squares - usual, 0.0)[seen].sum()) for _, squares in faults]
+    best = int(np.argmin([*misfits, limit]))
+    return (faults[best][0],) if best < len(faults) else ()
+
+
+def _mean_squares(
+    model: IdentifiedModel, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]
+) -> list[np.ndarray]:
+    """Compute each joint's mean squared residual (n,) over the model's, for each choice of ``free`` columns."""
+    G, rows, _ = normal_equations(model, run, parts)
+    return [np.exp(2 * residuals_of(G, rows, columns, np.ones(len(G), dtype=bool))[0]) for columns in free]
+
+
+def _frozen(run: Run, speed: np.ndarray) -> Iterator[Cause]:
+    """Find joints that moved in earlier logs, whose position is constant while the command is not."""
+    for j in np.flatnonzero(speed > 0):
+        q, v = run.position[:, j], run.command[:, j]
+        begins = np.flatnonzero(np.diff(q, prepend=np.nan) != 0)
+        lengths = np.diff(begins, append=len(q))
+        still = np.repeat(np.arange(len(begins)) == np.argmax(lengths), lengths)
+        share = float(still.mean())
+        if len(np.unique(q)) < FEW_VALUES or (STILL < share < 1 and v[still].std() > LIVELY * v[~still].std()):
+            joint = run.joints[j]
+            text = f"frozen encoder of {joint} (one position in {100 * share:.0f} % of the log)"
+            yield _cause("frozen", joint, share, text)
+
+
+def _exchanged(
+    model: IdentifiedModel, run: Run, friction: list[int], grown: np.ndarray
+) -> Iterator[tuple[Cause, np.ndarray]]:
+    """Exchange columns of two joints back, and compute the mean squared residuals (n,)."""
+    for pair, column in product(combinations(np.flatnonzero(grown), 2), ("position", "command")):
+        values = getattr(run, column).copy()
+        values[:, pair] = values[:, pair[::-1]]
+        try:
+            (squares,) = _mean_squares(model, replace(run, **{column: values}), None, friction)
+        except GtauError:  # the loops do not close there
+            continue
+        joints = " and ".join(run.joints[j] for j in pair)
+        text = f"{run.kind if column == 'command' else column}s of {joints} exchanged"
+        yield _cause("exchanged", joints, 1.0, text), squares
+
+
+def _position_fault(
+    model: IdentifiedModel,
+    run: Run,
+    parts: list[tuple[np.ndarray, ...]],
+    friction: list[int],
+    single: np.ndarray,
+    joint: int,
+) -> tuple[Cause, np.ndarray]:
+    """Fit friction and torque as functions of a joint's position: the likelier cause, and what it leaves (n,)."""
+    joints, *rows = (np.concatenate(part) for part in zip(*parts, strict=True))
+    q, direction, table = (part[joints == joint] for part in rows)
+    shape = hats(q[:, None], np.linspace([q.min()], [q.max()], NODES))[:, 0].T @ STEPS
+    columns = np.hstack([direction[:, None] * shape, shape, table[:, [*friction, -1]]])
+    products = (lag_products(columns, np.arange(len(columns)) == 0),)
+    free, part = np.zeros((len(friction) + 1, len(friction) + 1)), np.repeat([0, 1], NODES)
+    fit = fit_mixed(MixedModel(products, free, part, np.zeros(0, dtype=int), np.full(2, LOOSE)))
+    k = int(np.argmax([fit.lost_without([0]), fit.lost_without([1])]))
+    squares, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own[0][part == k])
+    squares[joint] = np.mean((columns @ fit.model.coefficients(fit.sizes, fit.at, 0)) ** 2)
+    name = run.joints[joint]
+    unit = torque_unit(model.robot, name)
+    rms = {error.joint: error.rms for error in model.residuals}.get(name) or 1.0
+    size = float(np.ptp(np.quantile(function, EXTREMES)) * rms)
+    kind, what, where = (("rub", "friction", "along its range"), ("ripple", "torque", "with its position"))[k]
+    text = f"{kind} of {name} ({what} that differs by {size:.2g} {unit} {where})"
+    return _cause(kind, name, size, text, unit), squares

@@ -12,7 +12,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
@@ -24,13 +24,14 @@ from gtau.errors import GtauError
 from gtau.signals.reading.logs import find_columns, is_log_folder
 from gtau.signals.run import Run
 from gtau.watch.history import now
-from gtau.watch.quantities import TooShort
+from gtau.watch.statistics import TooShort
 from gtau.watch.watch import Status, Watch
 
 SETTLED = 1.0  # s without changes after which a log of a folder counts as finished
 POLL = 0.5  # s between polls
 FIRST_LINES = 500  # of a log that grows, from which its head and rate are found
 CHUNK = 1 << 20  # bytes read at once
+LONGEST = 1 << 24  # bytes within which a text log has so many lines
 
 Read = Callable[[Path], Run]
 _DATE = re.compile(r"(?<!\d)(\d{4}|\d{2})[-_](\d{2})[-_](\d{2})(?!\d)|(?<!\d)(20\d{2})(\d{2})(\d{2})(?!\d)")
@@ -40,14 +41,18 @@ def logs_of(paths: Iterable[Path]) -> list[Path]:
     """List logs in the order given, and the logs of a folder by name; raises GtauError."""
     logs: list[Path] = []
     for path in paths:
-        inside = [path] * path.exists()
-        if path.is_dir() and not is_log_folder(path):
-            entries = in_order(path.glob("[!.]*"))
-            inside = [entry for entry in entries if entry.is_file() or is_log_folder(entry)]
+        inside = _logs_in(path) if path.is_dir() else [path] * path.exists()
         if not inside:
             raise GtauError(f"there is no log at {path}; check the path.")
         logs += inside
     return logs
+
+
+def _logs_in(folder: Path) -> list[Path]:
+    if is_log_folder(folder):
+        return [folder]
+    entries = in_order(folder.glob("[!.]*"))
+    return [entry for entry in entries if entry.is_file() or is_log_folder(entry)]
 
 
 def date_of(log: Path) -> str:
@@ -59,8 +64,7 @@ def date_of(log: Path) -> str:
     return datetime.fromtimestamp(log.stat().st_mtime, UTC).isoformat(timespec="seconds")
 
 
-def digest_of(path: Path) -> str:
-    """Compute the SHA-256 of a log, or of all files in a folder; raises GtauError."""
+def _digest_of(path: Path) -> str:
     digest = hashlib.sha256()
     with system_refusals(path):
         for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
@@ -73,7 +77,7 @@ def digest_of(path: Path) -> str:
 def take(watch: Watch, log: Path, read: Read) -> Status | None:
     """Add a finished log, or set it aside with the reason why it cannot be read; None if its samples are known."""
     try:
-        digest = digest_of(log)
+        digest = _digest_of(log)
         if watch.history.seen(digest):
             return None
         status = watch.update(replace(read(log), name=log.stem), digest, date_of(log))
@@ -84,17 +88,19 @@ def take(watch: Watch, log: Path, read: Read) -> Status | None:
 
 
 def follow(
-    watch: Watch, source: Path, read: Read, seconds: float, ended: Callable[[], bool] = lambda: False
+    watch: Watch,
+    source: Path,
+    read: Read,
+    seconds: float,
+    ended: Callable[[], bool] = lambda: False,
+    busy: Callable[[str], AbstractContextManager[object]] = nullcontext,
 ) -> Iterator[Status]:
-    """Add new logs of a source until ``ended``, which is asked when nothing is new; raises GtauError.
-
-    ``read`` reads a log; blocks of a growing log are ``seconds`` long.
-    """
+    """Add new logs, ``busy`` meanwhile, or blocks of ``seconds``, until ``ended``, asked when nothing is new."""
     if not source.exists():
         raise GtauError(f"there is nothing to follow at {source}; give a folder or a growing text log.")
     with system_refusals(source, "give a folder or a growing text log"):
         pass  # of a pipe, reading never ends
-    for status in _folder(watch, source, read) if source.is_dir() else _growing(watch, source, read, seconds):
+    for status in _folder(watch, source, read, busy) if source.is_dir() else _growing(watch, source, read, seconds):
         if status is not None:
             yield status
         elif ended():
@@ -103,17 +109,22 @@ def follow(
             time.sleep(POLL)
 
 
-def _folder(watch: Watch, folder: Path, read: Read) -> Iterator[Status | None]:
+def _folder(
+    watch: Watch, folder: Path, read: Read, busy: Callable[[str], AbstractContextManager[object]]
+) -> Iterator[Status | None]:
     """Add the logs of a folder once they are finished; yield None after each scan."""
     done: dict[Path, tuple[int, float]] = {}
     while True:
-        for log in logs_of([folder]) if any(folder.iterdir()) else []:
+        for log in _logs_in(folder):
             with suppress(FileNotFoundError):  # rotated away meanwhile
                 stamp = (log.stat().st_size, log.stat().st_mtime)
-                if done.get(log) != stamp and time.time() - stamp[1] >= SETTLED:
-                    done[log] = stamp
-                    if (status := take(watch, log, read)) is not None:
-                        yield status
+                if done.get(log) == stamp or time.time() - stamp[1] < SETTLED:
+                    continue
+                done[log] = stamp
+                with busy(log.name):
+                    status = take(watch, log, read)
+                if status is not None:
+                    yield status
         yield None
 
 
@@ -134,6 +145,11 @@ def _growing(watch: Watch, log: Path, read: Read, seconds: float) -> Iterator[St
                         text = text[len(head) :]
                         part.write_bytes(head + _lines(text, FIRST_LINES))
                         wanted = max(round(read(part).rate * seconds), FIRST_LINES)
+                    elif not wanted and len(text) > LONGEST:
+                        raise GtauError(
+                            f"{log} is no text log: its first {len(text) >> 20} MiB have fewer than {FIRST_LINES} "
+                            "lines; give a folder or a growing text log."
+                        )
                     while wanted and text.count(b"\n") >= wanted:
                         block, number = _lines(text, wanted), number + 1
                         text = text[len(block) :]

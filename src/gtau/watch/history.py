@@ -203,22 +203,29 @@ class History:
     def _alarm(self, text: str | None) -> Alarm | None:
         return read_group(Alarm, str(self.path), self._document(text)) if text else None
 
+    def _do(self, query: str, *values: Any) -> sqlite3.Cursor:
+        return self._database.execute(query, values)
+
     def _one(self, query: str, *values: Any) -> Any:
-        return (self._database.execute(query, values).fetchone() or (None,))[0]
+        return (self._do(query, *values).fetchone() or (None,))[0]
 
     def save(self, settings: WatchSettings) -> None:
         """Write the settings."""
-        self._database.execute("INSERT OR REPLACE INTO settings VALUES (0, ?)", (settings.model_dump_json(),))
+        self._do("INSERT OR REPLACE INTO settings VALUES (0, ?)", settings.model_dump_json())
         self.settings = settings
 
     def logs(self, charts: int, joints: int) -> Logs:
         """Read the logs, given the numbers of charts and joints."""
-        rows = self._database.execute("SELECT id, log, date, count, numbers FROM logs ORDER BY date, id").fetchall()
-        numbers = np.frombuffer(b"".join(row[-1] for row in rows)).reshape(len(rows), 2 * (charts + joints))
-        parts = np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1)
-        ids, counts = (np.array([row[k] for row in rows], dtype=int) for k in (0, 3))
-        names, dates = (np.array([row[k] for row in rows], dtype=str) for k in (1, 2))
-        return Logs(ids, names, dates, counts, *parts)
+        rows = self._do("SELECT id, log, date, count, numbers FROM logs ORDER BY date, id").fetchall()
+        ids, names, dates, counts, parts = zip(*rows, strict=True) if rows else ((),) * 5
+        numbers = np.frombuffer(b"".join(parts)).reshape(len(rows), 2 * (charts + joints))
+        return Logs(
+            np.array(ids, dtype=int),
+            np.array(names, dtype=str),
+            np.array(dates, dtype=str),
+            np.array(counts, dtype=int),
+            *np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1),
+        )
 
     @property
     def extent(self) -> tuple[int, str]:
@@ -229,7 +236,7 @@ class History:
     def events(self) -> list[Event]:
         """Events, the oldest first."""
         columns = "SELECT id, date, kind, subject, note, undone, details FROM events ORDER BY id"
-        return [Event(*(*event[:6], self._document(event[6]))) for event in self._database.execute(columns)]
+        return [Event(*(*event[:6], self._document(event[6]))) for event in self._do(columns)]
 
     @property
     def alarm(self) -> Alarm | None:
@@ -239,7 +246,7 @@ class History:
     @alarm.setter
     def alarm(self, alarm: Alarm | None) -> None:
         text = alarm.model_dump_json() if alarm else ""
-        self._database.execute("UPDATE logs SET alarm = ? WHERE id = (SELECT max(id) FROM logs)", (text,))
+        self._do("UPDATE logs SET alarm = ? WHERE id = (SELECT max(id) FROM logs)", text)
 
     def seen(self, digest: str) -> bool:
         """Return whether a log of this digest is in the history."""
@@ -247,22 +254,23 @@ class History:
 
     def remember(self, log: str, digests: Iterable[str]) -> None:
         """Store the digests of a log, and drop the note that it could not be read."""
-        self._database.executemany("INSERT OR IGNORE INTO seen VALUES (?)", [(digest[:DIGITS],) for digest in digests])
-        self._database.execute("DELETE FROM events WHERE kind = 'refused' AND subject = ?", (log,))
+        for digest in digests:
+            self._do("INSERT OR IGNORE INTO seen VALUES (?)", digest[:DIGITS])
+        self._do("DELETE FROM events WHERE kind = 'refused' AND subject = ?", log)
 
     def add_row(self, log: str, date: str, numbers: Sequence[np.ndarray]) -> int:
         """Add a log; return its number."""
         row = "INSERT INTO logs (log, date, count, numbers, alarm) VALUES (?, ?, 1, ?, '')"
-        return int(self._database.execute(row, (log, date, np.concatenate(numbers).tobytes())).lastrowid or 0)
+        return int(self._do(row, log, date, np.concatenate(numbers).tobytes()).lastrowid or 0)
 
     def add_event(self, kind: str, subject: str, date: str = "", note: str = "", details: Any = None) -> None:
         """Add an event, stamped now if no date is given."""
-        values = (date or now(), kind, subject, note, json.dumps(details))
-        self._database.execute("INSERT INTO events (date, kind, subject, note, details) VALUES (?, ?, ?, ?, ?)", values)
+        row = "INSERT INTO events (date, kind, subject, note, details) VALUES (?, ?, ?, ?, ?)"
+        self._do(row, date or now(), kind, subject, note, json.dumps(details))
 
     def undo(self, event: Event) -> None:
         """Mark an event as undone, and restore the alarm before it."""
-        self._database.execute("UPDATE events SET undone = 1 WHERE id = ?", (event.id,))
+        self._do("UPDATE events SET undone = 1 WHERE id = ?", event.id)
         self.alarm = self._alarm(event.details["alarm"])
 
     def condense(self) -> None:
@@ -270,16 +278,16 @@ class History:
         if self._one("SELECT count(*) FROM logs WHERE count = 1") <= KEPT + SLACK:
             return
         columns = "SELECT id, log, substr(date, 1, 10), count, numbers FROM logs ORDER BY id"
-        rows = self._database.execute(columns).fetchall()[:-KEPT]
-        self._database.execute("DELETE FROM logs WHERE id <= ?", (rows[-1][0],))
+        rows = self._do(columns).fetchall()[:-KEPT]
+        self._do("DELETE FROM logs WHERE id <= ?", rows[-1][0])
         for day, day_rows in groupby(sorted(rows, key=itemgetter(2)), itemgetter(2)):
             ids, names, _, counts, parts = zip(*day_rows, strict=True)
             numbers = np.array([np.frombuffer(part) for part in parts])
             weights = np.isfinite(numbers) * np.array(counts)[:, None]
             total = (weights * np.nan_to_num(numbers)).sum(axis=0)
             mean = total / np.where(weights.any(axis=0), weights.sum(axis=0), np.nan)
-            condensed = (ids[-1], names[-1], day, sum(counts), mean.tobytes())
-            self._database.execute("INSERT INTO logs VALUES (?, ?, ?, ?, ?, '')", condensed)
+            row = "INSERT INTO logs VALUES (?, ?, ?, ?, ?, '')"
+            self._do(row, ids[-1], names[-1], day, sum(counts), mean.tobytes())
 
 
 def now() -> str:

@@ -15,7 +15,7 @@ from gtau.documents.validation import TEXT, read_group, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.results.model_file import to_document
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.model.interpreter.program import single_threaded_blas
+from gtau.model.program import single_threaded_blas
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import accepted, judge, view_of
@@ -161,23 +161,21 @@ class Watch:
         """The state after the log that was added last."""
         logs, at = self.view.logs, int(np.argmax(self.view.logs.ids))
         phase = "baseline" if self.count <= self.settings.baseline else "watching"
-        charts = zip(self.settings.charts, logs.charts[at].tolist(), logs.std[at].tolist(), strict=True)
-        shown = [(name, value, std) for name, value, std in charts if np.isfinite(value)]
+        values, std = (
+            dict(zip(self.settings.charts, row[at].tolist(), strict=True)) for row in (logs.charts, logs.std)
+        )
+        shown = [name for name in values if np.isfinite(values[name])]
         return Status(
             log=logs.names[at],
             date=logs.dates[at],
             phase="aside" if self.view.odd[at].any() else phase,
-            values={name: value for name, value, _ in shown},
-            std={name: std for name, _, std in shown},
+            values={name: values[name] for name in shown},
+            std={name: std[name] for name in shown},
             alarm=self.alarm,
         )
 
     def imagine(self, run: Run) -> None:
-        """Simulate healthy days, whose estimates scatter by the covariance of a log, to predict visible changes.
-
-        The simulated robot equals its model; real days scatter more. Raises GtauError if the log does not fit the
-        model.
-        """
+        """Simulate healthy days, which scatter by the covariance of a log, to predict visible changes."""
         log = statistics_of(self.model, run)
         values, vectors = np.linalg.eigh(log.covariance)
         root, rng = vectors * np.sqrt(np.maximum(values, 0.0)), np.random.default_rng(0)
@@ -228,10 +226,7 @@ class Watch:
 
     @takes(subject=TEXT)
     def undo(self, subject: str) -> None:
-        """Undo the last action on a log (forgotten, or first of an acknowledged alarm) or a maintenance date.
-
-        Raises GtauError if there is none.
-        """
+        """Undo the last action on a log or a maintenance date; raises GtauError if there is none."""
         events = [event for event in self.events if event.subject == subject and not event.undone]
         done = [event for event in events if "alarm" in (event.details or {})]  # actions of the user
         if not done:

@@ -10,6 +10,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, Effort, effort_of
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit
+from gtau.estimation.diagnostics.other_clock import other_clock
 from gtau.estimation.diagnostics.other_columns import angle_from_another_link, reversed_torques
 from gtau.estimation.diagnostics.other_gravity import (
     REFUTED_SHARE,
@@ -164,6 +165,8 @@ def _other_descriptions(
         yield reversed_torques(fit)
     if effort.findings:
         return
+    if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
+        yield other_clock(fit, progress)
     tilted = any(effect.effect == "gravity" and effect.share > REFUTED_SHARE for effect in effects)
     missing, turned = effort.kind == WITHOUT_GRAVITY, lacking and (tilted or misfit)
     if missing or turned:
@@ -173,13 +176,13 @@ def _other_descriptions(
 
 
 def estimates_of(
-    fit: Fit, examined: Examination, correlated: bool, moved: bool = False, mixes: bool = True
+    fit: Fit, examined: Examination, correlated: bool, moved: bool = False, shifted: bool = True
 ) -> Estimates:
     """Collect the estimates of a fit with their covariance.
 
-    ``moved`` by all effects the covariance is their posterior; otherwise it comes from the block jackknife, from
-    what the effects leave open, and for a method that ``mixes`` from how much they would move an estimate; without
-    ``correlated`` from the method's formula, as in the paper.
+    ``moved`` by all effects the covariance is their posterior; otherwise it comes from the block jackknife, from what
+    the effects leave open, and, ``shifted``, from how much they would move an estimate; without ``correlated`` from
+    the method's formula, as in the paper.
     """
     problem, solution, mixed = fit.system.problem, fit.solution, examined.mixed
     scale_part = scale_uncertainty(fit.system, fit.solve)
@@ -193,7 +196,7 @@ def estimates_of(
         parts = (mixed.random - file_part, scale_part * np.outer(ratio, ratio) + file_part, model)
         return Estimates(problem.unknowns, mixed.values, *parts, None)
     freedom = degrees_of_freedom(problem, solution, fit.free_gains)
-    if mixed is not None and mixes:
+    if mixed is not None and shifted:
         shift = mixed.values - solution.values
         model = model + np.outer(shift, shift)
     parts = (solution.jackknife - file_part, scale_part + file_part, model)

@@ -32,7 +32,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Robot
 from gtau.signals.reading.body_columns import PoseColumns
-from gtau.signals.reading.side_signals import LoggedPoses
+from gtau.signals.reading.logs import LoggedPoses
 
 GEOMETRY_SHARE = 0.5  # share of the remaining variance of the pose residuals that a length or an encoder zero explains
 GEOMETRY_STD = 6.0  # change of a length or zero that explains the pose, in standard deviations

@@ -44,7 +44,7 @@ def contradictory_priors(fit: Fit, examined: Examination, estimates: Estimates, 
     dataset, parameters, base = fit.dataset, fit.system.problem.parameters, fit.dataset.base.names
     mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
     if examined.mixed is not None:
-        estimates = estimates_of(fit, examined, correlated=True, mixes=False)  # effects explain part of a wrong prior
+        estimates = estimates_of(fit, examined, correlated=True, shifted=False)  # effects explain part of a wrong prior
     priors = {name: prior for name, prior in dataset.stated_priors.items() if name in base and name in parameters}
     limit = -ndtri(ndtr(-APART) / max(len(priors), 1))  # of many priors some are further off
     for name, prior in priors.items():

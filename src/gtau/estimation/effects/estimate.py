@@ -76,7 +76,7 @@ def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None)
         mixed = near = fit_mixed(linear.model, near)
         own = [np.zeros((len(values), rows.own))] * len(rows.products)
         step, covariance = mixed.at.move(linear.slopes @ np.diag(_scale(mixed)), own)
-        before, values = values, values + step
+        before, values = values, linear.origin + step
         gains, moved = before[gain_rows], values[gain_rows]
         linear = replace(linear, model=mixed.model)
         if np.all(np.abs(moved - gains) <= STAYS * np.abs(gains)):

@@ -128,10 +128,15 @@ def _placed(
 
 @dataclass(frozen=True, eq=False)
 class Linear:
-    """Rows linearised at some values: the mixed model, and ``slopes`` (k, .) of the values by its common columns."""
+    """Rows linearised at some values: the mixed model, and ``slopes`` (k, .) of the values by its common columns.
+
+    Steps count from the ``origin`` (k,): the values without changes of friction between runs, whose sizes the mixed
+    model estimates whole.
+    """
 
     model: MixedModel
     slopes: np.ndarray
+    origin: np.ndarray
 
 
 def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = None) -> Linear:
@@ -142,6 +147,8 @@ def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = N
     T = to_gains(values, channels, fit.free_gains)
     per_run, root = rows.in_runs
     free = np.setdiff1d(np.arange(T.shape[1]), per_run)  # the parameters come first in both orders
+    origin = values.copy()
+    origin[per_run] = 0.0
     maps = []
     for j in range(channels):
         M = np.zeros((size, T.shape[1] + 1))
@@ -150,8 +157,8 @@ def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = N
             M[: problem.n_theta, problem.n_theta + j], M[problem.n_theta, problem.n_theta + j] = -theta, -1.0
         if problem.longest_delays[j] > 0:
             M[-2:, T.shape[1] - channels + j] = -1.0, delays[j]
-        M[: problem.n_theta, -1], M[problem.n_theta :, -1] = -theta / gains[j], (
-            -1 / gains[j], 1.0, -delays[j], delays[j] ** 2 / 2)  # fmt: skip
+        M[: problem.n_theta, -1] = -origin[: problem.n_theta] / gains[j]
+        M[problem.n_theta :, -1] = -1 / gains[j], 1.0, -delays[j], delays[j] ** 2 / 2
         maps.append(M)
     e_known, J_known = _known(rows, values)
     square = J_known.T @ J_known
@@ -178,7 +185,7 @@ def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = N
     noise = () if model is None else model.noise
     made = MixedModel(tuple(linear), known.T @ known, own, np.append(friction_groups, shared), largest, noise)
     slopes = np.hstack([T @ basis, np.zeros((len(values), rows.shared))])
-    return Linear(made, slopes)
+    return Linear(made, slopes, origin)
 
 
 def _groups(layouts: Sequence[Layout], shared: bool) -> np.ndarray:

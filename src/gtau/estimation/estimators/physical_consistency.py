@@ -12,14 +12,14 @@ Unidentifiable directions are taken close to a plausible robot: solid links of e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Solution, jackknife
-from gtau.estimation.estimators.newton import jacobian, moved, residuals, squared, stacked
+from gtau.estimation.estimators.newton import jacobian, moved, residuals, stacked
 from gtau.estimation.estimators.standard_parameters import (
     StandardUnknowns,
     constrained_least_squares,
@@ -33,6 +33,8 @@ from gtau.estimation.regression.problem import Problem
 from gtau.robots.robot import INERTIAL
 from gtau.signals.reading.statements import Prior
 
+Errors = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Gives the residuals (c, p) of blocks at estimates."""
 STEPS = 40
 CONVERGED = 1e-3  # of a standard deviation
 
@@ -78,21 +80,34 @@ class Consistency:
     open: tuple[str, ...]
 
 
-def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], free_gains: bool) -> Consistency:
+def consistent(
+    system: System, solution: Solution, plain: Solution, priors: Mapping[str, Prior], free_gains: bool
+) -> Consistency:
     """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
-    ``solution`` is without constraints; ``priors`` constrain standard parameters. Raises GtauError where no rigid
-    bodies agree with the priors and payloads, or the programme does not converge.
+    ``solution`` is without constraints; ``priors`` constrain standard parameters. Where effects beside the model moved
+    it away from the ``plain`` one, what they add stays in the residuals, which the plain ones have there instead.
+    Raises GtauError where no rigid bodies agree with the priors and payloads, or the programme does not converge.
     """
     problem, n, base = system.unreduced, len(system.unreduced.joints), system.dataset.base
     base_priors = theta_equations(base, system.dataset.model.parameter_names, problem.parameters, priors)
     unknowns, triangles = standard_unknowns(system, solution, priors), stacked(problem)
-    free, channels = np.concatenate([system.full(solution.theta)[:-1], solution.gains, solution.delays]), len(triangles)
+    free, unmoved = (
+        np.concatenate([system.full(each.theta)[:-1], each.gains, each.delays]) for each in (solution, plain)
+    )
+    channels = len(triangles)
+
+    def errors(blocks: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return residuals(blocks, values) - residuals(blocks, free) + residuals(blocks, unmoved)
+
+    def squares(values: np.ndarray) -> np.ndarray:
+        return np.asarray(np.sum(errors(triangles, values) ** 2, axis=-1))
+
     stated = np.insert(base_priors, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
     values = free
     for _ in range(STEPS):
-        weights = problem.weights(squared(triangles, values))
-        linear = _linear(triangles, values, problem, weights, free_gains)
+        weights = problem.weights(squares(values))
+        linear = _linear(errors, triangles, values, problem, weights, free_gains)
         x, rest = _programme(triangle(linear, stated), unknowns)
         step = np.concatenate([unknowns.S @ x - values[: problem.n_theta], rest])
         values = moved(values, step, channels)
@@ -104,11 +119,11 @@ def consistent(system: System, solution: Solution, priors: Mapping[str, Prior], 
             "the search did not converge; resolve contradictions first, or give 'priors' for the parameters that the "
             "data leave open."
         )
-    gain_std = _gain_std(problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
+    gain_std = _gain_std(errors, problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
     if free_gains and np.ndim(solution.prior_covariance):  # leaving out data does not show the uncertainty of priors
         gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.prior_covariance))[system.problem.gain_rows])
     bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
-    shares = 100 * (np.sqrt(squared(triangles, values) / squared(triangles, free))[:n] - 1)
+    shares = 100 * (np.sqrt(squares(values) / squares(free))[:n] - 1)
     gains = zip(problem.joints, values[problem.gain_rows], gain_std, strict=True)
     return Consistency(
         standard=dict(zip(system.dataset.model.parameter_names, map(float, x), strict=False)),
@@ -139,12 +154,12 @@ def _moves(system: System, solution: Solution, values: np.ndarray, free_gains: b
 
 
 def _linear(
-    blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray, free_gains: bool
+    errors: Errors, blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray, free_gains: bool
 ) -> np.ndarray:
     """Build rows ``[J_theta J_rest | y]`` (., size + 1), linear in theta and in steps of 1/g and the delays."""
     J = jacobian(blocks, values, problem, free_gains) * weights[:, None, None]
     J, theta = J.reshape(-1, J.shape[-1]), values[: problem.n_theta]
-    e = (residuals(blocks, values) * weights[:, None]).reshape(-1)
+    e = (errors(blocks, values) * weights[:, None]).reshape(-1)
     return np.column_stack([J, J[:, : len(theta)] @ theta - e])
 
 
@@ -162,11 +177,16 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
 
 
 def _gain_std(
-    problem: Problem, values: np.ndarray, weights: np.ndarray, unknowns: StandardUnknowns, stated: np.ndarray
+    errors: Errors,
+    problem: Problem,
+    values: np.ndarray,
+    weights: np.ndarray,
+    unknowns: StandardUnknowns,
+    stated: np.ndarray,
 ) -> np.ndarray:
     """Compute standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
     n = len(problem.joints)
-    factors = [triangle(_linear(unit, values, problem, weights, True)) for unit in problem.units]
+    factors = [triangle(_linear(errors, unit, values, problem, weights, True)) for unit in problem.units]
     steps = [_programme(triangle(R, stated), unknowns)[1][:n] for R in leave_one_out(factors)]
     gains = 1 / (1 / values[problem.gain_rows] + np.array(steps))
     return np.sqrt(np.diag(jackknife(gains)))

@@ -15,7 +15,7 @@ from gtau.findings import Finding, Grade
 from gtau.findings.words import moment, percent_text
 from gtau.robots.parameter import TEMPERATURE_TERMS
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.notes import reading
+from gtau.signals.reading.formats import reading
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
 INFLATED = 1.8  # ratio of jackknife to white-noise standard errors, from which the summary says so

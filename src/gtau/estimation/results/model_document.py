@@ -51,8 +51,7 @@ from gtau.findings.finding import finding_document, note_document, read_note
 from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter, parameter_of, unit_of
-from gtau.robots.readers.native import parse_native
-from gtau.robots.readers.native_text import native_text
+from gtau.robots.readers.native import native_text, parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation

@@ -22,7 +22,7 @@ from gtau.estimation.estimators.standard_parameters import Body, constrained_lea
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding
 from gtau.robots.parameter import RigidBody, inertial_parameters
-from gtau.robots.readers.links import frame_on
+from gtau.robots.readers.read import frame_on
 from gtau.robots.robot import INERTIAL, Pose
 
 QUANTITIES = ("m", "cx", "cy", "cz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")

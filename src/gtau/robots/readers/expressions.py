@@ -1,7 +1,4 @@
-"""Evaluate arithmetic in the numbers of a robot file, such as ``pi/2``, ``-(a + d4)/2`` or ``q - a``.
-
-The text is parsed by Python's grammar, and only listed nodes are evaluated; nothing is executed.
-"""
+"""Evaluate arithmetic in the numbers of a robot file, such as ``pi/2`` or ``q - a``; nothing is executed."""
 
 from __future__ import annotations
 
@@ -15,17 +12,8 @@ from gtau.documents.validation import unknown
 MAX_LENGTH = 200  # also bounds the depth of the expression
 COORDINATE = "q"
 
-FUNCTIONS: Mapping[str, Callable[..., float]] = {
-    "sqrt": math.sqrt,
-    "sin": math.sin,
-    "cos": math.cos,
-    "tan": math.tan,
-    "asin": math.asin,
-    "acos": math.acos,
-    "atan": math.atan,
-    "atan2": math.atan2,
-    "deg": math.radians,
-}
+_SAME = ("sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "atan2")
+FUNCTIONS: Mapping[str, Callable[..., float]] = {name: getattr(math, name) for name in _SAME} | {"deg": math.radians}
 RESERVED = frozenset({COORDINATE, "pi", *FUNCTIONS})
 """Names that a constant cannot have."""
 
@@ -36,9 +24,8 @@ AffineInQ = tuple[float, float]
 def evaluate(text: str, names: Mapping[str, float] | None = None) -> float:
     """Evaluate an expression to a finite number.
 
-    It consists of numbers, ``pi``, constants by their ``names``, ``+ - * / **``, parentheses and the functions ``sqrt
-    sin cos tan asin acos atan atan2 deg`` (``deg`` converts degrees to radians). Raises ValueError, with the correct
-    form, for other texts or a value that is not finite.
+    It consists of numbers, ``pi``, constants by their ``names``, ``+ - * / **``, parentheses and ``FUNCTIONS``. Raises
+    ValueError, with the correct form, for other texts or a value that is not finite.
     """
     coefficient, constant = linear(text, names)
     if coefficient != 0.0:
@@ -60,7 +47,7 @@ def linear(text: str, names: Mapping[str, float] | None = None) -> AffineInQ:
     except (SyntaxError, ValueError, RecursionError, MemoryError):
         raise ValueError(f"'{text}' is not a number or expression; write one such as 0.31 or pi/2") from None
     try:
-        result = _value(tree.body, names or {})
+        result = _value(tree.body, {"pi": math.pi, **(names or {})})
     except ZeroDivisionError:
         raise ValueError(f"'{text}' divides by zero") from None
     except OverflowError:
@@ -74,13 +61,15 @@ def _value(node: ast.expr, names: Mapping[str, float]) -> AffineInQ:
     match node:
         case ast.Constant(value=float() | int() as number) if not isinstance(number, bool):
             return 0.0, float(number)
+        case ast.Name(id=name) if name == COORDINATE:
+            return 1.0, 0.0
+        case ast.Name(id=name) if name in names:
+            return 0.0, names[name]
         case ast.Name(id=name):
-            return _named(name, names)
-        case ast.UnaryOp(op=ast.USub(), operand=operand):
+            raise ValueError(unknown(f"name '{name}'", name, {*FUNCTIONS, *names}))
+        case ast.UnaryOp(op=ast.USub() | ast.UAdd() as sign, operand=operand):
             coefficient, constant = _value(operand, names)
-            return -coefficient, -constant
-        case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-            return _value(operand, names)
+            return (-coefficient, -constant) if isinstance(sign, ast.USub) else (coefficient, constant)
         case ast.BinOp(left=left, op=operator, right=right):
             return _operation(operator, _value(left, names), _value(right, names))
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in FUNCTIONS:
@@ -93,16 +82,6 @@ def _value(node: ast.expr, names: Mapping[str, float]) -> AffineInQ:
             raise ValueError(
                 "only numbers, constants, + - * / **, parentheses and functions such as sqrt(2) are read here"
             )
-
-
-def _named(name: str, names: Mapping[str, float]) -> AffineInQ:
-    if name == COORDINATE:
-        return 1.0, 0.0
-    if name == "pi":
-        return 0.0, math.pi
-    if name not in names:
-        raise ValueError(unknown(f"name '{name}'", name, {"pi", *FUNCTIONS, *names}))
-    return 0.0, names[name]
 
 
 def _operation(operator: ast.operator, first: AffineInQ, right: AffineInQ) -> AffineInQ:

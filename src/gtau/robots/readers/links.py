@@ -1,8 +1,11 @@
-"""Frames and collision shapes of a URDF's links, in the frames of the robot's bodies."""
+"""Links of a URDF: collision shapes, in the frames of the robot's bodies, and masses and inertias, checked.
+
+Masses are read to compare them with the identified ones, or to use them as priors.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import product
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -10,24 +13,27 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.documents.files import read_at_most
+from gtau.documents.validation import some_of
 from gtau.errors import GtauError
-from gtau.robots.placement import compose
+from gtau.robots.parameter import RigidBody, lumped
 from gtau.robots.readers.source import Base
 from gtau.robots.readers.urdf_tree import origin_of, read_urdf_tree
-from gtau.robots.readers.xml_document import numbers
-from gtau.robots.robot import Placement, Pose
+from gtau.robots.readers.xml_document import line_of, numbers
+from gtau.robots.robot import GROUND, Attachment, Pose
 
 Blob = tuple[np.ndarray, float]
 """Points (K, 3), m, and the radius of a ball about each; the convex hull of the balls encloses a shape."""
 LARGEST_MESH = 64 * 2**20  # bytes
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
+TINY = 1e-9  # kg m2: smaller inertias belong to frames that have none
+SLACK = 1e-2  # of the largest principal moment over the sum of the others, as files round
+HEAVIEST = 1000.0  # largest mass in kg, and over the median mass of the file
+SHOWN = 4  # bodies that a note lists
 
 
 def urdf_shapes(path: Path) -> tuple[dict[str, list[Blob]], dict[str, list[np.ndarray]], dict[str, int]]:
-    """Read the collision shapes of a URDF, origins of links fixed to each body, and counts of meshes not read.
-
-    Meshes are STL or OBJ, beside the file, or below the folder that ``package://`` names. Body ``ground`` is included.
-    """
+    """Read the collision shapes of a URDF, origins of links fixed to each body, and counts of meshes not read."""
     tree = read_urdf_tree(path, {}, Base())
     shapes: dict[str, list[Blob]] = {}
     ends: dict[str, list[np.ndarray]] = {}
@@ -44,7 +50,7 @@ def urdf_shapes(path: Path) -> tuple[dict[str, list[Blob]], dict[str, list[np.nd
             if blob is None:
                 missing[at.body] = missing.get(at.body, 0) + 1
                 continue
-            placement = compose(at.placement, origin_of(collision.find("origin"), "a collision shape")[0])
+            placement = at.at(origin_of(collision.find("origin"), "a collision shape")[0]).placement
             points = blob[0] @ placement.rotation.T + placement.position
             shapes.setdefault(at.body, []).append((np.asarray(points), blob[1]))
     return shapes, ends, missing
@@ -99,52 +105,72 @@ def mesh_points(path: Path) -> np.ndarray | None:
     return np.unique(points, axis=0) if points.ndim == 2 and len(points) and np.isfinite(points).all() else None
 
 
-def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
-    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's frame.
+def urdf_inertias(root: Element, frames: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
+    """Read the inertial parameters of a URDF by the body that carries each link; none if no link has a mass."""
+    stated = lumped((frames[name], body) for name, body in _bodies(root) if name in frames)
+    return tuple(stated.items()) if any(stated.values()) else ()
 
-    The ``frame`` is empty for the body's frame, a link of the URDF ``file``, the six numbers ``x y z roll pitch yaw``
-    (m, rad) from the body's frame, or a pose.
-    """
-    body_frame = f"the frame of '{body}'"
-    if isinstance(frame, Pose):
-        return f"a frame on '{body}'", frame
-    if not frame:
-        return body_frame, Pose()
-    words = frame.replace(",", " ").split()
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        return frame, _link(body, frame, file)
-    if len(numbers) != 6:
-        raise GtauError(
-            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {body_frame}."
+
+def _bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
+    for link in root.findall("link"):
+        if (inertial := link.find("inertial")) is not None:
+            yield link.get("name", ""), _body(link.get("name", ""), inertial)
+
+
+def _body(name: str, inertial: Element) -> RigidBody:
+    def read(tag: str, key: str, default: str, what: str) -> list[float]:
+        element, count = inertial.find(tag), len(default.split()) or 1
+        if element is None:
+            return [0.0] * count
+        return numbers(element.get(key, default), count, f"{what} of link '{name}'")
+
+    (mass,) = read("mass", "value", "", "mass")
+    moments = [read("inertia", f"i{axes}", "0", f"i{axes}")[0] for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    xyz, rpy = (read("origin", key, "0 0 0", f"inertial {key}") for key in ("xyz", "rpy"))
+    rotation = Pose(rpy=(rpy[0], rpy[1], rpy[2])).rotation
+    return RigidBody(mass, np.array(xyz), rotation @ np.array(moments)[TENSOR] @ rotation.T)
+
+
+def urdf_masses(root: Element, frames: Mapping[str, Attachment]) -> Iterator[str]:
+    """Note implausible masses and inertias of a URDF file; ``frames`` say which body carries each link."""
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    bodies = dict(_bodies(root))
+    carried = {link: at.body for link, at in frames.items() if link in links and at.body != GROUND}
+    odd = []
+    for name in bodies:
+        if name in carried:
+            odd += _impossible(f"link '{name}'", links[name], bodies[name].inertia)
+    masses = {name: bodies[name].mass if name in bodies else 0.0 for name in links}
+    typical = float(np.median([mass for mass in masses.values() if mass > 1e-6] or [1.0]))
+    for name, mass in masses.items():
+        if mass < 0.0 or mass > max(HEAVIEST * typical, HEAVIEST):
+            odd.append(f"link '{name}' (line {line_of(links[name])}) weighs {mass:,.0f} kg")
+    if odd:
+        yield (
+            f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
+            "but correct them before you use the file elsewhere"
         )
-    x, y, z, roll, pitch, yaw = numbers
-    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {body_frame}", Pose((x, y, z), (roll, pitch, yaw))
+    moved: dict[str, list[str]] = {}
+    for link, joint in carried.items():
+        moved.setdefault(joint, []).append(link)
+    light = [group[0] for group in moved.values() if not any(masses[link] for link in group)]
+    if light and any(masses.values()):  # else the file has no masses at all
+        names = some_of([f"'{name}' (line {line_of(links[name])})" for name in light], SHOWN)
+        yield (
+            f"these links have no mass in the file, though a joint moves them: {names}; here they have parameters "
+            "all the same, and where one is really massless, write 'parameters: none' for it in a saved robot file"
+        )
 
 
-def links_on(body: str, file: str | Path) -> list[str]:
-    """List the links of the robot's ``file`` that are fixed to a ``body``; none if it is not a URDF."""
-    if Path(file).suffix.lower() != ".urdf":
+def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
+    """Report impossible moments of an inertia (3, 3), kg m2: negative ones, or one above the sum of the others."""
+    moments = np.linalg.eigvalsh(tensor)
+    if np.abs(moments).max() < TINY:
         return []
-    tree = read_urdf_tree(Path(file), {}, Base())
-    links = (link.get("name", "") for link in tree.root.findall("link"))
-    return [link for link in links if link in tree.frames and tree.frames[link].body == body]
-
-
-def _link(body: str, link: str, file: str | Path | None) -> Placement:
-    if file is None or Path(file).suffix.lower() != ".urdf":
-        raise GtauError(
-            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
-            f"pitch yaw' (m, rad) from the frame of '{body}'."
-        )
-    tree = read_urdf_tree(Path(file), {}, Base())
-    on_body = [name for name, frame in tree.frames.items() if frame.body == body]
-    if link not in tree.frames:
-        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
-    if link not in on_body:
-        raise GtauError(
-            f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
-            f"{', '.join(on_body) or 'none, and write the pose'}."
-        )
-    return tree.frames[link].placement
+    shown = ", ".join(f"{moment:.3g}" for moment in moments)
+    where = f"{name} (line {line_of(element)}) has the principal moments {shown} kg m2"
+    if moments[0] < -SLACK * abs(moments[2]):
+        return [f"{where}, one of them negative"]
+    if moments[2] > (1.0 + SLACK) * (moments[0] + moments[1]):
+        return [f"{where}, the largest above the sum of the others"]
+    return []

@@ -1,67 +1,80 @@
 """MJCF files, through MuJoCo's own compiler: geometry, limits, loops and which joints are driven.
 
-Shapes and meshes are ignored; mesh files need not exist. Joints with an actuator have motors; in a lone gripper the
-shafts that pull tendons do. Joints that no motor moves are held: in scenery, rolling bases, and grippers that tendons
-pull.
+Shapes and meshes are ignored; mesh files need not exist. Joints that no motor moves are held: in scenery, rolling
+bases, and grippers that tendons pull.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, errors_at
+from gtau.robots.floating import base_joints, turning
+from gtau.robots.parameter import Parameter, RigidBody, lumped
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
-from gtau.robots.placement import rounded
-from gtau.robots.readers.inertias import mjcf_inertias
-from gtau.robots.readers.mjcf_bodies import read_bodies, read_equalities
-from gtau.robots.readers.mjcf_file import MjcfFile, angle_notes, compile_mjcf, mjcf_rounding, name_in
-from gtau.robots.readers.mjcf_tendons import (
+from gtau.robots.placement import pose_of, rounded, turn
+from gtau.robots.readers.mjcf_drives import (
     actuators,
+    attached_site,
     efforts,
-    fixed_tendons,
     limited_tendons,
+    read_motors,
     site_springs,
     tied_tendons,
 )
-from gtau.robots.readers.source import Base, BaseChoice
-from gtau.robots.readers.xml_document import read_xml
-from gtau.robots.robot import GROUND, Coupling, Joint, JointKind, Robot, RobotFile, base_rows
-
-if TYPE_CHECKING:
-    import mujoco
+from gtau.robots.readers.mjcf_file import (
+    MjcfFile,
+    angle_notes,
+    compile_mjcf,
+    mjcf_rounding,
+    mujoco,
+    name_in,
+    pose_in,
+    rotation_in,
+)
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice
+from gtau.robots.readers.xml_document import position_limits, read_xml
+from gtau.robots.robot import (
+    GROUND,
+    ROTATIONS,
+    TRANSLATIONS,
+    Attachment,
+    Closure,
+    Coupling,
+    Joint,
+    Limits,
+    Platform,
+    Pose,
+    Robot,
+    RobotFile,
+    base_rows,
+)
 
 HOME = "home"
 """Name of the keyframe with the home pose; the default is MuJoCo's reference configuration."""
 
 
 def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
-    """Read a robot from an MJCF file.
+    """Read a robot from an MJCF file; joint coordinates are MuJoCo's ``qpos``.
 
-    Hinges and slides are joints; a ball becomes three revolute joints, about x, y and z, with massless links in
-    between; a free body held by closures becomes a platform. Bodies without joints become part of their carriers. The
-    equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, as do narrow limits of fixed
-    tendons. Joints with an actuator are actuated, or, without actuators, all joints that are not coupled. Joints that a
-    fixed tendon pulls are held. A joint with a stiffness has a spring, as do the bodies of two sites with a straight
-    tendon between them. A ``base`` fixes free bodies that carry joints, as in the file, or, with ``rpy``, along the
-    axes of the world; ``"floating"`` makes the one free body a floating base.
-
-    Joint coordinates are MuJoCo's ``qpos``. Notes list omitted elements and effects of the simulator alone.
+    A ball becomes three revolute joints, about x, y and z, with massless links in between; a free body held by closures
+    becomes a platform. The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, as do
+    narrow limits of fixed tendons. Joints with an actuator are actuated, or, without actuators, all joints that are not
+    coupled; joints that a fixed tendon pulls are held. Stiff joints and straight tendons between two sites are springs.
+    A ``base`` fixes free bodies that carry joints, as in the file, or, with ``rpy``, along the axes of the world;
+    ``"floating"`` makes the one free body a floating base. Notes list what is left out.
     """
     path = Path(path)
-    try:
+    with errors_at(path):
         if (root := read_xml(path)).tag != "mujoco":
             raise GtauError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
-        file = compile_mjcf(root, path)
-        robot = replace(as_written(file, path, base), name=root.get("model") or path.stem)
-        return without_idle_pins(robot)
-    except GtauError as error:
-        raise type(error)(f"{path}: {error}") from None
+        robot = as_written(compile_mjcf(root, path), path, base)
+        return without_idle_pins(replace(robot, name=root.get("model") or path.stem))
 
 
 def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
@@ -72,8 +85,8 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         qpos = homes[0]
     elif homes:
         left_out.append(f"keyframe '{HOME}' has {homes[0].size} positions for {model.nq} and was left out")
-    bodies = read_bodies(model, qpos, base)
-    closures, ties = read_equalities(model, bodies.carried)
+    bodies = _bodies(model, qpos, base)
+    closures, ties = _equalities(model, bodies.carried)
     ties += tied_tendons(file)
     held = {tie.joint: tie.offset for tie in ties if not tie.ratios}
     kinds = {joint.name: joint.kind for joint in bodies.joints}
@@ -87,7 +100,7 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     rows, has_motors = set(base_rows(bodies.floating)), bool(actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
     _check_motors(joints, driven - rows, bool(closures and not has_motors))
-    tied = {end.body for closure in closures for end in (closure.a, closure.b)}
+    tied = {end.body for tie in closures for end in (tie.a, tie.b)}
     loose = [platform.name for platform in bodies.platforms if platform.name not in tied]
     springs, notes = site_springs(file, bodies.carried)
     notes += [*file.notes, *left_out, *bodies.notes]
@@ -107,7 +120,7 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
             path.name,
             tuple(notes),
             home_given,
-            inertias=mjcf_inertias(file, bodies.carried),
+            inertias=_inertias(file, bodies.carried),
             rounding=mjcf_rounding(file.elements),
         ),
     )
@@ -129,22 +142,7 @@ def _gravity(model: mujoco.MjModel) -> tuple[float, float, float]:
 
 
 def _weightless(model: mujoco.MjModel) -> bool:
-    import mujoco
-
     return bool(model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY)
-
-
-def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:
-    """Hold the joints that no modelled element moves."""
-    for names, why in (
-        (held.keys(), "by an equality with a constant"),
-        (with_linkages(robot, pulled), "since a tendon pulls them, which is not modelled"),
-        (scenery(robot), "since they carry no motor and nothing ties them to one that does"),
-        (moving_base(robot) if isinstance(base, Base) else set(), "with the base"),
-    ):
-        if here := {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name in names}:
-            robot = hold_joints(robot, here, why)
-    return robot
 
 
 def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
@@ -172,124 +170,182 @@ def _is_braked(model: mujoco.MjModel, free: int) -> bool:
     return bool(np.any(model.jnt_stiffness[free])) or any(np.any(effect[start : start + 6]) for effect in effects)
 
 
-@dataclass(frozen=True)
-class Motors:
-    """Joints and tendons driven by the actuators of a file.
-
-    ``driven`` joints, shafts included, have a motor; ``pulled`` joints are pulled by fixed tendons, which are not
-    modelled. ``shafts`` are motors of tendons, as joints on the ground, and ``couplings`` tie joints to them.
-    """
-
-    driven: set[str]
-    pulled: set[str]
-    shafts: list[Joint]
-    couplings: list[Coupling]
-    notes: list[str]
-
-
-def read_motors(file: MjcfFile, kinds: Mapping[str, JointKind]) -> Motors:
-    """Read the actuators; tendon actuators become motors only if no other actuator drives a joint.
-
-    Such a motor is a shaft on the ground whose position is the tendon's length: the force along a tendon acts on a
-    joint by the joint's coefficient in this length. ``kinds`` maps joint names to kinds.
-    """
-    import mujoco
-
-    tendons, others, pulling = fixed_tendons(file.spec), [], []
-    motors = Motors(set(), set(), [], [], [])
-    joint_types = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    movable = _hinges_and_slides(file.model)
-    for number, actuator in enumerate(actuators(file.spec), start=1):
-        target, gear = actuator.target, float(actuator.gear[0])
-        if actuator.trntype in joint_types and target in movable:
-            motors.driven.add(target)
-            if gear != 1.0:
-                motors.notes.append(
-                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are measured at the "
-                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
-                )
-        elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
-            pulling.append((number, actuator.name, tendons[target]))
-            motors.pulled.update(tendons[target])
-        else:
-            others.append(actuator.name or target)
-    if others:
-        s = "s" * (len(others) > 1)
-        motors.notes.append(f"actuator{s} {listed(others)} on no hinge, slide or fixed tendon: left out")
-    if motors.driven:
-        motors.pulled.difference_update(motors.driven)
-        return motors
-    for number, name, terms in pulling:
-        ratios = tuple((joint, factor) for joint, factor in terms.items() if factor)
-        shaft = name if name and name not in kinds else f"motor {number}"
-        motors.shafts.append(Joint(shaft, GROUND, kinds[ratios[0][0]], parameters="drive"))
-        motors.couplings.append(Coupling(shaft, ratios))
-        motors.notes.append(
-            f"'{shaft}' is the motor that pulls {listed([joint for joint, _ in ratios])} by a fixed tendon; its "
-            "position is the tendon's length"
-        )
-        motors.driven.add(shaft)
-    motors.pulled.clear()
-    return motors
-
-
-def _hinges_and_slides(model: mujoco.MjModel) -> set[str]:
-    import mujoco
-
-    types = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    return {name_in(model, "joint", k) for k, kind in enumerate(model.jnt_type.tolist()) if kind in types}
-
-
-def scenery(robot: Robot) -> set[str]:
-    """List the joints of trees from the ground without any motor, such as doors and targets."""
-    moved = _moved(robot)
-    return set().union(*(tree for tree in _trees(robot) if tree.isdisjoint(moved)))
-
-
-def moving_base(robot: Robot) -> set[str]:
-    """List unactuated joints that carry all actuated joints of their tree, as in a base that rolls or slides."""
-    carriers, moved = _carriers(robot), _moved(robot)
-    moved_trees = (tree & moved for tree in _trees(robot) if tree & moved)
-    shared = (set.intersection(*(carriers[name] for name in names)) for names in moved_trees)
-    return set().union(*shared) - moved - {GROUND}
-
-
-def with_linkages(robot: Robot, pulled: AbstractSet[str]) -> set[str]:
-    """List the joints that tendons pull, and the joints of their loops, if no motor moves them."""
-    pulled_alone = (group for group in _groups(robot) if group & pulled and group.isdisjoint(robot.actuated))
-    return set(pulled).union(*pulled_alone) & {joint.name for joint in robot.joints}
-
-
-def _carriers(robot: Robot) -> dict[str, set[str]]:
-    carriers: dict[str, set[str]] = {GROUND: set()}
+def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:
+    """Hold the joints that no modelled element moves."""
+    chains: dict[str, set[str]] = {GROUND: set()}  # a joint's, from the ground
     for joint in robot.joints:
-        carriers[joint.name] = carriers[joint.antecedent] | {joint.antecedent}
-    return carriers
+        chains[joint.name] = chains[joint.antecedent] | {joint.name}
+    roots = [joint.name for joint in robot.joints if joint.antecedent == GROUND]
+    trees = [{name for name, chain in chains.items() if root in chain} for root in roots]
+    groups, driven = _groups(robot, chains), set(robot.actuated)
+    moved = driven.union(*(group for group in groups if group & driven))
+    linked = set(pulled).union(*(group for group in groups if group & pulled and group.isdisjoint(driven)))
+    scenery = set[str]().union(*(tree for tree in trees if tree.isdisjoint(moved)))  # doors, targets
+    carrying = [set.intersection(*(chains[name] for name in tree & moved)) for tree in trees if tree & moved]
+    rolling = set[str]().union(*carrying) - moved if isinstance(base, Base) else set[str]()
+    for names, why in (
+        (held.keys(), "by an equality with a constant"),
+        (linked, "since a tendon pulls them, which is not modelled"),
+        (scenery, "since they carry no motor and nothing ties them to one that does"),
+        (rolling, "with the base"),
+    ):
+        if here := {joint.name: held.get(joint.name, joint.home) for joint in robot.joints if joint.name in names}:
+            robot = hold_joints(robot, here, why)
+    return robot
 
 
-def _trees(robot: Robot) -> list[set[str]]:
-    trees: dict[str, set[str]] = {}
-    for joint in robot.joints:
-        trees[joint.name] = trees.get(joint.antecedent, set())
-        trees[joint.name].add(joint.name)
-    return [trees[joint.name] for joint in robot.joints if joint.antecedent == GROUND]
-
-
-def _moved(robot: Robot) -> set[str]:
-    """List the joints with motors, and those that loops and couplings tie to them."""
-    driven = set(robot.actuated)
-    return driven.union(*(group for group in _groups(robot) if group & driven))
-
-
-def _groups(robot: Robot) -> list[set[str]]:
+def _groups(robot: Robot, chains: Mapping[str, set[str]]) -> list[set[str]]:
     """Group the joints (and platforms) that loops and couplings tie to each other."""
-    carriers = _carriers(robot) | {platform.name: {platform.name} for platform in robot.platforms}
-    ties = [set(coupling.terms) for coupling in robot.couplings]
-    for closure in robot.closures:
-        a, b = (carriers[end.body] | {end.body} for end in (closure.a, closure.b))
-        ties.append((a ^ b) - {GROUND})
+    chains = {**chains, **{platform.name: {platform.name} for platform in robot.platforms}}
+    ties = [set(tie.terms) for tie in robot.couplings]
+    ties += [chains[tie.a.body] ^ chains[tie.b.body] for tie in robot.closures]
     groups: list[set[str]] = []
     for tie in ties:
         apart = [group for group in groups if group.isdisjoint(tie)]
         groups = [*apart, tie.union(*(group for group in groups if group & tie))]
     return groups
+
+
+@dataclass
+class _Bodies:
+    """Joints, platforms (free bodies without joints) and floating base of a file, collected along the tree."""
+
+    joints: list[Joint] = field(default_factory=list)
+    platforms: list[Platform] = field(default_factory=list)
+    carried: dict[int, Attachment] = field(default_factory=lambda: {0: Attachment(GROUND)})
+    floating: str = ""
+    notes: list[str] = field(default_factory=list)
+
+
+def _bodies(model: mujoco.MjModel, qpos: np.ndarray, base: BaseChoice) -> _Bodies:
+    """Read the tree of a compiled model with its home at ``qpos``."""
+    bodies = _Bodies()
+    carriers = set[int]()  # ancestors of bodies with joints
+    for body in map(int, model.jnt_bodyid):
+        while body := int(model.body_parentid[body]):
+            carriers.add(body)
+    for body in range(1, model.nbody):
+        pose = pose_in(model.body_pos[body], model.body_quat[body])
+        at = bodies.carried[int(model.body_parentid[body])].at(pose)
+        joints = np.flatnonzero(model.jnt_bodyid == body).tolist()
+        for number in joints:
+            if model.jnt_type[number] == mujoco.mjtJoint.mjJNT_FREE:
+                start = int(model.jnt_qposadr[number])
+                pose = pose_in(qpos[start : start + 3], qpos[start + 3 : start + 7])
+                at = _freed(bodies, name_in(model, "body", body), pose, body in carriers, base)
+            else:
+                made, at = _joints(model, number, at, qpos, number == joints[-1])
+                bodies.joints += made
+        bodies.carried[body] = at
+    bodies.joints.sort(key=lambda joint: joint.name not in base_rows(bodies.floating))
+    return bodies
+
+
+def _freed(bodies: _Bodies, name: str, pose: Pose, carries: bool, base: BaseChoice) -> Attachment:
+    """Make a free body a platform, floating base or part of the ground; return the attachment of its frame."""
+    if not carries:
+        bodies.platforms.append(Platform(name, TRANSLATIONS + ROTATIONS, pose))
+        return Attachment(name)
+    if base is None:
+        raise GtauError(f"body '{name}' floats and carries joints; {BASE_ADVICE}.")
+    if base == FLOATING:
+        if bodies.floating:
+            raise GtauError(f"the bodies '{bodies.floating}' and '{name}' float; give the file of one robot.")
+        bodies.floating = name
+        bodies.joints += base_joints(name)
+        return Attachment(name)
+    bodies.notes.append(f"body '{name}' floats in the file and was fixed")
+    return Attachment(GROUND, pose if base.rpy is None else Pose())
+
+
+def _joints(
+    model: mujoco.MjModel, number: int, at: Attachment, qpos: np.ndarray, last: bool
+) -> tuple[list[Joint], Attachment]:
+    """Make the joint of a body whose frame is at `at` before its motion; return the frame's attachment after it."""
+    name, start = name_in(model, "joint", number), int(model.jnt_qposadr[number])
+    kind, axis, anchor = model.jnt_type[number], model.jnt_axis[number], model.jnt_pos[number]
+    slides, reference = kind == mujoco.mjtJoint.mjJNT_SLIDE, Pose()
+    if slides:
+        anchor, reference = np.zeros(3), pose_of(np.eye(3), -axis * model.qpos0[start])
+    elif kind == mujoco.mjtJoint.mjJNT_HINGE:
+        reference = pose_of(turn(axis, -model.qpos0[start]), np.zeros(3))
+    placement = at.at(pose_of(np.eye(3), anchor)).at(reference).placement
+    after = Attachment(name, pose_of(np.eye(3), -anchor))
+    if kind == mujoco.mjtJoint.mjJNT_BALL:
+        angles = rotation_in(qpos[start : start + 4]).as_euler("XYZ")
+        chain = zip(turning(name, at.body, placement, "xyz"), angles, strict=True)
+        *links, ball = (replace(joint, home=float(angle)) for joint, angle in chain)
+        return [*links, ball if last else replace(ball, parameters="none")], after
+    low, high = map(float, model.jnt_range[number])
+    joint = Joint(
+        name,
+        at.body,
+        "prismatic" if slides else "revolute",
+        placement,
+        tuple(rounded(component) for component in axis),  # type: ignore[arg-type]
+        home=rounded(qpos[start]),
+        limits=Limits(position_limits(low, high) if model.jnt_limited[number] else None),
+        # the joints of one body have no links between them
+        parameters="all" if last else "drive",
+        spring=rounded(model.qpos_spring[start]) if np.any(model.jnt_stiffness[number]) else None,
+    )
+    return [joint], after
+
+
+def _equalities(model: mujoco.MjModel, carried: Mapping[int, Attachment]) -> tuple[list[Closure], list[Coupling]]:
+    """Read closures and couplings, a coupling of one joint where it is held; ``carried`` places the bodies' frames."""
+    closures, couplings, tie = [], [], mujoco.mjtEq
+    for number in range(model.neq):
+        kind, data = tie(int(model.eq_type[number])), model.eq_data[number]
+        ends = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
+        if kind in (tie.mjEQ_CONNECT, tie.mjEQ_WELD):
+            a, b = _ends(model, number, ends, carried)
+            if a.body != b.body:
+                closures.append(Closure("connect" if kind == tie.mjEQ_CONNECT else "weld", a, b))
+        elif kind == tie.mjEQ_JOINT and (ends[1] < 0 or not np.any(data[2:5])):
+            (joint, zero), *others = (
+                (name_in(model, "joint", end), float(model.qpos0[model.jnt_qposadr[end]])) for end in ends if end >= 0
+            )
+            offset, ratio = zero + float(data[0]), float(data[1])
+            ratios = tuple((other, ratio) for other, _ in others if ratio)
+            couplings.append(Coupling(joint, ratios, offset - sum(ratio * other_zero for _, other_zero in others)))
+        else:
+            raise GtauError(
+                f"equality '{name_in(model, 'equality', number)}' is neither connect, weld nor a linear joint coupling "
+                "of two joints; remove it, or describe the mechanism by these."
+            )
+    return closures, couplings
+
+
+def _ends(
+    model: mujoco.MjModel, number: int, ends: tuple[int, int], carried: Mapping[int, Attachment]
+) -> tuple[Attachment, Attachment]:
+    """Place the two frames that an equality ``connect`` or ``weld`` ties: sites, or points and poses on bodies."""
+    data = model.eq_data[number]
+    if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
+        return attached_site(model, ends[0], carried), attached_site(model, ends[1], carried)
+    if model.eq_type[number] == mujoco.mjtEq.mjEQ_CONNECT:
+        poses = pose_of(np.eye(3), data[:3]), pose_of(np.eye(3), data[3:6])
+    else:
+        poses = pose_in(data[3:6], data[6:10]), pose_of(np.eye(3), data[:3])
+    return carried[ends[0]].at(poses[0]), carried[ends[1]].at(poses[1])
+
+
+def _inertias(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[tuple[str, float], ...]:
+    """Sum MuJoCo's inertias of an MJCF file by the carriers of the bodies; armatures of joints are rotor inertias."""
+    model = file.model
+    if not file.has_masses:
+        return ()
+
+    def body(number: int) -> RigidBody:
+        rotation = rotation_in(model.body_iquat[number]).as_matrix()
+        tensor = rotation @ np.diag(model.body_inertia[number]) @ rotation.T
+        return RigidBody(float(model.body_mass[number]), model.body_ipos[number].copy(), tensor)
+
+    inertias = lumped((carried[number], body(number)) for number in range(1, model.nbody))
+    rotors = (
+        (Parameter("ia", name_in(model, "joint", number)), float(model.dof_armature[model.jnt_dofadr[number]]))
+        for number in range(model.njnt)
+    )
+    stated = inertias.items() if any(inertias.values()) else ()
+    return (*stated, *((name, armature) for name, armature in rotors if armature))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from importlib import import_module
 from itertools import chain, count
 from math import pi
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from warnings import catch_warnings, simplefilter
+from xml.etree.ElementTree import Element
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, missing_extra
@@ -27,15 +30,15 @@ from gtau.robots.placement import (
     short_angles_note,
     smallest_unit,
 )
-from gtau.robots.readers.mjcf_bounds import bounded
-from gtau.robots.readers.mujoco_process import refuse_deadly
+from gtau.robots.readers.mjcf_guard import bounded, refuse_deadly
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of
 from gtau.robots.robot import Pose
 
-if TYPE_CHECKING:
-    from xml.etree.ElementTree import Element
+try:
+    import mujoco as mujoco
+except ImportError:  # an extra
+    mujoco = None
 
-    import mujoco
     from scipy.spatial.transform import Rotation
 
 SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", "textures", "materials", "hfields")
@@ -52,7 +55,7 @@ NUMBERS = (*GEOMETRY, *FORCES, *MASSES, "qpos", "gravity", "polycoef", "coef", "
 
 def _check_numbers(roots: Iterable[Element]) -> None:
     """Refuse implausible numbers, some of which MuJoCo accepts with or without a warning."""
-    for element in (part for root in roots for part in root.iter() if part.tag != "flag"):  # its gravity is a word
+    for element in (part for root in roots for part in root.iter() if part.tag != "flag"):
         for key in NUMBERS:
             text = element.get(key, "")
             if decimals(text, endless=key in RANGES) is None:
@@ -64,22 +67,17 @@ def _check_numbers(roots: Iterable[Element]) -> None:
 
 @dataclass(frozen=True)
 class MjcfFile:
-    """An MJCF file: its specification and the compiled model, with inertias if ``has_masses``.
-
-    ``elements`` are the outermost elements of the file and its includes; ``notes`` list changes and omissions before
-    compilation.
-    """
+    """An MJCF file: its specification and the compiled model."""
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
-    notes: list[str]
+    notes: list[str]  # of changes and omissions before compilation
     has_masses: bool
-    elements: list[Element]
+    elements: list[Element]  # the outermost ones of the file and its includes
 
 
 def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """Replace rounded orientations in ``spec`` by the exact ones, with a note."""
-    import mujoco
 
     def exact(element: Any) -> float:
         kind, radian = element.alt.type, not spec.compiler.degree
@@ -117,10 +115,8 @@ def _states_masses(spec: mujoco.MjSpec) -> bool:
 
 def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
     """Return whether a shape adds to the inertia of a moving body."""
-    import mujoco
-
     body, rule = geom.parent, mujoco.mjtInertiaFromGeom
-    compiler = getattr(body, "compiler", spec.compiler)  # a model that is attached has its own since MuJoCo 4
+    compiler = getattr(body, "compiler", spec.compiler)  # of its own since MuJoCo 4
     first, last = compiler.inertiagrouprange
     if compiler.inertiafromgeom == rule.mjINERTIAFROMGEOM_AUTO:
         counts = not body.explicitinertial
@@ -134,8 +130,6 @@ def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
 
 def _reduce(spec: mujoco.MjSpec, sites: Iterable[str], masses: bool) -> list[str]:
     """Delete elements without effect on geometry or ``masses``, but keep ``sites``; note inactive equalities."""
-    import mujoco
-
     notes = []
     for equality in list(spec.equalities):
         if not equality.active:
@@ -148,7 +142,7 @@ def _reduce(spec: mujoco.MjSpec, sites: Iterable[str], masses: bool) -> list[str
             if kind == "geoms" and masses and _weighs(element, spec):
                 meshes.add(element.meshname)
                 element.material = ""
-                element.contype = element.conaffinity = 0  # without contacts, meshes need no convex hull
+                element.contype = element.conaffinity = 0  # else meshes need a hull
             elif kind != "meshes" or element.name not in meshes:
                 spec.delete(element)
     kept = {name for equality in spec.equalities for name in (equality.name1, equality.name2)}.union(sites)
@@ -165,8 +159,6 @@ def _reduce(spec: mujoco.MjSpec, sites: Iterable[str], masses: bool) -> list[str
 
 def straight_tendons(spec: mujoco.MjSpec) -> dict[str, tuple[str, str]]:
     """Find the two sites of each tendon that runs straight from one to the other."""
-    import mujoco
-
     site, tendons = mujoco.mjtWrap.mjWRAP_SITE, {}
     for tendon in spec.tendons:
         path = list(tendon.path)
@@ -180,7 +172,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     elements = bounded(root, path)
     _check_numbers(elements)
     try:
-        import mujoco
+        import_module("mujoco")
     except ImportError:
         raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
     refusals = (ValueError, RuntimeError, mujoco.FatalError)
@@ -211,10 +203,8 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
 
 def _compiled(path: Path, sites: Iterable[str], masses: bool) -> tuple[mujoco.MjModel, list[str], bool]:
     """Read a file again (a copy would lack invalid equalities), reduce and compile it; return model, notes, masses."""
-    import mujoco
-
     spec = mujoco.MjSpec.from_file(str(path))
-    spec.compiler.fusestatic &= spec.compiler.settotalmass > 0  # which leaves out what is fused to the ground
+    spec.compiler.fusestatic &= spec.compiler.settotalmass > 0
     notes = [*_with_exact_orientations(spec), *_reduce(spec, sites, masses)]
     with catch_warnings():
         simplefilter("ignore")  # deprecated attributes
@@ -233,8 +223,6 @@ def name_in(model: mujoco.MjModel, kind: str, number: int) -> str:
 
 def rotation_in(quaternion: np.ndarray) -> Rotation:
     """Make the rotation of a quaternion (4,), w first; zeros give the identity, as in MuJoCo's keyframes."""
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_quat(quaternion, scalar_first=True) if np.any(quaternion) else Rotation.identity()
 
 

@@ -1,10 +1,17 @@
-"""Read any robot: catalog names and all kinds of robot files, with the base and the selected joints."""
+"""Read any robot: catalog names and all kinds of robot files, with the base and the selected joints.
+
+Importing a module of the package robot_descriptions may clone a repository. So its modules are parsed as data: the
+paths that they join, below the package's folder of repositories. Nothing is executed or fetched.
+"""
 
 from __future__ import annotations
 
+import ast
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
+from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
 
@@ -12,17 +19,20 @@ import numpy as np
 
 from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml
-from gtau.errors import GtauError
+from gtau.errors import GtauError, errors_at
 from gtau.extensions import added, registered
 from gtau.robots.floating import drawn_base, float_base
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
-from gtau.robots.placement import Pose, rounded
+from gtau.robots.placement import Placement, Pose, rounded
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, GivenLimits, RobotSource
 from gtau.robots.robot import Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
 GROUP = "gtau.robots"  # of the entry points that name packages with robot files
 LOOPS = ("closed_loop", "name_mot")  # keys that distinguish a file of loops from a robot file
+PACKAGE = "robot_descriptions"
+FILES = ("URDF_PATH", "MJCF_PATH")
+Value = Path | str | None
 ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
 
 
@@ -50,7 +60,7 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     if not isinstance(source, RobotSource):
         source = RobotSource(file=str(source))
     robot = _read(source.file, source.base)
-    try:
+    with errors_at(source.file):
         six = drawn_base(robot) if len(robot.joints) > 6 and not robot.floating else ()
         if source.base == FLOATING:
             robot = _floating(robot, six)
@@ -65,8 +75,6 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
         if source.base is None and not robot.floating and len(robot.joints) > 6 and (six := drawn_base(robot)):
             raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
         return robot
-    except GtauError as error:
-        raise GtauError(f"{source.file}: {error}") from None
 
 
 def _floating(robot: Robot, six: Sequence[str]) -> Robot:
@@ -120,7 +128,7 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
                 f"{path.stem}.xml' of the package sdformat-mjcf, or give a URDF or a robot file."
             )
         case ".par":
-            from gtau.robots.readers.symoro import read_par
+            from gtau.robots.readers.mdh_table import read_par
 
             return read_par(path)
         case ".csv":
@@ -131,9 +139,7 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
             raise GtauError(f"{path} is a xacro file; expand it with 'xacro {path.name} > {path.stem}.urdf' first.")
         case _ if path.is_file():
             raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
-    from gtau.robots.readers.described import described_file
-
-    if (described := described_file(str(source))) is not None:
+    if (described := _described(str(source))) is not None:
         return _read(described, base)
     close = get_close_matches(str(source), catalog_names(), n=1)
     hint = f" (did you mean '{close[0]}'?)" if close else ""
@@ -165,3 +171,119 @@ def _from_urdf(path: Path, base: BaseChoice) -> Robot:
         if is_loops_file(loops):
             return read_urdf_with_loops(path, loops)
     return read_urdf(path, base)
+
+
+def _described(name: str) -> Path | None:
+    """Find the file of a robot of robot_descriptions, such as ``panda_description`` or ``panda``; None if unknown."""
+    spec = find_spec(PACKAGE) if name.isidentifier() else None
+    folders = [Path(place) for place in (spec.submodule_search_locations or ())] if spec else []
+    modules = [folder / f"{stem}.py" for folder in folders for stem in (name, f"{name}_description")]
+    module = next((path for path in modules if path.stem.endswith("_description") and path.is_file()), None)
+    if module is None:
+        return None
+    known: dict[str, Value] = {}
+    repositories = _repositories(module.with_name("_repositories.py"))
+    for statement in _parsed(module).body:
+        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name) and statement.value:
+            known[statement.target.id] = _value(statement.value, known, repositories)
+    file = next((known[variable] for variable in FILES if known.get(variable)), None)
+    if file is None:
+        raise GtauError(
+            f"the URDF of '{module.stem}' of the package {PACKAGE} is made by xacro; write it to a file, and give that "
+            "file."
+        )
+    if not Path(file).is_file():
+        raise GtauError(
+            f"the package {PACKAGE} has '{module.stem}', but not its file on disk ({file}); fetch it ('{PACKAGE} pull "
+            f"{module.stem}'), or give the robot's file."
+        )
+    return Path(file)
+
+
+def _parsed(module: Path) -> ast.Module:
+    try:
+        return ast.parse(module.read_text(encoding="utf-8"))
+    except (OSError, SyntaxError, ValueError):
+        raise GtauError(f"{module} cannot be read; install the package {PACKAGE} again, or give a file.") from None
+
+
+def _repositories(module: Path) -> dict[str, str]:
+    """Find the folder of each repository, relative to the common folder."""
+    repositories: dict[str, str] = {}
+    tables = [node for node in ast.walk(_parsed(module)) if isinstance(node, ast.Dict)]
+    for key, value in (entry for table in tables for entry in zip(table.keys, table.values, strict=True)):
+        for word in value.keywords if isinstance(value, ast.Call) else ():
+            if word.arg == "cache_path" and isinstance(key, ast.Constant) and isinstance(word.value, ast.Constant):
+                repositories[str(key.value)] = str(word.value.value)
+    return repositories
+
+
+def _value(node: ast.expr, known: Mapping[str, Value], repositories: Mapping[str, str]) -> Value:
+    """Evaluate a name, a text, a join of paths or the folder of a repository; None for anything else."""
+    if isinstance(node, ast.Constant):
+        return str(node.value)
+    if isinstance(node, ast.Name):
+        return known.get(node.id)
+    if not isinstance(node, ast.Call) or not node.args:
+        return None
+    called = ast.unparse(node.func).lstrip("_")
+    parts = [_value(argument, known, repositories) for argument in node.args]
+    if called == "path.join" and None not in parts:
+        return Path(*(part for part in parts if part is not None))
+    if called == "clone_to_cache" and parts[0] in repositories:
+        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", f"~/.cache/{PACKAGE}")
+        return Path(folder).expanduser() / repositories[str(parts[0])]
+    return None
+
+
+def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:
+    """Find a frame fixed to a ``body``, a joint or platform: its name, and its pose in the body's frame.
+
+    The ``frame`` is empty for the body's, a link of the URDF ``file``, ``x y z roll pitch yaw`` (m, rad), or a pose.
+    """
+    body_frame = f"the frame of '{body}'"
+    if isinstance(frame, Pose):
+        return f"a frame on '{body}'", frame
+    if not frame:
+        return body_frame, Pose()
+    try:
+        numbers = [float(word) for word in frame.replace(",", " ").split()]
+    except ValueError:
+        return frame, _link(body, frame, file)
+    if len(numbers) != 6:
+        raise GtauError(
+            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {body_frame}."
+        )
+    x, y, z, roll, pitch, yaw = numbers
+    return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {body_frame}", Pose((x, y, z), (roll, pitch, yaw))
+
+
+def links_on(body: str, file: str | Path) -> list[str]:
+    """List the links of the robot's ``file`` that are fixed to a ``body``; none if it is not a URDF."""
+    if Path(file).suffix.lower() != ".urdf":
+        return []
+    from gtau.robots.readers.urdf_tree import read_urdf_tree
+
+    tree = read_urdf_tree(Path(file), {}, Base())
+    links = (link.get("name", "") for link in tree.root.findall("link"))
+    return [link for link in links if link in tree.frames and tree.frames[link].body == body]
+
+
+def _link(body: str, link: str, file: str | Path | None) -> Placement:
+    if file is None or Path(file).suffix.lower() != ".urdf":
+        raise GtauError(
+            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
+            f"pitch yaw' (m, rad) from the frame of '{body}'."
+        )
+    from gtau.robots.readers.urdf_tree import read_urdf_tree
+
+    tree = read_urdf_tree(Path(file), {}, Base())
+    on_body = [name for name, frame in tree.frames.items() if frame.body == body]
+    if link not in tree.frames:
+        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
+    if link not in on_body:
+        raise GtauError(
+            f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
+            f"{', '.join(on_body) or 'none, and write the pose'}."
+        )
+    return tree.frames[link].placement

@@ -1,15 +1,43 @@
-"""Source of a robot: its file, the pose of its base, and its selected joints."""
+"""What users write of a robot: the keys of robot files, and of ``robot`` in other files, its source.
+
+A source names the file, the pose of the base and the selected joints; ``docs/lookup/robot-file.md`` explains files.
+"""
 
 from __future__ import annotations
 
 from math import isfinite
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FiniteFloat, Tag, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    FiniteFloat,
+    Tag,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.robots.placement import DEGREES_ADVICE, in_degrees
-from gtau.robots.readers.expressions import evaluate
+from gtau.robots.readers.expressions import AffineInQ, evaluate, linear
+from gtau.robots.robot import (
+    INERTIAL,
+    SPRING_WORDS,
+    STANDARD_GRAVITY,
+    Attachment,
+    Closure,
+    Joint,
+    JointKind,
+    Limits,
+    Mdh,
+    Placement,
+    Pose,
+    Spring,
+)
 
 FLOATING: Literal["floating"] = "floating"
 BASE_ADVICE = (
@@ -97,3 +125,202 @@ class RobotSource(BaseModel):
 
 AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("group")], Discriminator(text_or_group)]
 """Value of the key 'robot': a file or catalog name, or the group of a ``RobotSource``."""
+
+
+def _number(text: str, info: ValidationInfo) -> float:
+    return evaluate(text, info.context)
+
+
+def _angle(text: str, info: ValidationInfo) -> float:
+    angle = evaluate(text, info.context)
+    if in_degrees(angle):
+        raise ValueError(f"{text} rad is more than a turn; {DEGREES_ADVICE}, such as deg({text})")
+    return angle
+
+
+def _coordinate(text: str, info: ValidationInfo) -> AffineInQ:
+    factor, constant = linear(text, info.context)
+    if info.field_name == "theta" and in_degrees(constant):
+        raise ValueError(f"{text} adds more than a turn, in rad; {DEGREES_ADVICE}, such as deg({constant:g})")
+    return factor, constant
+
+
+Number = Annotated[float, BeforeValidator(_number)]
+WrittenAngle = Annotated[float, BeforeValidator(_angle)]
+Coordinate = Annotated[AffineInQ, BeforeValidator(_coordinate)]
+"""A number that may hold the joint coordinate ``q``."""
+Triple = tuple[Number, Number, Number]
+MDH_KEYS = ("gamma", "b", "alpha", "d", "theta", "r")
+POSE_KEYS = ("xyz", "rpy")
+INERTIAL_KEYS = {"mass", "masses", "inertia", "inertial", "com", "cog", *INERTIAL}
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def written(self, *keys: str) -> bool:
+        return not self.model_fields_set.isdisjoint(keys)
+
+
+class _BodyEntry(_Entry):
+    @model_validator(mode="before")
+    @classmethod
+    def _no_masses(cls, written: Any) -> Any:
+        for key in INERTIAL_KEYS.intersection(written if isinstance(written, dict) else ()):
+            raise ValueError(
+                f"masses and inertias are identified, so leave '{key}' out; values known beforehand, as from CAD, go "
+                "under 'priors' in the experiment file"
+            )
+        return written
+
+
+class _PoseEntry(_Entry):
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy: tuple[WrittenAngle, WrittenAngle, WrittenAngle] = (0.0, 0.0, 0.0)
+
+
+class _PlacedEntry(_PoseEntry):
+    gamma: WrittenAngle = 0.0
+    b: Number = 0.0
+    alpha: WrittenAngle = 0.0
+    d: Number = 0.0
+
+    @model_validator(mode="after")
+    def _one_way_of_placing(self) -> _PlacedEntry:
+        if self.written(*MDH_KEYS) and self.written(*POSE_KEYS):
+            raise ValueError("place it either by gamma, b, alpha, d, theta, r or by xyz and rpy, not by both")
+        return self
+
+    def placement(self, theta: float, r: float) -> Placement:
+        if self.written(*MDH_KEYS):
+            return Mdh(self.gamma, self.b, self.alpha, self.d, theta, r)
+        return Pose(self.xyz, self.rpy)
+
+
+class _AttachmentEntry(_PlacedEntry):
+    body: str
+    theta: WrittenAngle = 0.0
+    r: Number = 0.0
+
+    @property
+    def attachment(self) -> Attachment:
+        return Attachment(self.body, self.placement(self.theta, self.r))
+
+
+class _LimitsEntry(_Entry):
+    position: tuple[Number, Number] | None = None
+    velocity: Number | None = None
+    acceleration: Number | None = None
+    effort: Number | None = None
+
+
+class _JointEntry(_PlacedEntry, _BodyEntry):
+    antecedent: str
+    theta: Coordinate = (0.0, 0.0)
+    r: Coordinate = (0.0, 0.0)
+    type: JointKind | None = None
+    axis: Triple = (0.0, 0.0, 1.0)
+    actuated: bool | None = None
+    home: Number = 0.0
+    limits: _LimitsEntry = _LimitsEntry()
+    parameters: Literal["all", "inertial", "drive", "none"] = "all"
+    stiffness: bool = False
+    springref: Number = 0.0
+
+    @model_validator(mode="after")
+    def _one_coordinate(self) -> _JointEntry:
+        if self.written("springref") and not self.stiffness:
+            raise ValueError("'springref' is given without a spring; write 'stiffness: true' beside it, or remove it")
+        by_pose = self.written("type", "axis", *POSE_KEYS)
+        if by_pose and self.written(*MDH_KEYS):
+            raise ValueError(
+                "the keys type and axis go with xyz and rpy; with gamma, b, alpha, d, theta, r the axis is z, "
+                "and q in theta or r says the type"
+            )
+        if by_pose and self.type is None:
+            raise ValueError("the key 'type' is missing; write 'type: revolute' or 'type: prismatic'")
+        if by_pose:
+            return self
+        factors = [self.theta[0], self.r[0]]
+        if factors[0] and in_degrees(self.home) and self.parameters != "drive":
+            raise ValueError(f"home is {self.home:g} rad, many turns; {DEGREES_ADVICE}, such as deg({self.home:g})")
+        if factors == [0.0, 0.0]:
+            raise ValueError(
+                "the joint coordinate q is missing; write it in theta (revolute) or in r (prismatic), as 'theta: q'"
+            )
+        if 0.0 not in factors:
+            raise ValueError("q appears in both theta and r; a joint has one coordinate, so make two joints of it")
+        if sum(factors) != 1.0:
+            raise ValueError(
+                f"q is multiplied by {sum(factors):g}; write it plain, and turn the z axis around to reverse a joint"
+            )
+        return self
+
+    def joint(self, name: str, actuated_by_default: bool) -> Joint:
+        return Joint(
+            name=name,
+            antecedent=self.antecedent,
+            kind=self.type or ("revolute" if self.theta[0] else "prismatic"),
+            placement=self.placement(self.theta[1], self.r[1]),
+            axis=self.axis,
+            actuated=actuated_by_default if self.actuated is None else self.actuated,
+            home=self.home,
+            limits=Limits(**dict(self.limits)),
+            parameters=self.parameters,
+            spring=self.springref if self.stiffness else None,
+        )
+
+
+class _PlatformEntry(_BodyEntry):
+    dof: list[str]
+    home: _PoseEntry = _PoseEntry()
+
+
+class _ClosureEntry(_Entry):
+    connect: tuple[_AttachmentEntry, _AttachmentEntry] | None = None
+    weld: tuple[_AttachmentEntry, _AttachmentEntry] | None = None
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> _ClosureEntry:
+        if (self.connect is None) == (self.weld is None):
+            raise ValueError("a closure is either 'connect: [.., ..]' (points) or 'weld: [.., ..]' (frames)")
+        return self
+
+    @property
+    def closure(self) -> Closure:
+        a, b = (end.attachment for end in self.connect or self.weld or ())
+        return Closure("connect" if self.connect else "weld", a, b)
+
+
+class _CouplingEntry(_Entry):
+    joint: str
+    ratios: dict[str, Number]
+    offset: Number = 0.0
+
+
+class _SpringEntry(_Entry):
+    between: tuple[_AttachmentEntry, _AttachmentEntry]
+    preload: bool = True
+    stiffness: bool = True
+    damping: bool = False
+
+    def spring(self, name: str) -> Spring:
+        a, b = (end.attachment for end in self.between)
+        return Spring(name, a, b, tuple(kind for word, kind in SPRING_WORDS.items() if getattr(self, word)))
+
+
+class RobotEntry(_Entry):
+    """The keys of a robot file."""
+
+    robot: str = Field(min_length=1)
+    source: str = ""
+    notes: list[str] = []
+    constants: dict[str, Any] = {}  # evaluated first
+    gravity: Annotated[Triple, BeforeValidator(gravity_of)] = (0.0, 0.0, -STANDARD_GRAVITY)
+    joints: dict[str, _JointEntry]
+    platforms: dict[str, _PlatformEntry] = {}
+    closures: list[_ClosureEntry] = []
+    couplings: list[_CouplingEntry] = []
+    springs: dict[str, _SpringEntry] = {}
+    tool: str = Field("", min_length=1)
+    floating: str = Field("", min_length=1)

@@ -1,29 +1,47 @@
-"""URDF files: geometry and limits of serial arms and trees, and of loops described beside them.
+"""URDF files: geometry and limits of serial arms and trees, and of loops, in the file or described beside it.
 
-Masses and inertias in the file are kept for comparison with the identified ones. Loops are described in a YAML file, as
-in the Gepetto models of parallel robots: ``closed_loop`` lists pairs of frames that a loop ties, ``type`` their kind
-(``3d`` or ``6d``, the default), ``name_mot`` the motors, and ``joint_name`` with ``joint_type`` joints that a URDF
-cannot describe.
+Loops are written in the elements
+``<loop>`` (generalized_rbda), ``<loop_joint>`` (Isaac Sim), ``<drake:ball_constraint>`` or a ``<joint>`` that Gazebo
+adds to its model; what ties links otherwise is refused by name. Or they are in a YAML file, as in the Gepetto models of
+parallel robots: ``closed_loop`` lists pairs of frames that a loop ties, ``type`` their kind (``3d`` or ``6d``, the
+default), ``name_mot`` the motors, and ``joint_name`` with ``joint_type`` joints that a URDF cannot describe.
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
+from xml.etree.ElementTree import Element
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from gtau.documents.validation import unknown, validate
 from gtau.documents.yaml_document import Document, read_yaml
-from gtau.errors import GtauError
+from gtau.errors import GtauError, errors_at
 from gtau.robots.floating import drawn_base
-from gtau.robots.parts import without_idle_pins
+from gtau.robots.parts import listed, without_idle_pins
+from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
+from gtau.robots.readers.links import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BaseChoice
-from gtau.robots.readers.urdf_loops import joints_of_loops, written_closures
-from gtau.robots.readers.urdf_tree import UrdfTree, driven_joints, read_urdf_tree
-from gtau.robots.readers.xml_document import decimals
-from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Robot, RobotFile
+from gtau.robots.readers.urdf_tree import WORLD, UrdfTree, axis_of, driven_joints, origin_of, read_urdf_tree
+from gtau.robots.readers.xml_document import all_numbers, attribute, decimals, line_of, numbers
+from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose, Robot, RobotFile
+
+POINTS = {"spherical": 1, "ball": 1, "revolute": 2, "continuous": 2}
+"""Number of points of its axis that a joint ties: two make a hinge."""
+APART = 0.1  # m, between two points of an axis
+SIDES = ("predecessor", "successor", "link1", "link2")
+UNREAD = re.compile(r"constraint|coupling|\w+_constraint|linear_bushing\w*|joint")
+"""Elements, without their prefix, that tie links and are not read."""
+CLOSING = "closing_"  # links that onshape-to-robot writes in pairs where a loop is cut
+BY_HAND = (
+    "is not read; write the frames that it ties under 'closed_loop', and the motors under 'name_mot', in a YAML file "
+    "of the same name beside this one, or describe the robot in a robot file"
+)
 
 
 def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
@@ -31,57 +49,93 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
 
     Links on fixed joints become part of their carriers. Joints are listed depth first in the order of the file; each
     keeps its name, and its link has the same name. A joint that mimics another is passive and coupled to it. Gravity is
-    along -z of the root link. Angles within 1e-10 rad of a multiple of pi/2, and lengths below 1e-10 m, are exact;
-    rounded angles (1.5708) are replaced by exact ones, with a note. A velocity or effort limit of 0 means unknown. With
-    a ``base`` a floating joint is fixed, and its child becomes the ground, which may float.
+    along -z of the root link. Rounded angles (1.5708) are replaced by exact ones, with a note. A velocity or effort
+    limit of 0 means unknown. With a ``base`` a floating joint is fixed, and its child becomes the ground.
     """
     path = Path(path)
     tree = read_urdf_tree(path, {}, base)
-    notes = tree.file.notes
+    notes = []
     if base is None and sum(joint.antecedent == GROUND for joint in tree.joints) > 1:
-        notes += (
+        notes.append(
             "the root link was taken as fixed, as a URDF does not say whether it floats; write --base floating "
-            "(base: floating) if it moved",
+            "(base: floating) if it moved"
         )
-    try:
-        closures, said = written_closures(tree)
-        joints, motors = joints_of_loops(tree, closures)
-        robot = _closed(tree, joints, closures, replace(tree.file, notes=(*notes, *said, *motors)))
-        return _without_motors_of_base(robot, tree)
-    except GtauError as error:
-        raise type(error)(f"{path}: {error}") from None
+    with errors_at(path):
+        file = _file(tree, path.name)
+        closures, said = _written_closures(tree)
+        joints, motors = _with_motors(tree, closures)
+        robot = _closed(tree, joints, closures, file).noted(*notes, *said, *motors)
+        return _without_motors_of_base(without_idle_pins(robot), tree)
+
+
+def _file(tree: UrdfTree, source: str) -> RobotFile:
+    parts = [part for joint in tree.root.findall("joint") for part in joint]
+    lengths, angles = (all_numbers((part for part in parts if part.tag == "origin"), [key]) for key in ("xyz", "rpy"))
+    angles += all_numbers((part for part in parts if part.tag == "axis"), ["xyz"])
+    # roll, pitch, yaw and the direction of the axis turn a joint
+    rounding = replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
+    notes = (*urdf_masses(tree.root, tree.frames), *tree.notes)
+    return RobotFile(source, notes, inertias=urdf_inertias(tree.root, tree.frames), rounding=rounding)
+
+
+def _closed(tree: UrdfTree, joints: Sequence[Joint], closures: Sequence[Closure], file: RobotFile) -> Robot:
+    file = replace(file, home_given=not closures)
+    return Robot(tree.name, tuple(joints), (), tuple(closures), tree.couplings, file=file)
+
+
+def _with_motors(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[Sequence[Joint], Sequence[str]]:
+    """Decide which joints of loops have motors, with a note: those with a transmission, or the first of each branch."""
+    if not closures:
+        return tree.joints, ()
+    carriers: dict[str, set[str]] = {GROUND: set()}
+    for joint in tree.joints:
+        carriers[joint.name] = carriers[joint.antecedent] | {joint.name}
+    branches = [carriers[tie.a.body] ^ carriers[tie.b.body] for tie in closures]
+    looped, before = set[str]().union(*branches), {joint.name: joint.antecedent for joint in tree.joints}
+    motors, why = driven_joints(tree.root) & looped, "as their transmissions say"
+    if not motors:
+        motors = {joint for branch in branches for joint in branch if before[joint] not in branch}
+        why = "as they are the first of each branch, and the file has no transmissions of them"
+    passive = (looped - motors) | {joint.name for joint in tree.joints if not joint.actuated}
+    names = [joint.name for joint in tree.joints if joint.name in looped - passive]
+    note = (
+        f"of the joints in the loops, {listed(names)} have motors, {why}; if others have, name those under 'name_mot' "
+        "in a YAML file of the same name beside this one"
+    )
+    return [replace(joint, actuated=joint.name not in passive) for joint in tree.joints], [note]
 
 
 def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
-    """Remove the motors of six joints that carry all others and represent a floating base.
+    """Remove the motors, unknown in a URDF, of six joints that carry all others and represent a floating base.
 
-    A URDF does not define which joints have motors; ``robot`` has one at every joint that mimics no other. The six have
-    none if all other joints have a transmission (or ros2_control interface), an effort limit, or links with mass, and
-    the six do not. Transmissions take precedence.
+    The six have none if all other joints have a transmission (or ros2_control interface), or else an effort limit, or
+    links with mass, and the six do not.
     """
     if len(robot.joints) <= 6:
         return robot
     joints = tuple(replace(joint, actuated=k >= 6) for k, joint in enumerate(robot.joints))
     six = drawn_base(replace(robot, joints=joints))
-    rest = set(robot.actuated).difference(six)
+    rest, driven = set(robot.actuated).difference(six), driven_joints(tree.root)
     if not six or not rest:
         return robot
-    driven = driven_joints(tree.root)
-    strong = {joint.name for joint in robot.joints if joint.limits.effort}
-    masses = {link.get("name", ""): link.find("inertial/mass") for link in tree.root.findall("link")}
-    heavy = {
-        tree.frames[name].body
-        for name, mass in masses.items()
-        if name in tree.frames and mass is not None and any(decimals(mass.get("value", "")) or [])
-    }
     if rest <= driven:
         drawn = driven.isdisjoint(six)
     else:
+        strong, heavy = {joint.name for joint in robot.joints if joint.limits.effort}, _heavy(tree)
         drawn = (rest <= strong and strong.isdisjoint(six)) or (rest <= heavy and heavy.isdisjoint(six[:-1]))
     if not drawn:
         return robot
     joints = tuple(replace(joint, actuated=joint.actuated and joint.name not in six) for joint in robot.joints)
     return replace(robot, joints=joints)
+
+
+def _heavy(tree: UrdfTree) -> set[str]:
+    masses = {link.get("name", ""): link.find("inertial/mass") for link in tree.root.findall("link")}
+    return {
+        tree.frames[name].body
+        for name, mass in masses.items()
+        if name in tree.frames and mass is not None and any(decimals(mass.get("value", "")) or [])
+    }
 
 
 class _Loops(BaseModel):
@@ -101,11 +155,8 @@ class _Loops(BaseModel):
         return [kind.lower() if isinstance(kind, str) else kind for kind in types]
 
 
-def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
-    """Read a robot from a URDF file and the YAML file beside it; only the joints in ``name_mot`` are actuated.
-
-    The tree is read as in :func:`read_urdf`. One of two coaxial pins at a loop is locked, with a note.
-    """
+def read_urdf_with_loops(urdf: Path, loops: Path) -> Robot:
+    """Read a robot from a URDF file and the YAML file beside it; only the joints in ``name_mot`` are actuated."""
     document = read_yaml(loops)
     entry = validate(_Loops, document)
     for key, other in (("type", "closed_loop"), ("joint_type", "joint_name")):
@@ -114,33 +165,111 @@ def read_urdf_with_loops(urdf: str | Path, loops: str | Path) -> Robot:
             raise document.error(
                 (key,), f"{count} types are written for {needed} entries of {other}; write one for each"
             )
-    tree = read_urdf_tree(Path(urdf), dict(zip(entry.joint_name, entry.joint_type, strict=True)))
+    tree = read_urdf_tree(urdf, dict(zip(entry.joint_name, entry.joint_type, strict=True)))
+    with errors_at(urdf):
+        file = _file(tree, f"{urdf.name} with {loops.name}")
     names = [joint.name for joint in tree.joints]
     for key, known in (("name_mot", names), ("joint_name", tree.frames)):
         for position, name in enumerate(getattr(entry, key)):
             if name not in known:
                 raise document.error((key, position), unknown(f"joint '{name}'", name, names))
     types = entry.type or ["6d"] * len(entry.closed_loop)
-    try:
-        closures = [_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)]
-        joints = tuple(replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints)
-        closures, said = (closures, []) if closures else written_closures(tree)
-        source, notes = f"{Path(urdf).name} with {Path(loops).name}", (*tree.file.notes, *said)
-        file = replace(tree.file, source=source, notes=notes)
-        return _closed(tree, joints, closures, file)
-    except GtauError as error:
-        raise error if str(error).startswith(str(document.path)) else GtauError(f"{document.path}: {error}") from None
-
-
-def _closed(tree: UrdfTree, joints: tuple[Joint, ...], closures: list[Closure], file: RobotFile) -> Robot:
-    file = replace(file, home_given=not closures)
-    return without_idle_pins(Robot(tree.name, joints, (), tuple(closures), tree.couplings, file=file))
+    closures = [_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)]
+    with errors_at(document.path):
+        joints = [replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints]
+        closures, said = (closures, []) if closures else _written_closures(tree)
+        return without_idle_pins(_closed(tree, joints, closures, file).noted(*said))
 
 
 def _closure(document: Document, tree: UrdfTree, k: int, kind: str, pair: tuple[str, str]) -> Closure:
-    ends: list[Attachment] = []
     for position, name in enumerate(pair):
         if name not in tree.frames:
             raise document.error(("closed_loop", k, position), unknown(f"frame '{name}'", name, tree.frames))
-        ends.append(tree.frames[name])
-    return Closure("connect" if kind == "3d" else "weld", *ends)
+    a, b = (tree.frames[name] for name in pair)
+    return Closure("connect" if kind == "3d" else "weld", a, b)
+
+
+def _written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:
+    """Read the loop closures of a file, with notes; refuse other closing elements by name."""
+    closures, notes, known = list[Closure](), list[str](), {WORLD, *tree.frames}
+    for element in tree.root:
+        # without a namespace, and with the colon of an undeclared prefix
+        written = str(element.tag).rpartition("}")[2].replace(".", ":")
+        what = f"line {line_of(element)}: <{written}> '{element.get('name', '')}'".removesuffix(" ''")
+        match written.rpartition(":")[2]:
+            case "loop" | "loop_joint":
+                closures += _joined(element, [_side(tree, part, what) for part in element if part.tag in SIDES], what)
+            case "ball_constraint":
+                closures += _joined(element, [_side_of_ball(tree, element, k, what) for k in ("A", "B")], what)
+            case "gazebo":
+                for joint in element.findall("joint"):
+                    if not {(joint.findtext(side) or "").strip() for side in ("parent", "child")} <= known:
+                        continue  # it joins a link that Gazebo adds
+                    what = f"line {line_of(joint)}: <joint> '{joint.get('name', '')}' of <gazebo>"
+                    parent, child = sides = _sides_in_gazebo(tree, joint, what)
+                    if parent.body == child.body:
+                        continue  # it bolts the base down
+                    closures += _joined(joint, sides, what)
+                    x, y, z = parent.placement.position
+                    notes.append(
+                        f"{what} joins '{child.body}' to the point {x:zg} {y:zg} {z:zg} m of '{parent.body}', where it "
+                        "is while all joints are at zero, as in Gazebo"
+                    )
+            case "mujoco" if element.find("equality") is not None:
+                raise GtauError(f"{what}: its <equality> {BY_HAND}.")
+            case tag if element.tag != "joint" and UNREAD.fullmatch(tag):
+                raise GtauError(f"{what} {BY_HAND}.")
+    links = (link.get("name", "") for link in tree.root.findall("link"))
+    if len(frames := [link for link in links if link.startswith(CLOSING)]) > 1:
+        raise GtauError(f"what the frames {listed(frames)} of onshape-to-robot close {BY_HAND}.")
+    return closures, notes
+
+
+def _joined(element: Element, sides: Sequence[Attachment], what: str) -> list[Closure]:
+    """Make the closures of a joint between two frames."""
+    kind = element.get("type", "ball")
+    if len(sides) != 2 or kind not in (*POINTS, "fixed"):
+        raise GtauError(f"{what}, of type '{kind}' and between {len(sides)} links, {BY_HAND}.")
+    if kind == "fixed":
+        return [Closure("weld", *sides)]
+    axis = np.array(axis_of(element, what))
+    points = [pose_of(np.eye(3), APART * k * axis) for k in range(POINTS[kind])]
+    return [Closure("connect", *(side.at(point) for side in sides)) for point in points]
+
+
+def _on(tree: UrdfTree, link: str, placement: Placement, what: str) -> Attachment:
+    frames = {WORLD: Attachment(GROUND), **tree.frames}
+    if link not in frames:
+        raise GtauError(f"{what}: {unknown(f'link {link!r}', link, frames)}.")
+    return frames[link].at(placement)
+
+
+def _side(tree: UrdfTree, part: Element, what: str) -> Attachment:
+    origin = part.find("origin")
+    placement, _ = origin_of(part if origin is None else origin, what)
+    return _on(tree, attribute(part, "link", f"{what}: <{part.tag}>"), placement, what)
+
+
+def _side_of_ball(tree: UrdfTree, element: Element, side: str, what: str) -> Attachment:
+    values = {str(part.tag).rpartition("_constraint_")[2]: part.get("name", part.get("value", "")) for part in element}
+    point = f"p_{side}{'PQ'[side == 'B']}"
+    x, y, z = numbers(values.get(point, ""), 3, f"{point} of {what}")
+    return _on(tree, values.get(f"body_{side}", ""), Pose((x, y, z)), what)
+
+
+def _sides_in_gazebo(tree: UrdfTree, joint: Element, what: str) -> list[Attachment]:
+    """Place the two frames of a joint, whose pose is in its child, as Gazebo does with all other joints at zero."""
+    if joint.find("pose[@relative_to]") is not None or joint.find("axis/xyz[@expressed_in]") is not None:
+        raise GtauError(f"{what}, placed in another frame than its child's, {BY_HAND}.")
+    x, y, z, roll, pitch, yaw = numbers(joint.findtext("pose") or "0 0 0 0 0 0", 6, f"pose of {what}")
+    pose, _ = exact_placement(Pose((x, y, z), (roll, pitch, yaw)))
+    child, parent = (
+        _on(tree, (joint.findtext(tag) or "").strip(), placement, what)
+        for tag, placement in (("child", pose), ("parent", Pose()))
+    )
+    drawn: dict[str, Placement] = {GROUND: Pose()}
+    for moving in tree.joints:
+        drawn[moving.name] = compose(drawn[moving.antecedent], moving.placement)
+    there, R = compose(drawn[child.body], child.placement), drawn[parent.body].rotation.T
+    from_parent = pose_of(R @ there.rotation, R @ (there.position - drawn[parent.body].position))
+    return [replace(parent, placement=from_parent), child]

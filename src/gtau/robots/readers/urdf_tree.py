@@ -1,9 +1,9 @@
-"""The tree of a URDF file: joints with their limits, frames of links, mimic joints and stated inertias."""
+"""The tree of a URDF file: joints with their limits, frames of links, and mimic joints."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -11,23 +11,18 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from gtau.documents.validation import some_of
-from gtau.errors import GtauError
+from gtau.errors import GtauError, errors_at
 from gtau.robots.floating import turning
 from gtau.robots.placement import (
     ROUNDING,
-    Digits,
-    compose,
-    digits_of,
     exact_placement,
     in_degrees,
     rounded,
     short_angles_note,
 )
-from gtau.robots.readers.inertias import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
 from gtau.robots.readers.xml_document import (
     LARGEST,
-    all_numbers,
     attribute,
     decimals,
     line_of,
@@ -44,7 +39,6 @@ from gtau.robots.robot import (
     Limits,
     Placement,
     Pose,
-    RobotFile,
     refuse_many,
 )
 
@@ -73,18 +67,14 @@ class _Edge:
 
 @dataclass(frozen=True)
 class UrdfTree:
-    """Tree described by a URDF file.
-
-    ``frames`` maps every joint (after its motion) and link to the attachment of its frame; as in Pinocchio, a joint and
-    the link that it moves share a frame. ``root`` is the file's outermost element.
-    """
+    """Tree of a URDF file; ``frames`` of all links and, as in Pinocchio the same, of the joints that move them."""
 
     name: str
     joints: tuple[Joint, ...]
     couplings: tuple[Coupling, ...]
     frames: Mapping[str, Attachment]
     root: Element
-    file: RobotFile
+    notes: list[str]
 
 
 def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None) -> UrdfTree:
@@ -93,7 +83,7 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
     A spherical joint becomes three revolute ones, about x, y and z, a universal joint two, with massless links in
     between; the last one has the joint's name.
     """
-    try:
+    with errors_at(path):
         root = _parse(path)
         refuse_many(len(root.findall("joint")), "joints")
         edges = [_edge(element, base) for element in root.findall("joint")]
@@ -103,39 +93,20 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         if base == FLOATING:
             _check_floating(ordered)
         joints, frames = _moving(ordered, types)
-        couplings = tuple(coupling for edge in ordered if (coupling := _mimic(edge)) is not None)
+        couplings = [coupling for edge in ordered if (coupling := _mimic(edge))]
         moving = {joint.name for joint in joints}
-        in_gazebo = _mimics_of_gazebo(root, moving - {coupling.joint for coupling in couplings})
+        in_gazebo = _mimics_of_gazebo(root, moving - {tie.joint for tie in couplings})
         couplings += in_gazebo
-        for coupling in couplings:
-            if (master := coupling.ratios[0][0]) not in moving:
-                raise GtauError(
-                    f"joint '{coupling.joint}' mimics '{master}', which is not a joint that moves; correct its "
-                    "<mimic>, or remove it where the joint has a motor of its own."
-                )
-        _check_circles(couplings)
-        slaves = {coupling.joint for coupling in couplings}
-        joints = tuple(replace(joint, actuated=joint.name not in slaves) for joint in joints)
-        notes = (*urdf_masses(root, frames), *_limit_notes(ordered))
-        notes += (
-            *_transmission_notes(root, (joint.name for joint in joints if joint.actuated)),
-            *short_angles_note({edge.name: edge.short for edge in ordered}),
-        )
+        _check_couplings(couplings, moving)
+        slaves = {tie.joint for tie in couplings}
+        joints = [replace(joint, actuated=joint.name not in slaves) for joint in joints]
+        notes = list(_limit_notes(ordered))
+        notes += _transmission_notes(root, [joint.name for joint in joints if joint.actuated])
+        notes += short_angles_note({edge.name: edge.short for edge in ordered})
         if in_gazebo:
             names = some_of([f"'{coupling.joint}' to '{coupling.ratios[0][0]}'" for coupling in in_gazebo], 4)
-            notes += (f"joints coupled as a plugin of <gazebo> moves them, without <mimic>: {names}",)
-        file = RobotFile(path.name, notes, inertias=urdf_inertias(root, frames), rounding=_rounding(root))
-        return UrdfTree(root.get("name") or path.stem, joints, couplings, frames, root, file)
-    except GtauError as error:
-        raise type(error)(f"{path}: {error}") from None
-
-
-def _rounding(root: Element) -> Digits:
-    parts = [part for joint in root.findall("joint") for part in joint]
-    lengths, angles = (all_numbers((part for part in parts if part.tag == "origin"), [key]) for key in ("xyz", "rpy"))
-    angles += all_numbers((part for part in parts if part.tag == "axis"), ["xyz"])
-    # roll, pitch, yaw and the direction of the axis turn a joint
-    return replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
+            notes.append(f"joints coupled as a plugin of <gazebo> moves them, without <mimic>: {names}")
+        return UrdfTree(root.get("name") or path.stem, tuple(joints), tuple(couplings), frames, root, notes)
 
 
 def _parse(path: Path) -> Element:
@@ -225,39 +196,35 @@ def _repeated(names: list[str]) -> str | None:
     return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
-def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[tuple[Joint, ...], dict[str, Attachment]]:
+def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[list[Joint], dict[str, Attachment]]:
     """Place each moving joint in the frame of the previous moving one, and attach all frames."""
     joints: list[Joint] = []
     frames: dict[str, Attachment] = {}
     for edge in ordered:
-        before = frames.setdefault(edge.parent, Attachment(GROUND))
-        placement = compose(before.placement, edge.origin)
-        type_ = types.get(edge.name)
-        if type_ == "FIXED" or (type_ is None and edge.kind is None):
-            frames[edge.child] = frames[edge.name] = Attachment(before.body, placement)
+        at = frames.setdefault(edge.parent, Attachment(GROUND)).at(edge.origin)
+        kind = types.get(edge.name, edge.kind)
+        if kind in ("FIXED", None):
+            frames[edge.child] = frames[edge.name] = at
             continue
-        if type_ is None and edge.kind is not None:
+        if kind in TURNS:
+            joints += turning(edge.name, at.body, at.placement, TURNS[kind])
+        elif edge.kind:
             axis = axis_of(edge.element, f"joint '{edge.name}'")
-            joints.append(Joint(edge.name, before.body, edge.kind, placement, axis, limits=_limits(edge)))
-        else:
-            joints += turning(edge.name, before.body, placement, TURNS[type_ or ""])
+            joints.append(Joint(edge.name, at.body, edge.kind, at.placement, axis, limits=_limits(edge)))
         frames[edge.child] = frames[edge.name] = Attachment(edge.name)
-    return tuple(joints), frames
+    return joints, frames
 
 
 def _mimic(edge: _Edge) -> Coupling | None:
     mimic = edge.element.find("mimic")
     if mimic is None or edge.kind is None:
         return None
-    master = attribute(mimic, "joint", f"<mimic> of joint '{edge.name}'")
-    ratio, offset = (
-        numbers(mimic.get(key, default), 1, f"{key} of <mimic> of joint '{edge.name}'")[0]
-        for key, default in (("multiplier", "1"), ("offset", "0"))
-    )
-    return Coupling(edge.name, ((master, ratio),), offset)
+    what = f"<mimic> of joint '{edge.name}'"
+    master = attribute(mimic, "joint", what)
+    return _coupling(edge.name, master, mimic.get("multiplier", "1"), mimic.get("offset", "0"), what)
 
 
-def _mimics_of_gazebo(root: Element, free: Collection[str]) -> tuple[Coupling, ...]:
+def _mimics_of_gazebo(root: Element, free: Collection[str]) -> list[Coupling]:
     """Read couplings of ``free`` joints from Gazebo plugins: ``mimicJoint`` follows ``joint``."""
     couplings = {}
     for plugin in root.iterfind("gazebo/plugin"):
@@ -265,16 +232,26 @@ def _mimics_of_gazebo(root: Element, free: Collection[str]) -> tuple[Coupling, .
         leader = (plugin.findtext("joint") or plugin.findtext("jointName") or "").strip()
         if leader and follower in free:
             what = f"<plugin> of mimicJoint '{follower}' (line {line_of(plugin)})"
-            ratio, offset = (
-                numbers(plugin.findtext(key) or default, 1, f"{key} of {what}")[0]
-                for key, default in (("multiplier", "1"), ("offset", "0"))
+            ratio, offset = plugin.findtext("multiplier") or "1", plugin.findtext("offset") or "0"
+            couplings[follower] = _coupling(follower, leader, ratio, offset, what)
+    return list(couplings.values())
+
+
+def _coupling(joint: str, master: str, multiplier: str, offset: str, what: str) -> Coupling:
+    (ratio,) = numbers(multiplier, 1, f"multiplier of {what}")
+    (shift,) = numbers(offset, 1, f"offset of {what}")
+    return Coupling(joint, ((master, ratio),), shift)
+
+
+def _check_couplings(couplings: Sequence[Coupling], moving: Collection[str]) -> None:
+    """Refuse couplings to joints that do not move, and circles."""
+    master = {tie.joint: tie.ratios[0][0] for tie in couplings}
+    for joint, leader in master.items():
+        if leader not in moving:
+            raise GtauError(
+                f"joint '{joint}' mimics '{leader}', which is not a joint that moves; correct its "
+                "<mimic>, or remove it where the joint has a motor of its own."
             )
-            couplings[follower] = Coupling(follower, ((leader, ratio),), offset)
-    return tuple(couplings.values())
-
-
-def _check_circles(couplings: Sequence[Coupling]) -> None:
-    master = {coupling.joint: coupling.ratios[0][0] for coupling in couplings}
     for first in master:
         circle = [first]
         while (following := master.get(circle[-1], "")) not in ("", *circle):
@@ -286,7 +263,7 @@ def _check_circles(couplings: Sequence[Coupling]) -> None:
             )
 
 
-def _transmission_notes(root: Element, motors: Iterable[str]) -> Iterator[str]:
+def _transmission_notes(root: Element, motors: Sequence[str]) -> Iterator[str]:
     """Note gear ratios, which predict the gains but are not geometry, and transmissions that are not read."""
     ratios, shared = [], []
     for transmission in root.iter("transmission"):
@@ -352,10 +329,9 @@ def driven_joints(root: Element) -> set[str]:
 
 
 def _limits(edge: _Edge) -> Limits:
-    limit = edge.element.find("limit")
-    if limit is None:
+    if edge.element.find("limit") is None:
         return Limits()
-    velocity, effort = (_limit(edge, limit, key) for key in ("velocity", "effort"))
+    velocity, effort = (_limit(edge, key) for key in ("velocity", "effort"))
     stated = _range(edge)
     return Limits(
         position=position_limits(*stated) if stated else None,
@@ -364,15 +340,17 @@ def _limits(edge: _Edge) -> Limits:
     )
 
 
-def _limit(edge: _Edge, limit: Element, key: str) -> float:
-    return numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
+def _limit(edge: _Edge, key: str) -> float:
+    limit = edge.element.find("limit")
+    text = "0" if limit is None else limit.get(key, "0")
+    return numbers(text, 1, f"{key} of joint '{edge.name}'", endless=True)[0]
 
 
 def _range(edge: _Edge) -> tuple[float, float] | None:
     limit = edge.element.find("limit")
     if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
         return None
-    low, high = (_limit(edge, limit, key) for key in ("lower", "upper"))
+    low, high = (_limit(edge, key) for key in ("lower", "upper"))
     return None if edge.element.get("type") == "continuous" else (low, high)
 
 

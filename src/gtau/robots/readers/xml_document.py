@@ -70,19 +70,15 @@ def line_of(element: Element) -> int:
 
 DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 ENDLESS = re.compile(r"[+-]?inf(?:inity)?", re.IGNORECASE | re.ASCII)
-LARGEST = 1e9  # SI units: no length, angle or mass of a robot comes near; files write 1e16 and more for 'no limit'
+LARGEST = 1e9  # SI units: no number of a robot comes near; 1e16 and more mean 'no limit'
 
 
 def decimals(text: str, endless: bool = False) -> list[float] | None:
-    """Read the numbers of an attribute; None unless all are plain decimals within the physical range of a robot.
-
-    With ``endless`` they are limits, which may be infinite or beyond this range.
-    """
-    values = []
-    for word in text.split():
-        if not (DECIMAL.fullmatch(word) or (endless and ENDLESS.fullmatch(word))):
-            return None
-        values.append(float(word))
+    """Read plain decimals within the physical range of a robot, or beyond if ``endless``; None for anything else."""
+    words = text.split()
+    if not all(DECIMAL.fullmatch(word) or (endless and ENDLESS.fullmatch(word)) for word in words):
+        return None
+    values = list(map(float, words))
     return values if endless or all(abs(value) <= LARGEST for value in values) else None
 
 

@@ -1,7 +1,7 @@
 """Columns of a log on bodies: wrenches, the motion of a floating base, and a pose that tests the geometry.
 
-The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.floating`), row by row,
-so that later stages treat them like any other joint; wrenches on the base are wrenches on a body.
+The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.floating`); wrenches on
+the base are wrenches on a body.
 """
 
 from __future__ import annotations
@@ -24,11 +24,7 @@ Point = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class Wrench(Keys):
-    """Columns of an external force (N) and moment (N m).
-
-    The moment is that about the point ``at`` (m), in the axes of the wrench: the origin of a force plate, or of a
-    sensor on the body. Without columns of the moment it is zero there.
-    """
+    """Columns of an external force (N) and moment (N m; zero without columns) about the point ``at`` (m)."""
 
     force: Vector
     moment: Vector | None = None
@@ -64,10 +60,7 @@ class BodyWrench(Wrench):
 
 
 def at_origins(wrenches: Sequence[BodyWrench], values: np.ndarray, yaw: float = 0.0) -> np.ndarray:
-    """Convert logged columns (M, .) to moments and forces (M, 6 k) about the origins of the wrenches' axes.
-
-    The world is turned by ``yaw`` (rad) about the vertical.
-    """
+    """Convert logged columns (M, .) to moments and forces (M, 6 k) about the origins of the axes, the world turned."""
     turned, parts, start = turn(VERTICAL, yaw), [], 0
     for wrench in wrenches:
         f, m = values[:, start : start + 3], np.cross(wrench.at, values[:, start : start + 3])
@@ -92,8 +85,8 @@ UNIT = 0.01  # tolerance of a quaternion's norm: logs round to 2 digits and more
 class BaseColumns(Keys):
     """Columns of the pose of a floating ``body`` in a world whose z axis points up, and of the wrenches on it.
 
-    ``position`` are x, y and z, ``quaternion`` w, x, y and z of its orientation; an omitted one is constant.
-    ``yaw`` (rad) turns the world about the vertical.
+    ``position`` are x, y and z, ``quaternion`` w, x, y and z; an omitted one is constant. ``yaw`` (rad) turns the
+    world.
     """
 
     body: str = "base"
@@ -104,7 +97,7 @@ class BaseColumns(Keys):
 
     @model_validator(mode="after")
     def _each_column_once(self) -> BaseColumns:
-        columns = (*self.pose, *self.forces)
+        columns = (*self.pose, *(column for wrench in self.wrenches for column in wrench.columns))
         refuse_repeated(columns)
         if not columns:
             raise ValueError("it names no columns; give 'position' and 'quaternion', 'wrenches', or both")
@@ -123,15 +116,8 @@ class BaseColumns(Keys):
     @property
     def acting(self) -> tuple[BodyWrench, ...]:
         """Wrenches on the base, in the form used for any body."""
-        return tuple(
-            BodyWrench(**{**dict(wrench), "body": self.body, "axes": wrench.axes.replace("base", "body")})
-            for wrench in self.wrenches
-        )
-
-    @property
-    def forces(self) -> tuple[str, ...]:
-        """Columns of the wrenches, (w,)."""
-        return tuple(column for wrench in self.wrenches for column in wrench.columns)
+        named = ({"body": self.body, "axes": wrench.axes.replace("base", "body")} for wrench in self.wrenches)
+        return tuple(BodyWrench(**dict(wrench) | names) for wrench, names in zip(self.wrenches, named, strict=True))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -141,11 +127,7 @@ class BaseColumns(Keys):
         return (*places, *(turned,) * 3)
 
     def positions(self, pose: np.ndarray) -> np.ndarray:
-        """Convert a pose (M, p) to positions (M, 6) of the six joints.
-
-        Raises GtauError where a quaternion's length is not 1, or the pitch is close to 90 degrees, where the angles of
-        the base are singular.
-        """
+        """Convert a pose (M, p) to positions (M, 6) of the six joints; refuse quaternions that give none."""
         p = pose[:, :3] if self.position else np.zeros((len(pose), 3))
         angles = np.zeros((len(pose), 3)) if self.quaternion is None else self._angles(pose[:, -4:])
         return np.hstack([p @ turn(VERTICAL, self.yaw).T, angles])
@@ -177,10 +159,9 @@ class BaseColumns(Keys):
 
 
 class Angles(Keys):
-    """Columns of Euler angles, one for each axis of a ``sequence``.
+    """Columns of Euler angles, one for each axis of a ``sequence``, intrinsic (``YZ``) or extrinsic (``xyz``).
 
-    Capitals denote intrinsic (body-fixed) axes (``YZ`` is Ry(first) Rz(second)), small letters extrinsic (fixed) ones
-    (``xyz`` is roll, pitch and yaw). With fewer than three columns the remaining angles are not logged.
+    With fewer than three columns the remaining angles are not logged.
     """
 
     sequence: str = Field(pattern="^([XYZ]{1,3}|[xyz]{1,3})$")
@@ -202,18 +183,15 @@ class Angles(Keys):
         """Three intrinsic axes, and the columns of the first angles."""
         fixed = self.sequence.islower()
         sequence = self.sequence[::-1].upper() if fixed else self.sequence
-        for axis in "ZYX":
-            if len(sequence) < 3 and axis not in sequence:
-                sequence += axis
-        return sequence, self.columns[::-1] if fixed else self.columns
+        sequence += "".join(axis for axis in "ZYX" if axis not in sequence)
+        return sequence[:3], self.columns[::-1] if fixed else self.columns
 
 
 class PoseColumns(Keys):
     """The logged components of the pose of a ``body`` (the tool, if left out).
 
-    ``source`` gives its origin: of the body in the base (``controller``), of a tool with unknown mounting
-    on the body, in the base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), both with
-    unknown placement.
+    ``source``: the pose of the body in the base (``controller``), of a tool with unknown mounting on the body, in the
+    base (``tool``), or of a marker on the body in the frame of a tracker (``tracker``), both with unknown placement.
     """
 
     source: Literal["controller", "tool", "tracker"]
@@ -247,6 +225,6 @@ class PoseColumns(Keys):
     @property
     def columns(self) -> tuple[str, ...]:
         """All columns: of the position, then of turning angles, of w, x, y and z, or of the vector."""
-        angles = () if self.angles is None else self.angles.turning[1]
-        turned = () if self.quaternion is None else tuple(self.quaternion[axis] for axis in ("w", "x", "y", "z"))
-        return (*self.position.values(), *angles, *turned, *(self.rotation_vector or ()))
+        angles = self.angles.turning[1] if self.angles else ()
+        quaternion = [self.quaternion[axis] for axis in ("w", "x", "y", "z")] if self.quaternion else ()
+        return (*self.position.values(), *angles, *quaternion, *(self.rotation_vector or ()))

@@ -1,9 +1,9 @@
-"""Column names: signal kind and joint of a name, and columns grouped by these.
+"""Column names: signal kind and joint of a name, columns grouped by these, and groups matched with a robot's joints.
 
-These are looked up in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots'
-RTDE client (``timestamp``, ``actual_q_0`` ...), and PlotJuggler's parser of ``sensor_msgs/JointState``. What drivers
-put into ``effort``: UR's ROS 2 driver (#1551: currents, or torques without gravity), franka_ros2 and ros2_kortex
-(sensors of the joints, with gravity). LeRobot's data sets hold the lists; currents in them come from a plugin.
+The names are in the recorders' sources: libfranka ``log.cpp`` (time in ms, ``state.q[0]`` ...), Universal Robots' RTDE
+client (``timestamp``, ``actual_q_0`` ...), and PlotJuggler's parser of ``sensor_msgs/JointState``. Drivers put into
+``effort``: UR's ROS 2 driver (#1551) currents, or torques without gravity; franka_ros2 and ros2_kortex torques of the
+joints' sensors, with gravity. LeRobot's data sets hold the lists; currents in them come from a plugin.
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 
+from gtau.errors import GtauError
+from gtau.findings.words import counted
+from gtau.robots.robot import Robot
 from gtau.signals.channel import SIDE_SIGNALS
-from gtau.signals.reading.written_units import WrittenUnit, read_unit, split_unit
+from gtau.signals.reading.units import WrittenUnit, read_unit, split_unit
 
 WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())
@@ -60,18 +63,16 @@ JOINT_WORDS = frozenset(
 SIGNAL_WORDS = NO_UNIT | COMMAND | JOINT_WORDS
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
 AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
-ODD = re.compile(
-    r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$"
-)  # brackets that may hold an unknown unit
+# brackets that may hold an unknown unit
+ODD = re.compile(r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$")
 
 
 @dataclass(frozen=True)
 class ColumnName:
     """A parsed column ``name``: its remainder without the joint, the joint's label, the kind and the unit.
 
-    ``kind`` is one of ``WORDS``, ``command`` (a current or a torque, or a velocity), ``sensor`` (of torque), or None;
-    ``motor`` is a motor torque, or a column merely named after a motor; a ``reference`` is a setpoint, not a
-    measurement. The ``unit`` is in the form of an experiment file, or as written in the log.
+    ``kind`` is one of ``WORDS``, ``command`` (a current, torque or velocity), ``sensor`` (of torque), or None;
+    ``motor`` is a motor torque, or a column merely named after a motor; a ``reference`` is a setpoint.
     """
 
     name: str
@@ -82,12 +83,9 @@ class ColumnName:
     unit: str | None
 
 
-def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = None) -> ColumnName:
-    """Parse the name of a column; the names of ``joints`` are recognised in it.
-
-    The ``unit`` is one that the log gives elsewhere.
-    """
-    label, bare, words = "", name, list[str]()
+def split_name(name: str, joints: Sequence[str], unit: str | None) -> tuple[str, str, WrittenUnit | None]:
+    """Split a name into the joint in it, the rest (with ``#`` for the joint), and the unit, which may be known."""
+    label, bare = "", name
     for joint in sorted(joints, key=len, reverse=True):
         before = r"(?<!\d)" if joint.isdigit() else r"(?<![A-Za-z0-9])[A-Za-z]{0,3}?"  # q11; qleft as well as q_left
         match = re.search(rf"{before}({re.escape(joint)})(?![A-Za-z0-9])", name, re.IGNORECASE)
@@ -96,20 +94,28 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
             break
     bare, written = split_unit(bare)
     if unit:
-        written = read_unit(unit) or WrittenUnit(None, unit)
-    elif written is None and (odd := ODD.search(bare)) and NO_UNIT.isdisjoint(_words(odd[1])):
-        bare, written = bare[: odd.start()], WrittenUnit(None, odd[1])
-    stem = bare
-    if not label and bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
+        return label, bare, read_unit(unit) or WrittenUnit(None, unit)
+    if written is None and (odd := ODD.search(bare)) and NO_UNIT.isdisjoint(_words(odd[1])):
+        return label, bare[: odd.start()], WrittenUnit(None, odd[1])
+    return label, bare, written
+
+
+def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = None) -> ColumnName:
+    """Parse the name of a column with the names of ``joints`` in it, and the ``unit`` that the log gives elsewhere."""
+    label, bare, written = split_name(name, joints, unit)
+    stem, words = bare, list[str]()
+    if label:
+        pass
+    elif bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
         words = ["timestamp"]  # of a topic of a bag
-    elif not label and (match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare)):  # LeRobot's positions
+    elif match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare):  # LeRobot's positions
         label, stem, words = match[2], f"{match[1]}#]", ["position"]
-    elif not label and re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
+    elif re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position
         *topic, label, field = bare.split("/")
         stem, words = "/".join([*topic, "#", field]), _words(field)
-    elif not label and (match := re.search(r"^(.*?)(\d+)(\D*)$", bare)):
+    elif match := re.search(r"^(.*?)(\d+)(\D*)$", bare):
         label, stem = match[2], f"{match[1]}#{match[3]}"
-    elif not label:
+    else:
         label, stem = _named(bare)
     words = words or _words(stem)
     kind = next((kind for kind in PRECEDENCE if not WORDS[kind].isdisjoint(words)), None)
@@ -138,11 +144,8 @@ def _named(name: str) -> tuple[str, str]:
     return name[start:stop], f"{name[:start]}#{name[stop:]}"
 
 
-def by_words(name: ColumnName) -> ColumnName | None:
-    """Relabel a name by all its words that are not words of signals; None if it has no such words.
-
-    The word ``joint`` beside them belongs to the label.
-    """
+def _by_words(name: ColumnName) -> ColumnName | None:
+    """Relabel a name by all its words that are not words of signals, and ``joint`` beside them; None without such."""
     label, stem = _named(name.stem.replace("#", name.label, 1))
     if label and (around := AROUND.search(stem)):
         label, stem = around[0].replace("#", label), stem.replace(around[0], "#")
@@ -155,7 +158,7 @@ class Group:
 
     kind: str | None
     stem: str
-    columns: Mapping[str, str]
+    columns: dict[str, str]
     reference: bool = False
     unit: str | None = None
 
@@ -172,33 +175,25 @@ class Group:
 
 
 def grouped(names: Sequence[ColumnName]) -> list[Group]:
-    """Group columns of all kinds but time by their stems; a second column of a joint, in another unit, is separate.
-
-    Names that differ by several words (``base_pos``, ``j2_arm_pos``) are labelled by all of these.
-    """
+    """Group columns but time by their stems; a second column of a joint, in another unit, is separate."""
     names = [name for name in names if name.kind != "time"]
     stems = Counter(name.stem.casefold() for name in names)
-    renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := by_words(name))}
+    renamed = {name: name_ for name in names if stems[name.stem.casefold()] == 1 and (name_ := _by_words(name))}
     stems += Counter(name.stem.casefold() for name in renamed.values())
-    groups: dict[str, dict[str, ColumnName]] = {}
+    groups: dict[str, Group] = {}
     for parsed in names:
         name = renamed.get(parsed, parsed)
         name = name if stems[name.stem.casefold()] > 1 else parsed
         stem = name.stem.casefold()
-        stem += f" [{name.unit}]" if name.label in groups.get(stem, ()) else ""
-        groups.setdefault(stem, {})[name.label] = name
-    firsts = [(next(iter(group.values())), group) for group in groups.values()]
-    return [
-        Group(first.kind, first.stem, {label: name.name for label, name in group.items()}, first.reference, first.unit)
-        for first, group in firsts
-    ]
+        if stem in groups and name.label in groups[stem].columns:
+            stem += f" [{name.unit}]"
+        group = groups.setdefault(stem, Group(name.kind, name.stem, {}, name.reference, name.unit))
+        group.columns[name.label] = name.name
+    return list(groups.values())
 
 
 def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
-    """Match labels with joints of nearly the same name, such as ``elbo`` or ``elbow_lift``, if only one joint fits.
-
-    Words such as ``joint`` do not count; numbers must agree.
-    """
+    """Match labels with joints of nearly the same name, such as ``elbo`` or ``elbow_lift``, if only one joint fits."""
 
     def similar_names(label: str, joint: str) -> bool:
         parts = [re.findall(r"[a-z]+|\d+", name.lower()) for name in (label, joint)]
@@ -218,7 +213,7 @@ def _by_unit(kind: str | None, measures: str | None) -> str | None:
     """Correct the kind of a column, as its name says, by what its unit measures."""
     kept = {"position": "position velocity", "current": "current torque motor", "torque": "torque sensor motor"}
     taken = {"position": "motor command", "current": "command", "torque": "command current position"}
-    if measures in (None, "share"):
+    if measures is None or measures == "share":
         return kind
     if kind in (None, measures) or measures not in {"time", *kept} or kind in taken.get(measures, "").split():
         return measures
@@ -226,10 +221,7 @@ def _by_unit(kind: str | None, measures: str | None) -> str | None:
 
 
 def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnName:
-    """Parse the name of a list item, ``FEATURE/NAME`` as in LeRobot; goals (``action``) are references.
-
-    ``observation.state/elbow.pos`` is a position of ``elbow``, ``observation.effort/elbow`` an effort.
-    """
+    """Parse the name of a list item, ``FEATURE/NAME`` as in LeRobot: ``observation.state/elbow.pos`` is a position."""
     feature, _, name = label.partition("/")
     joint, _, quantity = name.rpartition(".")
     quantity = quantity if joint else feature.rpartition(".")[2]
@@ -278,3 +270,82 @@ def _words(text: str) -> list[str]:
     plain = "".join(letter for letter in unicodedata.normalize("NFD", text) if not unicodedata.combining(letter))
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
     return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
+
+
+def matched(
+    positions: Group, commands: Group, robot: Robot | None
+) -> tuple[dict[str, str], dict[str, str], dict[str, str], str, bool]:
+    """Match columns with joints, also where the joints' names in them are misspelt.
+
+    Returns, by joint, columns of positions and of commands and the label in their names; how they were matched; and
+    whether by these names.
+    """
+    names = dict[str, str]()
+    labels = {name: label for label, name in positions.columns.items()}
+    if robot:
+        positions, names = renamed_labels(positions, robot.actuated)
+        commands, more = renamed_labels(commands, robot.actuated)
+        names |= more
+    pairs, how, by_order = _pairs(positions, commands, robot)
+    how += "".join(f", {label} taken for {joint}" for label, joint in names.items())
+    columns, currents = ({joint: pair[k] for joint, pair in pairs.items()} for k in (0, 1))
+    logged = {joint: labels[column] for joint, column in columns.items()}
+    return columns, currents, logged, how, not by_order and not names
+
+
+def _pairs(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
+    """Pair columns of positions and commands by joint; say how they were matched, and whether by their order alone."""
+    common = [label for label in positions.columns if label in commands.columns]
+    labels = [(label, label) for label in common]
+    by_order = not common and len(positions.columns) == len(commands.columns)
+    if by_order:
+        labels = list(zip(_ordered(positions.columns), _ordered(commands.columns), strict=True))
+    pairs = {q: (positions.columns[q], commands.columns[v]) for q, v in labels}
+    if robot is None:
+        named = {f"j{label or 1}" if label.isdigit() or not label else label: pair for label, pair in pairs.items()}
+        return named, "joint names from the log", by_order
+    joints = robot.actuated
+    known = [joint for joint in joints if joint in pairs]
+    some = known and not robot.closures and not any(name.isdigit() for name in pairs if name not in joints)
+    if some or len(known) == len(joints):
+        how = "positions matched by joint name, commands by column order" if by_order else "matched by joint name"
+        return {joint: pairs[joint] for joint in known}, how, by_order
+    if 0 < len(pairs) < len(joints) and len(chain := _chain(robot)) == len(pairs):
+        joints = chain
+    if len(pairs) < len(joints):
+        listed = f" ({', '.join(pairs)})" if pairs and all(pairs) else ""
+        raise GtauError(
+            f"the log has positions and commands of {counted(len(pairs), 'joint')}{listed}, but robot "
+            f"'{robot.name}' has {len(joints)} actuated ones; "
+            + (f"name the columns after their joints (q_{joints[0]}), or " if not robot.closures else "")
+            + "give matching logs and robot."
+        )
+    numbers = {joint: int(digits[-1]) for joint in joints if (digits := re.findall(r"\d+", joint))}
+    how = "matched by column order"
+    if len(set(numbers.values())) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
+        by_number = tuple(sorted(joints, key=numbers.__getitem__))
+        how = how if by_number == joints else "matched by the numbers in the joints' names"
+        joints = by_number
+    return {joint: pairs[label] for joint, label in zip(joints, _ordered(pairs), strict=False)}, how, True
+
+
+def renamed_labels(group: Group, joints: Sequence[str]) -> tuple[Group, dict[str, str]]:
+    """Rename labels that are nearly a joint's name, and return these with the joints."""
+    unknown = [label for label in group.columns if label not in joints and not label.isdigit()]
+    renamed = resembling(unknown, [joint for joint in joints if joint not in group.columns])
+    columns = {renamed.get(label, label): column for label, column in group.columns.items()}
+    return replace(group, columns=columns), renamed
+
+
+def _chain(robot: Robot) -> tuple[str, ...]:
+    """List the actuated joints that carry the tool; none where another branch has as many."""
+    chains: dict[str, tuple[str, ...]] = {}
+    for joint in robot.joints:
+        chains[joint.name] = chains.get(joint.antecedent, ()) + (joint.name,) * joint.actuated
+    chain = chains.get(robot.tool, ())
+    return chain if sum(len(branch) == len(chain) for branch in set(chains.values())) == 1 else ()
+
+
+def _ordered(labels: Iterable[str]) -> list[str]:
+    labels = list(labels)
+    return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels

@@ -39,10 +39,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
 
 
 def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill in the columns of a preset for the ``joints`` named; columns given by hand come first.
-
-    Raises ValueError, whose text gives the remedy, where there is no such preset, or its joints are missing.
-    """
+    """Fill in the columns of a preset for the ``joints`` named; columns given by hand come first. Raises ValueError."""
     given = {key: value for key, value in signals.items() if key != "joints"}
     preset = PRESETS.get(str(signals["preset"]))
     if preset is None:
@@ -63,7 +60,9 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
 def _kind_of_time(value: Any) -> str:
     if isinstance(value, TwoClocks) or (isinstance(value, dict) and value.keys() & {"position", "command"}):
         return "clocks"
-    return "text" if isinstance(value, str) else "pair" if isinstance(value, (list, tuple)) else "group"
+    if isinstance(value, (list, tuple)):
+        return "pair"
+    return text_or_group(value)
 
 
 class SampleRate(Keys):
@@ -72,9 +71,9 @@ class SampleRate(Keys):
     rate: Positive
 
 
-TwoColumns = tuple[str, str]
-"""Columns of the seconds and of the nanoseconds."""
-TimeColumns = Annotated[Annotated[str, Tag("text")] | Annotated[TwoColumns, Tag("pair")], Discriminator(_kind_of_time)]
+Column = Annotated[str, Tag("text")]
+TwoColumns = Annotated[tuple[str, str], Tag("pair")]  # of the seconds and of the nanoseconds
+TimeColumns = Annotated[Column | TwoColumns, Discriminator(_kind_of_time)]
 
 
 class TwoClocks(Keys):
@@ -84,33 +83,28 @@ class TwoClocks(Keys):
     command: TimeColumns
 
 
-def optional_keys(sensor: Any, side: Mapping[str, Any] | None = None) -> type[Keys]:
-    """Make a group with keys for sensors on the link side, of one type, and for side signals; None where left out."""
-    entries = {kind.calibration: sensor for kind in LINK_SIDE} | dict(side or {})
+def optional_keys(entries: Mapping[str, Any]) -> type[Keys]:
+    """Make a group whose keys are None where left out."""
     fields: Any = {key: (entry | None, None) for key, entry in entries.items()}
     return create_model("OptionalKeys", __base__=Keys, **fields)
 
 
+SENSORS = tuple(kind.calibration for kind in LINK_SIDE)
+"""Keys of sensors on the link side."""
 Share = Annotated[FiniteFloat, Field(gt=0, lt=0.5)]
 
 
-class Calibration(optional_keys(Share), Keys):  # type: ignore[misc]
+class Calibration(optional_keys(dict.fromkeys(SENSORS, Share))):  # type: ignore[misc]
     """Relative standard deviations of readings: of each sensor on the link side, and of all wrenches together."""
 
     wrenches: Share | None = None
 
 
-EXACT = Calibration()
-"""Sensors that read without an error of scale."""
+OneOrByJoint = Annotated[Column | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)]
+Optional = dict.fromkeys(SENSORS, dict[str, str]) | {signal.key: OneOrByJoint for signal in SIDE_SIGNALS}
 
 
-OneOrByJoint = Annotated[
-    Annotated[str, Tag("text")] | Annotated[dict[str, str], Tag("group")], Discriminator(text_or_group)
-]
-SIDE = {signal.key: OneOrByJoint for signal in SIDE_SIGNALS}
-
-
-class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
+class Signals(optional_keys(Optional)):  # type: ignore[misc]
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
@@ -121,10 +115,7 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
     """
 
     time: Annotated[
-        Annotated[str, Tag("text")]
-        | Annotated[TwoColumns, Tag("pair")]
-        | Annotated[TwoClocks, Tag("clocks")]
-        | Annotated[SampleRate, Tag("group")],
+        Column | TwoColumns | Annotated[TwoClocks, Tag("clocks")] | Annotated[SampleRate, Tag("group")],
         Discriminator(_kind_of_time),
     ]
     position: dict[str, str] = Field(min_length=1)
@@ -134,7 +125,7 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
     gear_ratio: dict[str, FiniteFloat] | None = None
     base: BaseColumns | None = None
     wrenches: tuple[BodyWrench, ...] = ()
-    calibration: Calibration = EXACT
+    calibration: Calibration = Calibration()
     preset: str | None = None
     pose: PoseColumns | None = None
 
@@ -198,8 +189,7 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
     @property
     def time_columns(self) -> tuple[str, ...]:
         """Columns of the positions' time, one or two, or none."""
-        time = self.time.position if isinstance(self.time, TwoClocks) else self.time
-        return () if isinstance(time, SampleRate) else _columns(time)
+        return _columns(self.time.position if isinstance(self.time, TwoClocks) else self.time)
 
     @property
     def command_time_columns(self) -> tuple[str, ...]:
@@ -211,7 +201,7 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
     def _preset(cls, data: Any) -> Any:
         return expanded(data) if isinstance(data, dict) and data.get("preset") else data
 
-    @field_validator("position", "current", "torque", "motor_torque", *(kind.calibration for kind in LINK_SIDE))
+    @field_validator("position", "current", "torque", "motor_torque", *SENSORS)
     @classmethod
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
@@ -263,8 +253,8 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
         for key, accuracy in self.calibration:
             if accuracy is not None and key not in measured:
                 raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
-        sensors = [(kind.calibration, getattr(self, kind.calibration) or {}) for kind in LINK_SIDE]
-        for key, joint, column in ((key, *entry) for key, columns in sensors for entry in columns.items()):
+        sensors = [(name, *pair) for name in SENSORS for pair in (getattr(self, name) or {}).items()]
+        for key, joint, column in sensors:
             if joint not in self.position:
                 raise ValueError(
                     f"'{key}' names the joint '{joint}', which has no position; correct the name, or remove the "
@@ -290,12 +280,16 @@ class Signals(optional_keys(dict[str, str], SIDE), Keys):  # type: ignore[misc]
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        for key, joints in (("gear_ratio", {*ratios}), *((one.key, {*self.side_columns(one)}) for one in SIDE_SIGNALS)):
+        named: dict[str, Mapping[str, Any]] = {"gear_ratio": ratios}
+        named |= {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
+        for key, joints in named.items():
             for joint in joints:
                 if joint not in self.position:
                     raise ValueError(f"'{key}' names the joint '{joint}', which has no position; correct the name")
         return self
 
 
-def _columns(time: str | TwoColumns) -> tuple[str, ...]:
+def _columns(time: str | tuple[str, str] | SampleRate) -> tuple[str, ...]:
+    if isinstance(time, SampleRate):
+        return ()
     return (time,) if isinstance(time, str) else time

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,14 +13,109 @@ from gtau.documents.validation import read_group
 from gtau.errors import GtauError, short
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
-from gtau.signals.reading.column_names import POSE, Group, base_like, has_word, wrench_like
+from gtau.signals.reading.column_names import POSE, Group, base_like, has_word, matched, renamed_labels, wrench_like
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.draft import QUESTIONS, Draft, Reasons, Unused, listed, listed_units
-from gtau.signals.reading.joint_columns import matched, renamed_labels
 from gtau.signals.reading.log_contents import COMMANDS, LogContents
-from gtau.signals.reading.masses import masses_in_name
-from gtau.signals.reading.units import is_unit
-from gtau.signals.reading.written_units import SI, read_unit
+from gtau.signals.reading.statements import masses_in_name
+from gtau.signals.reading.units import SI, is_unit, read_unit
+
+QUESTIONS = {
+    "masses": "write the payload masses ('or' in the file) that file names give in several ways: they set the scale of "
+    "all drive gains",
+    "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
+    "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
+    "unmatched": "joints that the log lacks are held at home, but columns move that are not used; if they are of such "
+    "a joint, write them at its name",
+    "counts": "replace counts and unknown units by the size of one count (units: {current: 0.00269 A}); for shares add "
+    "the rated values (units: {rated: {JOINT: 5.2}})",
+    "joints": "confirm which columns belong to which joint",
+    "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
+    "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
+    "unit": "confirm the unit of the positions (units: {position: ...}), or, of motors before their gears, the "
+    "joint's angle for one unit (0.01 rad)",
+    "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
+    "'gear_ratio:'",
+    "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
+    "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
+    "received": "messages without measurement stamps get receipt stamps, with the jitter of the middleware",
+    "clock": "confirm the time column, as other columns increase too",
+    "torques": "remove the '#' of joint_torque if these come from sensors behind the gears, not from currents",
+    "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
+    "(--payload LOG=KG)",
+    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
+    "(docs/lookup/experiment-file.md, 'A base that floats')",
+    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a floating "
+    "base under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
+    "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
+}
+"""Questions about the open points of a draft, in the order in which they are asked."""
+
+
+@dataclass(frozen=True)
+class Unused:
+    """Columns that a draft does not use, by what they may hold.
+
+    ``side`` are side signals by key; ``torques``, by joint, may be of sensors unless they are ``computed`` from the
+    currents; ``still`` torques never change; ``moving`` are positions and commands of joints that the robot lacks;
+    ``others`` might be meant in place of the columns that are used.
+    """
+
+    side: Mapping[str, str | Mapping[str, str]]
+    torques: Mapping[str, str]
+    computed: bool
+    pose: tuple[str, ...]
+    motion: tuple[str, ...]
+    wrenches: tuple[str, ...]
+    still: tuple[str, ...]
+    moving: tuple[str, ...]
+    others: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Reasons:
+    """Reasons for the choice of the time column, of the joints' columns and of the positions' unit."""
+
+    time: str
+    position: str
+    unit: str
+    velocity: str = ""
+
+
+@dataclass(frozen=True)
+class Draft:
+    """Drafted experiment file, with one file or two of each run; ``robot`` has no ``file`` where it is unknown.
+
+    ``payloads`` are masses (kg) by log: several where the name of the file has several readings, NaN where the payload
+    is to be weighed; the logs ``stated`` have masses by option. ``open`` are the points to confirm, keys of
+    ``QUESTIONS``, each with what is assumed. ``urdf`` is the robot's file from a bag.
+    """
+
+    logs: tuple[tuple[Path, ...], ...]
+    signals: Signals
+    units: Mapping[str, Any]
+    robot: Mapping[str, Any]
+    payloads: Mapping[Path, tuple[float, ...]]
+    reasons: Reasons
+    open: Mapping[str, str]
+    unused: Unused
+    stated: frozenset[Path] = frozenset()
+    urdf: str | None = None
+
+
+def listed(columns: Iterable[str]) -> str:
+    """List some columns, the first eight of many."""
+    columns = tuple(columns)
+    return ", ".join(map(short, columns[:8])) + (", ..." if len(columns) > 8 else "")
+
+
+def listed_units(units: Mapping[str, Any]) -> str:
+    """List units, by joint where they differ."""
+    by_joint = {
+        key: unit if isinstance(unit, str) else ", ".join(f"{one} ({joint})" for joint, one in unit.items())
+        for key, unit in units.items()
+    }
+    return ", ".join(f"{key} in {unit}" for key, unit in by_joint.items())
+
 
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
 # Rad or m; positions with a larger range are in deg or mm, unless velocities or range say that joints turn many times:
@@ -38,15 +133,14 @@ COMPUTED = 0.3
 def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
     """Infer the signals of logs recorded with the same layout, one for each run, or positions and then commands.
 
-    The actuated joints of the ``robot`` are matched with column names; joint types and number help to infer units.
-    ``source`` is its entry in the experiment file. Where the placement of its ``base`` is given, no columns are taken
-    for the motion of a base. Raises GtauError where a log cannot be read, or holds no positions or no commands.
+    ``source`` is the entry of the ``robot`` in the file. Where the placement of its ``base`` is given, no columns are
+    taken for the motion of a base.
     """
     log, command_log, runs = _sources(paths, robot)
     positions, commands = _groups(log, command_log, robot)
     columns, currents, labels, how, by_name = matched(positions, commands, robot)
     clock, why_time, open_ = _clock(log, command_log, positions)
-    kind, open_of_command = _kind(commands, command_log, currents)
+    kind, doubts = _kind(commands, command_log, currents)
     sensors, still = _sensors(command_log, "sensor", labels)
     entries = {"time": clock, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {})
     signals = read_group(Signals, "signals", entries)
@@ -55,38 +149,38 @@ def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | No
     unused = replace(unused, still=(*still, *unused.still), moving=unused.moving if robot else ())
     unit, why_unit = _position_unit(log, positions, columns, robot)
     written = _units(log, "position", columns)
+    if unit and not written and positions.unit is None:
+        open_["unit"] = f"positions are assumed to be in {unit}: {why_unit}"
     units = {"time": log.time_unit()[0]} if log.time else {}
     units |= written or ({"position": unit} if unit else {})
     units |= _units(command_log, kind, currents) | _units(command_log, "joint_torque", sensors)
-    if unit and not written and positions.unit is None:
-        open_["unit"] = f"positions are assumed to be in {unit}: {why_unit}"
-    kept = {"position"} if "unit" in open_ else set()
-    units = {key: unit for key, unit in units.items() if key in kept or unit not in tuple(SI)}
-    payloads = {run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))}
+    stated = {"position"} if "unit" in open_ else set()
     moving = list(columns) if robot and len(columns) < len(robot.actuated) else None
-    gravity = [0, 0, 0] if "gravity" in open_of_command else None
+    gravity = [0, 0, 0] if "gravity" in doubts else None
     entries = {"file": source, "base": base, "gravity": gravity, "joints": moving}
     draft = Draft(
         logs=tuple(runs),
         signals=signals,
-        units=units,
+        units={key: unit for key, unit in units.items() if key in stated or unit not in tuple(SI)},
         robot={key: entry for key, entry in entries.items() if entry is not None},
-        payloads=payloads,
+        payloads={run[0]: masses for run in runs if (masses := masses_in_name(run[0].name))},
         reasons=Reasons(why_time, how, "units as written in the log" if written else why_unit, log.velocity),
-        open=open_ | open_of_command,
+        open={},
         unused=unused,
     )
-    open_ = {**draft.open} | _open_points(draft, by_name)
+    open_ |= doubts | _open_points(draft, by_name)
     return replace(draft, open={key: open_[key] for key in QUESTIONS if key in open_})
 
 
 def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
-    """List the points to confirm about joints, units, payloads, robot and unused columns, with what is assumed."""
-    signals, unused, how = draft.signals, draft.unused, draft.reasons.position
+    unused, how = draft.unused, draft.reasons.position
     order = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
-    columns = ", ".join(f"{joint}: {column}" for joint, column in signals.position.items())
-    by_joint = ((key, unit if isinstance(unit, Mapping) else {"": unit}) for key, unit in draft.units.items())
-    pairs: list[tuple[Any, str]] = [(key, unit) for key, units in by_joint for unit in units.values()]
+    columns = ", ".join(f"{joint}: {column}" for joint, column in draft.signals.position.items())
+    known = [
+        is_unit(unit, "torque" if key == "joint_torque" else key)  # type: ignore[arg-type]
+        for key, units in draft.units.items()
+        for unit in (units.values() if isinstance(units, Mapping) else [units])
+    ]
     computed = ": they are a straight line of the currents, from which they may be computed" * unused.computed
     several = any(len(masses) > 1 for masses in draft.payloads.values())
     points = {
@@ -94,10 +188,7 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
         "mass": (draft.payloads, ""),
         "robot": ("file" not in draft.robot, ""),
         "unmatched": (unused.moving and "joints" in draft.robot, ""),
-        "counts": (
-            not all(is_unit(unit, "torque" if key == "joint_torque" else key) for key, unit in pairs),
-            f"the log gives counts, shares or unknown units ({listed_units(draft.units)})",
-        ),
+        "counts": (not all(known), f"the log gives counts, shares or unknown units ({listed_units(draft.units)})"),
         "joints": (not by_name, f"columns were assigned to the joints{order}: {columns}"),
         "torques": (unused.torques, f"{listed(unused.torques.values())} are not used{computed}"),
         "base": (unused.motion, f"{listed(unused.motion)} are not used: the base is assumed to be fixed"),
@@ -107,7 +198,6 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
 
 
 def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, LogContents, list[tuple[Path, ...]]]:
-    """List the logs of the first run's positions and commands, often one, and the files of every run."""
     runs: list[tuple[Path, ...]] = [(path,) for path in paths]
     first, half = LogContents.read(paths[0], robot), len(paths) // 2
     if first.group("position"):
@@ -148,48 +238,51 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
 
 
 def _clock(log: LogContents, command_log: LogContents, positions: Group) -> tuple[Any, str, dict[str, str]]:
-    """Find the entry ``time`` of the signals, the reason, and points to confirm."""
+    if not log.time and log.rate:
+        how = f"no time column; {log.rate:g} Hz by the description of the data set (meta/info.json)"
+        return {"rate": log.rate}, how, {}
     if not log.time:
-        if log.rate:
-            how = f"no time column; {log.rate:g} Hz by the description of the data set (meta/info.json)"
-            return {"rate": log.rate}, how, {}
         rate, how = log.rate_from_velocities(positions)
         points = {"velocities": f"the sampling rate is assumed to be {rate:g} Hz"} if rate else {"rate": ""}
         return {"rate": rate or UNKNOWN_RATE}, how, points
-    reason, open_ = log.time_unit()[1], dict[str, str]()
+    reason, points = log.time_unit()[1], {}
     apart = command_log.table.path == log.table.path or command_log.rows != log.rows
     stamps = command_log.time if command_log is not log and apart else ()
     if unstamped := [name for name in (*log.time[:1], *stamps[:1]) if name.endswith("/received")]:
-        open_["received"] = f"time is {' and '.join(unstamped)}, the receipt stamps"
+        points["received"] = f"time is {' and '.join(unstamped)}, the receipt stamps"
     elif log.time[0].endswith("/header/stamp"):
         reason += "; measurement stamps, not receipt stamps"
     if clocks := log.other_clocks():
         reason += f"; {', '.join(clocks)} grow{'s' * (len(clocks) == 1)}, too"
-        open_["clock"] = f"time is {' and '.join(log.time)}, but other columns increase too"
+        points["clock"] = f"time is {' and '.join(log.time)}, but other columns increase too"
     time, command_time = (names[0] if len(names) == 1 else list(names) for names in (log.time, stamps))
-    return {"position": time, "command": command_time} if stamps else time, reason, open_
+    return {"position": time, "command": command_time} if stamps else time, reason, points
 
 
 def _kind(
     commands: Group, log: LogContents, columns: Mapping[str, str]
 ) -> tuple[Literal["current", "torque"], dict[str, str]]:
     """Decide whether commands are currents or torques, and list the points to confirm about them."""
-    written = [read_unit(log.units[column]) for column in columns.values() if column in log.units]
-    in_amperes = any(unit and unit.measures == "current" for unit in written)
-    kind: Literal["current", "torque"] = "torque" if commands.kind == "torque" and not in_amperes else "current"
-    if commands.kind == "command" and not in_amperes:
-        reach = max(float(np.nanmax(np.abs(log.values[column]))) for column in columns.values())
-        kind = "torque" if reach > LARGEST_CURRENT else "current"
-    names = list(dict.fromkeys([*columns.values()][:: max(len(columns) - 1, 1)]))
-    first, are = " ... ".join(names), "are" if len(columns) > 1 else "is"
+    units = [read_unit(log.units[column]) for column in columns.values() if column in log.units]
+    in_amperes = any(unit and unit.measures == "current" for unit in units)
+    unclear = "" if in_amperes else commands.kind
+    kind: Literal["current", "torque"] = "current"
+    if unclear == "torque" or (unclear == "command" and _reach(log, columns) > LARGEST_CURRENT):
+        kind = "torque"
+    names = dict.fromkeys([*columns.values()][:: max(len(columns) - 1, 1)])
+    these = f"{' ... '.join(names)} {'are' if len(columns) > 1 else 'is'}"
     effort = commands.kind == "torque" and "effort" in commands.first.lower()  # in ROS what the driver writes
     points = {
-        "kind": (effort or (commands.kind == "command" and not in_amperes), f"assumed to be {kind}s"),
-        "motor": (commands.kind == "motor" and not in_amperes, "assumed to be currents"),
+        "kind": (effort or unclear == "command", f"assumed to be {kind}s"),
+        "motor": (unclear == "motor", "assumed to be currents"),
         "gravity": ("current_as_torque" in commands.first.lower(), "assumed to be torques without gravity"),
         "reference": (commands.reference, "references, not measurements"),
     }
-    return kind, {key: f"{first} {are} {assumed}" for key, (is_open, assumed) in points.items() if is_open}
+    return kind, {key: f"{these} {assumed}" for key, (is_open, assumed) in points.items() if is_open}
+
+
+def _reach(log: LogContents, columns: Mapping[str, str]) -> float:
+    return max(float(np.nanmax(np.abs(log.values[column]))) for column in columns.values())
 
 
 def _unused(
@@ -200,7 +293,6 @@ def _unused(
     used: set[str],
     moving_base: bool,
 ) -> Unused:
-    """List the columns that are not ``used``, by what they may hold."""
     columns = [name for name in log.table.columns if name not in log.time]
     unused = [name for name in columns if name not in used]
     motion, wrenches = base_like(unused) if moving_base else (), wrench_like(unused)
@@ -209,8 +301,6 @@ def _unused(
         torques, still = _sensors(command_log, "torque", labels)
     if torques and (group := command_log.group("torque")):
         used = used | set(group.columns.values())
-    groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
-    candidates = {name: group for name, group in groups.items() if group.kind not in ("other", "sensor")}
     side: dict[str, Any] = {}
     for signal in SIDE_SIGNALS:
         names = [name for name in columns if has_word(name, signal.words)]
@@ -218,9 +308,14 @@ def _unused(
             side[signal.key] = dict(zip(signals.position, names, strict=True))
         elif len(names) == 1:  # more are ambiguous
             side[signal.key] = names[0]
-    taken, known = (*signals.position.values(), *signals.command.values()), (*labels, *labels.values())
-    command_kind = next((group.kind for group in command_log.groups if taken[-1] in group.columns.values()), None)
-    logs = {log.table.path: log for log in (log, command_log)}.values()
+    *taken, last = (*signals.position.values(), *signals.command.values())
+    command_kind = next((group.kind for group in command_log.groups if last in group.columns.values()), None)
+    logs = [command_log] if log.table.path == command_log.table.path else [log, command_log]
+    known = (*labels, *labels.values())
+    moving = [name for one in logs for name in one.moving_beside((*taken, last), known, command_kind)]
+    groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
+    others = {name: group for name, group in groups.items() if group.kind not in ("other", "sensor")}
+    explained = {*used, *motion, *wrenches}
     return Unused(
         side=side,
         torques=torques,
@@ -229,10 +324,8 @@ def _unused(
         motion=motion,
         wrenches=wrenches,
         still=tuple(still),
-        moving=(*(name for log in logs for name in log.moving_beside(taken, known, command_kind)), *log.elsewhere),
-        others=tuple(
-            name for name, group in candidates.items() if not set(group.columns.values()) <= {*used, *motion, *wrenches}
-        ),
+        moving=(*moving, *log.elsewhere),
+        others=tuple(name for name, group in others.items() if not set(group.columns.values()) <= explained),
     )
 
 
@@ -241,8 +334,8 @@ def _sensors(log: LogContents, kind: str, labels: Mapping[str, str]) -> tuple[di
     group = log.group(kind)
     if group is None or group.reference:
         return {}, []
-    group = renamed_labels(group, list(labels.values()))[0]
-    columns = {joint: group.columns[label] for joint, label in labels.items() if label in group.columns}
+    names = renamed_labels(group, list(labels.values()))[0].columns
+    columns = {joint: names[label] for joint, label in labels.items() if label in names}
     still = [column for column in columns.values() if log.is_still(column)]
     return {joint: column for joint, column in columns.items() if column not in still}, still
 
@@ -273,7 +366,8 @@ def _position_unit(
     """Determine the unit of the positions by names, velocities and range, None for rad and m as usual; and why."""
     if positions.unit in ("deg", "rad", "mm", "m"):
         return positions.unit, "unit in the columns' names"
-    reach, joint = max((float(np.nanmax(np.abs(log.values[column]))), joint) for joint, column in columns.items())
+    reaches = {joint: _reach(log, {joint: column}) for joint, column in columns.items()}
+    reach, joint = max((reach, joint) for joint, reach in reaches.items())
     kinds = {robot.joint(name).kind for name in columns} if robot else {"revolute"}
     ratio, fastest = log.slope(positions) if kinds == {"revolute"} else (None, 0.0)
     for unit, per_velocity in (("deg", 180 / np.pi), ("rad", np.pi / 180)):
@@ -285,10 +379,8 @@ def _position_unit(
     if kinds != {"revolute"}:
         return "mm", f"{far}, too far for SI units"
     limits = {name: robot.joint(name).limits.position for name in columns} if robot else {}
-    beyond = any(  # where deg are taken for rad, joints with limits are far outside
-        limit and float(np.nanmax(np.abs(log.values[columns[name]]))) > 2 * max(map(abs, limit))
-        for name, limit in limits.items()
-    )
+    # Where deg are taken for rad, joints with limits are far outside.
+    beyond = any(limit and reaches[name] > 2 * max(map(abs, limit)) for name, limit in limits.items())
     if ratio is not None and abs(ratio - 1) < ALIKE and fastest < FASTEST and not beyond:
         return "rad", f"{far}, but the velocities are the derivative and reach only {fastest:.4g}"
     if reach > MOST_DEGREES and not beyond:

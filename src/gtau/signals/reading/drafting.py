@@ -20,8 +20,7 @@ from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading.columns import PRESETS, SampleRate
-from gtau.signals.reading.discovery import discover
-from gtau.signals.reading.draft import QUESTIONS, Draft, listed
+from gtau.signals.reading.discovery import QUESTIONS, Draft, discover, listed
 from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
 
@@ -41,9 +40,8 @@ def draft_logs(
     """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
 
     ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
-    Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log. A ``preset``, a name of
-    :data:`gtau.signals.reading.columns.PRESETS`, gives the kind of commands and whether torques include gravity. Raises
-    GtauError where a log or the robot cannot be read, a mass is of no log, or the logs lack the columns of the preset.
+    Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log; a ``preset`` gives the kind of commands
+    and whether torques include gravity.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
@@ -131,10 +129,7 @@ def alternatives(masses: Sequence[float]) -> str:
 
 
 def write_draft(draft: Draft, file: Path) -> list[Path]:
-    """Write the experiment file of a draft, and the robot file from a bag, replacing earlier drafts.
-
-    Raises GtauError where other files with these names exist, or an earlier draft has been edited.
-    """
+    """Write the experiment file of a draft, and the robot file from a bag, replacing unedited drafts alone."""
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
     texts[file] = _sealed(draft_text(draft, folder))
@@ -187,10 +182,7 @@ WIDTH = 90  # characters of columns on one line
 
 
 def draft_text(draft: Draft, folder: Path) -> str:
-    """Write the experiment file of a draft for ``folder``, each finding with its reason.
-
-    Guesses are marked ``CHECK``.
-    """
+    """Write the experiment file of a draft for ``folder``, each finding with its reason, guesses marked ``CHECK``."""
     doubt = _question(draft, "robot", "unmatched") or "the other joints are held at home" * ("joints" in draft.robot)
     lines = [
         f"# Drafted by gtau from {counted(len(draft.logs), 'log')}. Edit the lines marked CHECK, then run gtau check.",
@@ -234,7 +226,6 @@ def _payload(draft: Draft, log: Path) -> list[str]:
 
 
 def _signals(draft: Draft) -> Iterator[str]:
-    """Write the columns used."""
     signals, why = draft.signals, draft.reasons
     doubtful = not {"clock", "received", "velocities"}.isdisjoint(draft.open)
     time = signals.model_dump(mode="json")["time"]
@@ -248,7 +239,6 @@ def _signals(draft: Draft) -> Iterator[str]:
 
 
 def _unused(draft: Draft) -> Iterator[str]:
-    """Write the columns that are not used, as comments."""
     unused, velocity = draft.unused, draft.reasons.velocity
     for signal in SIDE_SIGNALS:
         if columns := unused.side.get(signal.key):
@@ -276,7 +266,6 @@ def _unused(draft: Draft) -> Iterator[str]:
 
 
 def _question(draft: Draft, *keys: str) -> str:
-    """Write the question on the first of these points that is open."""
     return next((CHECK + QUESTIONS[key] for key in keys if key in draft.open), "")
 
 
@@ -338,7 +327,6 @@ def _line(text: str, comment: str) -> str:
 
 
 def _by_joint(key: str, columns: Mapping[str, str], comment: str) -> list[str]:
-    """Write columns in braces, or on lines of their own where that would be too long."""
     flow = _flow(columns)
     if len(flow) < WIDTH:
         return [_line(f"  {key}: {flow}", comment)]

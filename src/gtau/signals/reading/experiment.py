@@ -1,14 +1,24 @@
-"""The experiment file: robot, columns of the logs, and payloads."""
+"""The experiment file: robot, columns of the logs, runs with their logs, and payloads."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from difflib import get_close_matches
+from glob import escape, has_magic
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
-from gtau.documents.files import EXPERIMENT, refuse_other_kind
+from gtau.documents.files import EXPERIMENT, beside, matching, refuse_other_kind
 from gtau.documents.validation import PATH, Keys, Positive, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
@@ -17,7 +27,8 @@ from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.logged_run import Folders, LoggedRun, file_or_name
+from gtau.signals.reading.logs import is_log_folder
+from gtau.signals.reading.samples import Part
 from gtau.signals.reading.statements import (
     CHOSEN,
     Drive,
@@ -31,6 +42,94 @@ from gtau.signals.reading.statements import (
     check_drives,
 )
 from gtau.signals.reading.units import Units, is_angle
+
+
+def file_or_name(robot: str, folder: Path) -> str:
+    """Return the path of a robot file beside an experiment file in ``folder``, or a name of the catalog."""
+    file = beside(folder, robot)
+    if file.is_file() or (file / "robot.urdf").is_file():
+        return str(file)
+    if file.suffix or "/" in robot:
+        raise ValueError(f"there is no file '{file}'{_close_file(file)}")
+    return robot
+
+
+RobotName = Annotated[
+    str, AfterValidator(lambda robot, info: robot if info.context is None else file_or_name(robot, info.context))
+]
+"""Name of the catalog or path of a file, in a file whose folder is the context of its validation."""
+
+
+class LoggedRun(Part):
+    """One run: its log, or two logs with positions and commands, and the payload carried, if any.
+
+    In a file the logs may be patterns (``free_*.csv``): a run for each match, of two patterns the first match of one
+    with the first of the other. A folder of ``.parquet`` files is one log, and so is a rosbag2.
+    """
+
+    model_config = ConfigDict(populate_by_name=False)
+
+    log: Annotated[
+        tuple[Path, ...],
+        BeforeValidator(lambda value: (value,) if isinstance(value, (str, Path)) else value),
+        Field(min_length=1, max_length=2),
+    ]
+    payload: Payload | None = None
+
+    def overlaps(self, other: LoggedRun) -> bool:
+        """Decide whether both runs share rows."""
+        episodes = {self.episode, other.episode} - {None}
+        return self.log == other.log and len(episodes) < 2 and self.begin < other.end and other.begin < self.end
+
+    @field_validator("log")
+    @classmethod
+    def _existing(cls, log: tuple[Path, ...], info: ValidationInfo) -> tuple[Path, ...]:
+        if info.context is None:
+            return log
+        _, folder = info.context
+        paths, literal = [beside(folder, path) for path in log], Path(escape(str(folder)))
+        pairs = zip(log, paths, strict=True)
+        placed = tuple(path if path.exists() else beside(literal, written) for written, path in pairs)
+        matches = [_logs_at(path) for path in placed]
+        for written, path, logs in zip(log, paths, matches, strict=True):
+            if not logs and has_magic(str(written)):
+                raise ValueError(f"no file matches '{path}'; paths are relative to the experiment file")
+            for existing in logs or [path]:
+                if existing.is_file() or is_log_folder(existing):
+                    continue
+                if existing.is_dir():
+                    raise ValueError(
+                        f"the folder '{existing}' holds no .parquet files and is not a rosbag2; give a file, or "
+                        "such a folder"
+                    )
+                raise ValueError(f"there is no file '{existing}'{_close_file(existing)}")
+        if len({len(logs) for logs in matches}) > 1:
+            raise ValueError(
+                f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are paired in "
+                f"order, so both must match the same number"
+            )
+        return placed
+
+    def per_match(self) -> list[LoggedRun]:
+        """List the runs, one for each match of the patterns."""
+        pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
+        return [self.model_copy(update={"log": logs}) for logs in pairs]
+
+
+def _logs_at(path: Path) -> list[Path]:
+    """List the files that a path or a pattern matches; patterns skip YAML files such as the experiment file."""
+    return [match for match in matching(path) if match == path or match.suffix not in (".yaml", ".yml")]
+
+
+def _close_file(path: Path) -> str:
+    if path.is_symlink():
+        return f"; it is a link to '{path.readlink()}', which does not exist"
+    if path.exists():
+        return "; it is a device or a pipe"
+    names = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
+    if close := get_close_matches(path.name, names, n=1):
+        return f"; did you mean '{close[0]}'?"
+    return "; paths are relative to the file that names them"
 
 
 class Experiment(Keys):
@@ -66,9 +165,10 @@ class Experiment(Keys):
     def _file_or_name(cls, robot: str | RobotSource, info: ValidationInfo) -> str | RobotSource:
         if info.context is None:
             return robot
+        folder, _ = info.context
         if isinstance(robot, RobotSource):
-            return robot.model_copy(update={"file": file_or_name(robot.file, info.context.robot)})
-        return file_or_name(robot, info.context.robot)
+            return robot.model_copy(update={"file": file_or_name(robot.file, folder)})
+        return file_or_name(robot, folder)
 
     @field_validator("units")
     @classmethod
@@ -92,14 +192,14 @@ class Experiment(Keys):
                 raise ValueError(f"units of '{key}' are given, but the signals hold none; remove them")
         for by_joint in vars(units).values():
             if isinstance(by_joint, dict):
-                _known_joints(by_joint, signals)
+                _refuse_unknown_joints(by_joint, signals)
         return units
 
     @field_validator("prior_gains", "drives")
     @classmethod
     def _joints_of_signals(cls, entries: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if "signals" in info.data:
-            _known_joints(entries, info.data["signals"])
+            _refuse_unknown_joints(entries, info.data["signals"])
         return entries
 
     @field_validator("prior_gains")
@@ -128,9 +228,8 @@ class Experiment(Keys):
     @property
     def stated_gains(self) -> dict[str, StatedGain]:
         """Gains known beforehand, from ``prior_gains`` and data sheets."""
-        sheets = {joint: drive.gain for joint, drive in self.drives.items()}
-        stated = {joint: StatedGain(value=gain[0], std=gain[1]) for joint, gain in sheets.items() if gain is not None}
-        return self.prior_gains | stated
+        gains = [(joint, drive.gain) for joint, drive in self.drives.items() if drive.gain is not None]
+        return self.prior_gains | {joint: StatedGain(value=gain, std=std) for joint, (gain, std) in gains}
 
     @property
     def expected_gains(self) -> dict[str, float]:
@@ -140,8 +239,8 @@ class Experiment(Keys):
     @property
     def expected_parameters(self) -> dict[str, Prior]:
         """Priors of standard parameters: ``priors``, and rotor inertias of data sheets."""
-        sheets = {Parameter("ia", joint): drive.inertia for joint, drive in self.drives.items()}
-        return self.priors | {name: Prior(value=ia[0], std=ia[1]) for name, ia in sheets.items() if ia is not None}
+        sheets = [(joint, drive.inertia) for joint, drive in self.drives.items() if drive.inertia is not None]
+        return self.priors | {Parameter("ia", joint): Prior(value=ia, std=std) for joint, (ia, std) in sheets}
 
     @field_validator("runs", "validation")
     @classmethod
@@ -174,7 +273,7 @@ class Experiment(Keys):
         return self
 
 
-def _known_joints(values: Mapping[str, object], signals: Signals) -> None:
+def _refuse_unknown_joints(values: Mapping[str, object], signals: Signals) -> None:
     for joint in values:
         if joint not in signals.position:
             raise ValueError(
@@ -207,15 +306,11 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     """
     refuse_other_kind(path, EXPERIMENT)
     folder = Path(path).parent
-    return validate(Experiment, read_yaml(path), context=Folders(folder, folder if logs is None else logs))
+    return validate(Experiment, read_yaml(path), context=(folder, logs or folder))
 
 
 def check_robot(experiment: Experiment, robot: Robot) -> None:
-    """Check that an experiment's signals, units and drives suit its robot.
-
-    Raises GtauError where the signals' joints are not the actuated ones, a position unit does not suit its joint, or a
-    gear of ``drives`` is among the robot's couplings too.
-    """
+    """Check that an experiment's signals, units and drives suit its robot; raises GtauError."""
     signals, base, pose = experiment.signals, experiment.signals.base, experiment.signals.pose
     if robot.floating and base is None:
         raise GtauError(

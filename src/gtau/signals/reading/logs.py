@@ -1,36 +1,34 @@
-"""Logs of a run: files of any format, one or two of them, as samples in SI units.
-
-Commands with separate time stamps are interpolated.
-"""
+"""Logs of a run, one or two files of any format, as samples in SI units; poses and side signals beside these."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import cast
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, short
 from gtau.extensions import find
 from gtau.findings import Finding
 from gtau.findings.words import moment
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
 from gtau.signals.reading.body_columns import at_origins
-from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.formats import MOST_COLUMNS, LogTable
+from gtau.signals.reading.column_names import split_name
+from gtau.signals.reading.columns import PRESETS, Signals
+from gtau.signals.reading.formats import ALL, MOST_COLUMNS, LogTable, reading
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
-from gtau.signals.reading.notes import reading
-from gtau.signals.reading.registers import with_signs
-from gtau.signals.reading.samples import WHOLE, Part, Samples, complete
-from gtau.signals.reading.units import Units, refuse_unstated_units
-from gtau.signals.storage import Store, block, blocks, spans, store
+from gtau.signals.reading.samples import WHOLE, Part, Samples, complete, with_signs
+from gtau.signals.reading.units import SI, Units
+from gtau.signals.storage import block, blocks, spans, store
 
 GROUP = "gtau.log_formats"
 """Of the entry points of other distributions."""
@@ -56,11 +54,12 @@ def find_columns(path: Path) -> LogTable:
         with system_refusals(part):  # a pipe would be read for ever
             pass
     with system_refusals(path):
-        if not path.is_dir():
+        ending = path.suffix.lower()
+        if path.is_dir():
+            ending = ".db3" if is_rosbag(path) else ".parquet"
+        else:
             path.open("rb").close()  # the system's reason, not a library's, where there is no such file
-        folder_ending = ".db3" if is_rosbag(path) else ".parquet"
-        reader = reader_of(folder_ending if path.is_dir() else path.suffix.lower()) or open_text
-        table = reader(path)
+        table = (reader_of(ending) or open_text)(path)
     if len(table.columns) > MOST_COLUMNS:
         raise GtauError(
             f"it has {len(table.columns)} columns, and at most {MOST_COLUMNS} are read; export the signals alone.",
@@ -104,10 +103,6 @@ def _refuse_missing(names: Iterable[str], table: LogTable) -> None:
         raise GtauError(f"there is no column '{name}'; {hint} columns are {listed}.", source=path)
 
 
-LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
-CLOSE = 0.01  # of a step: stamps that differ by less are the same, up to rounding
-
-
 def read_logs(
     paths: Sequence[Path],
     signals: Signals,
@@ -116,77 +111,116 @@ def read_logs(
     part: Part = WHOLE,
     progress: Callable[[float], None] = lambda done: None,
 ) -> Samples:
-    """Read the complete samples of a part of a run from its logs; raises GtauError.
-
-    ``notes`` report what was left out or aligned; ``progress`` is called with the part of the log that has been read.
-    """
+    """Read the complete samples of a part of a run from its logs, with ``notes`` on what was left out or aligned."""
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
-    times, stamps, base = signals.time_columns, signals.command_time_columns, signals.base
+    path, base, stamped = paths[0], signals.base, bool(signals.command_time_columns)
     positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
     if len(paths) == 1 and (twice := set(positions) & set(commands)):
         raise GtauError(
             f"the column '{min(twice)}' is given both as a position and as a {signals.kind}; correct one of the two.",
-            source=paths[0],
+            source=path,
         )
     position_scale, command_scale, time_scale = units.scale(signals)
-    table = read_log(paths[0], (*times, *positions, *(commands if len(paths) == 1 and not stamps else ())))
-    files, rows, commands_at = [table], part.rows(table), None
-    if len(paths) == 2 and not stamps:
+    scale = np.array([*position_scale, *command_scale])
+    beside = commands if len(paths) == 1 and not stamped else []
+    table = read_log(path, (*signals.time_columns, *positions, *beside))
+    files, rows = [table], part.rows(table)
+    if len(paths) == 2 and not stamped:
         files.append(replace(read_log(paths[1], commands), texts=table.texts))
-    refuse_unstated_units(files, signals, units)
+    _refuse_unstated_units(files, signals, units)
     notes += [note.from_source(file.path.name) if len(files) > 1 else note for file in files for note in file.notes]
-    if stamps:
-        inside, commands_at = _aligned(paths[0], paths[-1], signals, time_scale, notes)
+    commands_at = None
+    if stamped:
+        inside, commands_at = _aligned(path, paths[-1], signals, time_scale, notes)
         rows = inside[rows.start : rows.stop]
-    columns = [(k, name) for k, file in enumerate(files) for name in file.columns]
-    wanted = [(0, name) for name in positions] + [(len(files) - 1, name) for name in commands if not stamps]
-    order, at_times = [columns.index(column) for column in wanted], [columns.index((0, name)) for name in times]
+    columns = [(0, name) for name in positions]
+    if not stamped:
+        columns += [(len(files) - 1, name) for name in commands]
 
     def parts() -> Iterator[tuple[int, np.ndarray]]:
-        row = rows.start
-        for values, done in _side_by_side(files, rows):
+        for row, values, done in _timed(files, columns, signals, time_scale, rows):
             progress(done)
-            time = instants(signals, values[:, at_times], time_scale, row)
-            logged = values[:, order]
+            logged, time = values[:, :-1], values[:, -1]
             if commands_at is not None:
                 between = commands_at(time)
                 between[np.isnan(logged).all(axis=1)] = np.nan  # rows that hold other topics
                 logged = np.hstack([logged, between])
-            yield row, np.column_stack([_converted(signals, logged * [*position_scale, *command_scale]), time])
-            row += len(values)
+            yield row, np.column_stack([_converted(signals, logged * scale), time])
 
-    named = (*_labels(signals), " and ".join(times) or "rate")
-    empty = Samples(" and ".join(map(str, paths)), signals.channels, named, table)
+    named = (*_labels(signals), " and ".join(signals.time_columns) or "rate")
+    name = " and ".join(map(str, paths))
+    samples = complete(name, signals.channels, named, table, parts(), notes, part)
     joints = list(signals.position)
     scales = dict(zip(joints, position_scale, strict=False)), dict(zip(joints, command_scale, strict=False))
-    return with_signs(complete(empty, parts(), notes, part), scales, notes)
+    return with_signs(samples, scales, notes)
+
+
+def _refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Units) -> None:
+    """Refuse columns whose unit, by name or log, is not SI if the experiment file states none."""
+    written = {name: unit for file in files for name, unit in file.units.items()}
+    columns = [("position", *pair) for pair in signals.position.items()]
+    columns += [(signals.kind, *pair) for pair in signals.command.items()]
+    columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
+    if len(signals.time_columns) == 1 and "units" not in PRESETS.get(signals.preset or "", {}):
+        columns += [("time", "", column) for column in signals.time_columns]
+    for key, joint, column in columns:
+        *_, split = split_name(column, [joint] if joint else [], written.get(column))
+        unit = "" if split is None else split.text
+        if unit and unit not in SI and units.stated(key, joint) is None:
+            raise GtauError(
+                f"column '{column}' is in '{unit}' by the log, but the experiment file states no unit; write units: "
+                f"{{{key}: {unit}}}, or the SI unit if the log is wrong. Of counts state the size of one, as in "
+                "'0.0012 A'; of shares the rated values, too.",
+                source=files[0].path,
+            )
 
 
 def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
-    """Prepend the base's six coordinates, whose commands are 0; move the wrenches to the origins of their axes.
-
-    The columns (M, .) hold positions, pose, commands and sensors, and wrenches.
-    """
+    """Prepend the base's six coordinates to positions, pose, commands and wrenches (M, .); move the wrenches."""
     base, acting = signals.base, signals.all_wrenches
     if base is None and not acting:
         return values
     joints, pose = len(signals.position), len(base.pose) if base else 0
-    modelled = len(signals.measured) - sum(len(wrench.columns) for wrench in acting)
-    q, base_pose, commands, wrenches = np.split(values, np.cumsum([joints, pose, modelled]), axis=1)
+    ends = np.cumsum([joints, pose, len(_modelled(signals))])
+    q, base_pose, commands, wrenches = np.split(values, ends, axis=1)
     wrenches = at_origins(acting, wrenches, base.yaw if base else 0.0)
     if base is None:
         return np.hstack([q, commands, wrenches])
     return np.hstack([base.positions(base_pose), q, np.zeros((len(values), len(base.joints))), commands, wrenches])
 
 
+def _modelled(signals: Signals) -> tuple[str, ...]:
+    return signals.measured[: len(signals.measured) - sum(len(wrench.columns) for wrench in signals.all_wrenches)]
+
+
 def _labels(signals: Signals) -> Iterator[str]:
-    """Name the columns of positions and channels, for messages."""
-    base, acting = signals.base, signals.all_wrenches
+    base = signals.base
     yield from (*(base.labels if base else ()), *signals.position.values())
     yield from ["no motor"] * (len(base.joints) if base else 0)
-    yield from signals.measured[: len(signals.measured) - sum(len(wrench.columns) for wrench in acting)]
-    yield from (label for wrench in acting for label in wrench.labels)
+    yield from _modelled(signals)
+    yield from (label for wrench in signals.all_wrenches for label in wrench.labels)
+
+
+def _timed(
+    files: Sequence[LogTable], columns: Sequence[tuple[int, str]], signals: Signals, scale: float, rows: range = ALL
+) -> Iterator[tuple[int, np.ndarray, float]]:
+    """Yield the first row's number, columns of files (M, .) with the time in s behind them, and the fraction read."""
+    names = [(k, name) for k, file in enumerate(files) for name in file.columns]
+    order = [names.index(column) for column in columns]
+    at_times = [names.index((0, name)) for name in signals.time_columns]
+    row = rows.start
+    for values, done in _side_by_side(files, rows):
+        if signals.rate is None:
+            time = _seconds(values[:, at_times], scale)
+        else:
+            time = np.arange(row, row + len(values)) / signals.rate
+        yield row, np.column_stack([values[:, order], time]), done
+        row += len(values)
+
+
+def _seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
+    return stamps[:, 0] * scale if stamps.shape[1] == 1 else stamps[:, 0] + stamps[:, 1] * 1e-9
 
 
 def _side_by_side(files: Sequence[LogTable], rows: range) -> Iterator[tuple[np.ndarray, float]]:
@@ -202,62 +236,21 @@ def _side_by_side(files: Sequence[LogTable], rows: range) -> Iterator[tuple[np.n
             "sampled together, or the stamps of each (time: {position: COLUMN, command: COLUMN})."
         )
     for start, stop in spans(max(counts)):
-        parts = [block(log, start, stop) for log in logs]
-        lacking = [[(0, stop - start - len(part)), (0, 0)] for part in parts]
-        yield (
-            np.hstack([np.pad(part, ends, constant_values=np.nan) for part, ends in zip(parts, lacking, strict=True)]),
-            (stop / max(counts)),
-        )
+        both = np.full((stop - start, sum(log.shape[1] for log in logs)), np.nan)
+        for log, columns in zip(logs, np.split(both, [logs[0].shape[1]], axis=1), strict=True):
+            part = block(log, start, stop)
+            columns[: len(part)] = part
+        yield both, stop / max(counts)
 
 
-def _interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
-    """Interpolate a ``log`` (K, 1 + c) at instants (M,): commands (M, c), nan in steps longer than ``longest`` (s)."""
-    known = np.isfinite(time)
-    commands = np.full((len(time), log.shape[1] - 1), np.nan)
-    if not known.any():
-        return commands
-    begin = max(int(np.searchsorted(log[:, 0], np.min(time[known]), side="right")) - 1, 0)
-    end = int(np.searchsorted(log[:, 0], np.max(time[known]))) + 1
-    stamps, *logged = block(log, begin, end).T
-    after = np.clip(np.searchsorted(stamps, time[known], side="left"), 0, len(stamps) - 1)
-    before = np.maximum(after - (stamps[after] != time[known]), 0)
-    between = (stamps[after] - stamps[before] <= longest) & (stamps[after] >= time[known])
-    values = np.column_stack([np.interp(time[known], stamps, command) for command in logged])
-    commands[known] = np.where(between[:, None], values, np.nan)
-    return commands
-
-
-def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
-    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first."""
-    file = read_log(path, (*stamps, *commands))
-    at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
-    parts, row, last, count = [], 0, -np.inf, 0
-    for values, _ in file.blocks():
-        complete = np.isfinite(values).all(axis=1)
-        time = seconds(values[:, at_stamps], scale)
-        steps = np.diff(time[complete], prepend=last)
-        if (steps < 0).any():
-            at = row + int(np.flatnonzero(complete)[np.argmax(steps < 0)]) + (file.first_line or 1)
-            raise GtauError(
-                f"{path}, {'row' if file.first_line is None else 'line'} {at}: the time of the {what} goes back; cut "
-                "the log there into two runs, or correct the column."
-            )
-        last = float(time[complete][-1]) if complete.any() else last
-        complete[complete] = steps > 0
-        parts.append(np.column_stack([time[complete], values[np.ix_(complete, at_commands)]]))
-        row, count = row + len(values), count + len(parts[-1])
-    if count < 2:
-        raise GtauError(f"{path} has {count} complete rows of {what}; give the log and columns that hold them.")
-    return store(parts, (1 + len(commands),))
+LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
+CLOSE = 0.01  # of a step: stamps that differ by less are the same, up to rounding
 
 
 def _aligned(
     path: Path, other_path: Path, signals: Signals, scale: float, notes: list[Finding]
 ) -> tuple[range, Callable[[np.ndarray], np.ndarray]]:
-    """Find the rows of positions between the first and the last command, and a function that interpolates the commands.
-
-    ``scale`` converts the columns of both times to s.
-    """
+    """Find the rows of positions between the first and last command, and a function that interpolates commands."""
     what = f"{signals.kind}s"
     log = _stamped(other_path, signals.command_time_columns, signals.measured, scale, what)
     clock, stamps = logged_instants(path, signals, scale), log[:, 0]
@@ -283,29 +276,118 @@ def _aligned(
     return rows, partial(_interpolated, log, LONGEST_STEP * max(steps))
 
 
+def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
+    """Read the complete rows of commands and their time in s, (K, 1 + c); of equal stamps the first."""
+    file = read_log(path, (*stamps, *commands))
+    at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
+    parts, row, last, count = [], 0, -np.inf, 0
+    for values, _ in file.blocks():
+        complete = np.isfinite(values).all(axis=1)
+        time = _seconds(values[:, at_stamps], scale)
+        steps = np.diff(time[complete], prepend=last)
+        if (steps < 0).any():
+            at = row + int(np.flatnonzero(complete)[np.argmax(steps < 0)])
+            raise GtauError(
+                f"{path}, {file.places([at], 1)}: the time of the {what} goes back; cut the log there into two runs, "
+                "or correct the column."
+            )
+        last = float(time[complete][-1]) if complete.any() else last
+        complete[complete] = steps > 0
+        parts.append(np.column_stack([time[complete], values[np.ix_(complete, at_commands)]]))
+        row, count = row + len(values), count + len(parts[-1])
+    if count < 2:
+        raise GtauError(f"{path} has {count} complete rows of {what}; give the log and columns that hold them.")
+    return store(parts, (1 + len(commands),))
+
+
 def _distance(time: np.ndarray, stamps: np.ndarray) -> float:
-    """Compute the median distance in s from instants to the closest stamp."""
     after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
     return float(np.median(np.minimum(np.abs(time - stamps[after - 1]), np.abs(stamps[after] - time))))
+
+
+def _interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
+    """Interpolate a ``log`` (K, 1 + c) at instants (M,): commands (M, c), nan in steps longer than ``longest`` (s)."""
+    known = np.isfinite(time)
+    commands = np.full((len(time), log.shape[1] - 1), np.nan)
+    if not known.any():
+        return commands
+    at = time[known]
+    begin = max(int(np.searchsorted(log[:, 0], at.min(), side="right")) - 1, 0)
+    end = int(np.searchsorted(log[:, 0], at.max())) + 1
+    stamps, *logged = block(log, begin, end).T
+    after = np.clip(np.searchsorted(stamps, at, side="left"), 0, len(stamps) - 1)
+    before = np.maximum(after - (stamps[after] != at), 0)
+    between = (stamps[after] - stamps[before] <= longest) & (stamps[after] >= at)
+    values = np.column_stack([np.interp(at, stamps, command) for command in logged])
+    commands[known] = np.where(between[:, None], values, np.nan)
+    return commands
 
 
 def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
     """Read the times in s of all rows of a log, (N,); ``scale`` converts their columns."""
     table = read_log(path, signals.time_columns or list(signals.position.values())[:1])
-    row, times = 0, Store()
-    for values, _ in table.blocks():
-        times.append(instants(signals, values, scale, row))
-        row += len(values)
-    return times.array()
+    return store(values[:, -1] for _, values, _ in _timed([table], [], signals, scale))
 
 
-def instants(signals: Signals, stamps: np.ndarray, scale: float, row: int) -> np.ndarray:
-    """Compute the times (M,) in s of rows from ``row`` on, from their time columns (M, 0 to 2) or the given rate."""
-    if signals.rate is not None:
-        return np.arange(row, row + len(stamps)) / signals.rate
-    return seconds(stamps, scale)
+FEWEST = 20  # rows of a run that hold a pose
+KEPT = 2000  # instants of a run: the effects of side signals are slow
 
 
-def seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
-    """Convert one column, or two with seconds and nanoseconds, to times (M,) in s."""
-    return stamps[:, 0] * scale if stamps.shape[1] == 1 else stamps[:, 0] + stamps[:, 1] * 1e-9
+@dataclass(frozen=True, eq=False)
+class LoggedPoses:
+    """Complete rows of a log: ``time`` (N,), ``q`` (N, n), and ``values`` (N, .) of the columns of a pose; SI units."""
+
+    run: str
+    time: np.ndarray
+    q: np.ndarray
+    values: np.ndarray
+
+
+def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE) -> LoggedPoses:
+    """Read the poses of a run from the log of its positions; raises GtauError where hardly any row holds one."""
+    pose, path = signals.pose, Path(paths[0])
+    assert pose is not None  # checked by the caller
+    n = len(signals.joints)
+    columns = [*signals.position.values(), *pose.columns]
+    scale = [*units.scale(signals)[0], *units.pose.scale(pose), 1.0]
+    rows = _complete_rows(path, columns, signals, units, part, scale)
+    if len(rows) < FEWEST:
+        raise GtauError(
+            f"{len(rows)} rows hold all of the pose ({', '.join(pose.columns)}) and the positions; give the "
+            "columns that hold them, or remove 'pose' from the signals.",
+            source=path,
+        )
+    return LoggedPoses(path.stem + part.label, rows[:, -1], rows[:, :n], rows[:, n:-1])
+
+
+def read_side_signals(
+    paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE
+) -> dict[str, SideValues]:
+    """Read the side signals of a run, by key, from the log of its positions, as means over up to ``KEPT`` parts."""
+    values = {}
+    for signal in SIDE_SIGNALS:
+        by_joint = signals.side_columns(signal)
+        columns = list(dict.fromkeys(by_joint.values()))
+        if not columns:
+            continue
+        rows = _complete_rows(Path(paths[0]), columns, signals, units, part)
+        if not len(rows):
+            raise GtauError(
+                f"no row holds a number in the {signal.key} columns ({', '.join(columns)}); correct them, or "
+                f"remove '{signal.key}' from the signals.",
+                source=paths[0],
+            )
+        means = np.array([some.mean(axis=0) for some in np.array_split(rows, min(KEPT, len(rows)))])
+        joints = {joint: means[:, columns.index(column)] for joint, column in by_joint.items()}
+        values[signal.key] = SideValues(means[:, -1], joints, getattr(units, signal.key) or signal.units[0])
+    return values
+
+
+def _complete_rows(
+    path: Path, columns: Sequence[str], signals: Signals, units: Units, part: Part, scale: ArrayLike = 1.0
+) -> np.ndarray:
+    """Read the rows of a log that hold a number in each of some columns: these and the time in s, times ``scale``."""
+    table = read_log(path, (*signals.time_columns, *columns))
+    timed = _timed([table], [(0, name) for name in columns], signals, units.scale(signals)[2], part.rows(table))
+    parts = part.of((row, values) for row, values, _ in timed)
+    return store((values[np.isfinite(values).all(axis=1)] * scale for _, values in parts), (len(columns) + 1,))

@@ -1,10 +1,10 @@
-"""The part of a log to use, and its complete samples as logged."""
+"""The part of a log to use, its complete samples, and registers in it that were logged without their sign."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Annotated
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field, FiniteFloat, model_validator
@@ -14,9 +14,8 @@ from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.findings.words import counted
 from gtau.signals.channel import Channel
-from gtau.signals.reading.formats import ALL, LogTable
-from gtau.signals.reading.notes import reading, repair
-from gtau.signals.storage import Store, blocks
+from gtau.signals.reading.formats import ALL, LogTable, listed_joints, reading, repair
+from gtau.signals.storage import Store, blocks, stored_like
 
 MIN_SAMPLES = 100
 MAX_MISSING = 0.05  # part of a log that may be bad or missing
@@ -81,58 +80,48 @@ class Part(Keys):
 WHOLE = Part()
 
 
-def _none(dtype: type = float) -> np.ndarray:
-    return np.zeros(0, dtype)
-
-
 @dataclass(frozen=True, eq=False)
 class Samples:
     """Complete samples of a log, SI units: ``time`` (N,), ``position`` (N, n) and ``command`` (N, c) of ``channels``.
 
     Messages name the log by ``name``, its columns of positions, channels and time by ``columns``, and samples by
-    ``rows`` (N,) of the file, in which the ``table`` of the positions counts, too. They belong to a ``part`` of the
-    log, whose times count from ``origin`` (s).
+    ``rows`` (N,) of the ``table``. They belong to a ``part`` of the log, whose times count from ``origin`` (s).
     """
 
     name: str
     channels: tuple[Channel, ...]
     columns: tuple[str, ...]
     table: LogTable
-    time: np.ndarray = field(default_factory=_none)
-    position: np.ndarray = field(default_factory=_none)
-    command: np.ndarray = field(default_factory=_none)
-    rows: np.ndarray = field(default_factory=lambda: _none(int))
-    origin: float = 0.0
-    part: Part = WHOLE
+    part: Part
+    origin: float
+    time: np.ndarray
+    position: np.ndarray
+    command: np.ndarray
+    rows: np.ndarray
 
     @property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints."""
-        return tuple(channel.joint for channel in self.channels if channel.kind.modelled and not channel.kind.link_side)
-
-    def places(self, rows: Sequence[int], count: int) -> str:
-        """Describe where ``count`` rows are in the file; ``rows`` are the first."""
-        first, word = self.table.first_line, "line"
-        if first is None:
-            first, word = 1, "row"
-        listed = ", ".join(str(int(row) + first) for row in rows[:5])
-        return f"{word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
+        return _joints_of(self.channels)
 
     def place(self, sample: int) -> str:
         """Describe the location of a sample in the file."""
-        return self.places([self.rows[sample]], 1)
+        return self.table.places([self.rows[sample]], 1)
+
+    def with_arrays(self, change: Callable[[np.ndarray], np.ndarray]) -> Samples:
+        """Return the samples with a change of all their arrays."""
+        arrays: Any = {name: change(getattr(self, name)) for name in ("time", "position", "command", "rows")}
+        return replace(self, **arrays)
 
     def piece(self, begin: int, end: int) -> Samples:
         """Return the samples from ``begin`` to before ``end`` of a log, as a part of it."""
-        arrays = {name: getattr(self, name)[begin:end] for name in ("time", "position", "command", "rows")}
         first, last = (float(self.time[k]) - self.origin for k in (begin, end - 1))
-        part = self.part.model_copy(
-            update={
-                "begin": self.part.begin if begin == 0 else np.floor(100 * first) / 100,
-                "end": self.part.end if end == len(self.time) else np.ceil(100 * last) / 100,
-            }
-        )
-        return replace(self, **arrays, part=part)
+        update = {
+            "begin": self.part.begin if begin == 0 else np.floor(100 * first) / 100,
+            "end": self.part.end if end == len(self.time) else np.ceil(100 * last) / 100,
+        }
+        piece = self.with_arrays(lambda array: array[begin:end])
+        return replace(piece, part=self.part.model_copy(update=update))
 
     def without(self, begin: int, end: int) -> str:
         """Write the keys of a run that leave out the samples from ``begin`` to before ``end``."""
@@ -145,6 +134,10 @@ class Samples:
         return until if count - end < MIN_SAMPLES else f"two runs of that log, one with '{until}', one with '{since}'"
 
 
+def _joints_of(channels: Iterable[Channel]) -> tuple[str, ...]:
+    return tuple(channel.joint for channel in channels if channel.kind.modelled and not channel.kind.link_side)
+
+
 def refuse_short(name: str, count: int) -> None:
     """Refuse a log with too few samples."""
     if count < MIN_SAMPLES:
@@ -155,87 +148,172 @@ def refuse_short(name: str, count: int) -> None:
 
 
 def complete(
-    samples: Samples, parts: Iterable[tuple[int, np.ndarray]], notes: list[Finding], part: Part = WHOLE
+    name: str,
+    channels: tuple[Channel, ...],
+    columns: tuple[str, ...],
+    table: LogTable,
+    parts: Iterable[tuple[int, np.ndarray]],
+    notes: list[Finding],
+    part: Part,
 ) -> Samples:
-    """Collect the complete samples of a log or of a part of it; raises GtauError if there are too few."""
-    n, wide = len(samples.joints), len(samples.columns) - 1  # columns before the time
-    stores = Store(), Store((n,)), Store((wide - n,)), Store(dtype=int)
+    """Collect the complete samples of a part of a log; its ``parts`` are blocks with the number of their first row."""
+    n, wide = len(_joints_of(channels)), len(columns) - 1  # columns before the time
+    stores = Store(), Store((n,)), Store((wide - n,)), *(Store(dtype=int) for _ in range(3))
     numbers = np.zeros(wide + 1, dtype=int)  # in each column
-    incomplete, empty, bad_column, begin = _Rows(), _Rows(), 0, -1
+    begin, bad_column = -1, ""
     for row, values in part.of(parts):
         begin = row if begin < 0 else begin
         finite = np.isfinite(values)
         kept = finite.all(axis=1)
         nothing = ~finite[:, :wide].any(axis=1)
-        partly = np.flatnonzero(~kept & ~nothing)
-        if partly.size and not incomplete.count:
-            bad_column = int(np.argmin(finite[partly[0]]))
-        incomplete.add(row + partly)
-        empty.add(row + np.flatnonzero(nothing))
+        some = ~kept & ~nothing
+        if some.any() and not bad_column:
+            bad_column = columns[int(np.argmin(finite[np.argmax(some)]))]
         numbers += finite.sum(axis=0)
-        columns = values[kept, wide], values[kept, :n], values[kept, n:wide], row + np.flatnonzero(kept)
-        for store, added in zip(stores, columns, strict=True):
+        arrays = values[kept, wide], values[kept, :n], values[kept, n:wide]
+        places = (row + np.flatnonzero(which) for which in (kept, some, nothing))
+        for store, added in zip(stores, (*arrays, *places), strict=True):
             store.append(added)
-    time, position, command, rows = (store.array() for store in stores)
-    count = len(time) + incomplete.count
-    if empty.count <= MAX_MISSING * (count + empty.count):  # faults like others, such as a last row that was cut
-        incomplete.first = sorted(incomplete.first + empty.first)[:5]
-        incomplete.count, count, empty = incomplete.count + empty.count, count + empty.count, _Rows()
+    time, position, command, rows, incomplete, empty = (store.array() for store in stores)
+    count, without = len(time) + len(incomplete), len(empty)
+    if without <= MAX_MISSING * (count + without):  # faults like others, such as a last row that was cut
+        incomplete = np.sort(np.concatenate([incomplete, empty]))
+        count, without = count + without, 0
     if not count and (part.skip or part.label):
         raise GtauError(
-            f"{samples.name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: "
-            f"{part.end:g} s); correct these keys."
+            f"{name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: {part.end:g} s); "
+            "correct these keys."
         )
-    refuse_short(samples.name, count)
-    if empty.count:
-        text = f"left out {counted(empty.count, 'row')} that hold only other signals"
+    refuse_short(name, count)
+    if without:
+        text = f"left out {counted(without, 'row')} that hold only other signals"
         notes.append(reading("rows of other signals", text=text))
-    _refuse_empty_columns(samples, numbers)
-    if incomplete.count > MAX_MISSING * count:
-        leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
-        at_start = incomplete.count - leading <= MAX_MISSING * count
-        remedy = f"leave out its first rows (skip: {part.skip + leading})" if at_start else "correct or delete them"
-        _refuse_incomplete(samples, incomplete, count, samples.columns[bad_column], remedy)
-    if incomplete.count:
-        places = samples.places(incomplete.first, incomplete.count)
-        text = f"dropped {counted(incomplete.count, 'row')} with missing or non-numeric values ({places})"
-        notes.append(repair("rows without numbers", incomplete.count / count, text=text))
-    origin = float(time[0]) - part.begin if len(time) else 0.0
-    return replace(samples, time=time, position=position, command=command, rows=rows, origin=origin, part=part)
-
-
-class _Rows:
-    """Count of rows, and the first five of them."""
-
-    def __init__(self) -> None:
-        self.count, self.first = 0, list[int]()
-
-    def add(self, rows: np.ndarray) -> None:
-        self.count += len(rows)
-        self.first += rows[: 5 - len(self.first)].tolist()
-
-
-def _refuse_incomplete(samples: Samples, rows: _Rows, count: int, column: str, remedy: str) -> None:
-    entry = f": '{samples.table.texts[column]}'" if samples.table.texts.get(column) else ""
-    raise GtauError(
-        f"{samples.name} has {rows.count} of {count} rows with missing or non-numeric values (first in "
-        f"{samples.places(rows.first[:1], 1)}, column '{column}'{entry}); {remedy}, or record the log again."
-    )
-
-
-def _refuse_empty_columns(samples: Samples, numbers: np.ndarray) -> None:
-    for column, number in zip(samples.columns, numbers.tolist(), strict=True):
-        if number:
-            continue
-        entry = samples.table.texts.get(column, "")
-        repair = "give the column that holds them"
-        if column == samples.columns[-1] and entry[:1].isdigit():
-            repair = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
+    for column in (column for column, number in zip(columns, numbers.tolist(), strict=True) if not number):
+        entry, remedy = table.texts.get(column, ""), "give the column that holds them"
+        if column == columns[-1] and entry[:1].isdigit():
+            remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
         begins = f" (it begins with '{entry}')" if entry else ""
-        raise GtauError(f"{samples.name}, column '{column}' holds no number{begins}; {repair}.")
+        raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
+    lost = len(incomplete)
+    if lost > MAX_MISSING * count:
+        leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
+        remedy = "correct or delete them"
+        if lost - leading <= MAX_MISSING * count:
+            remedy = f"leave out its first rows (skip: {part.skip + leading})"
+        column = bad_column or columns[0]
+        entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
+        raise GtauError(
+            f"{name} has {lost} of {count} rows with missing or non-numeric values (first in "
+            f"{table.places(incomplete, 1)}, column '{column}'{entry}); {remedy}, or record the log again."
+        )
+    if lost:
+        text = f"dropped {counted(lost, 'row')} with missing or non-numeric values ({table.places(incomplete, lost)})"
+        notes.append(repair("rows without numbers", lost / count, text=text))
+    origin = float(time[0]) - part.begin if len(time) else 0.0
+    return Samples(name, channels, columns, table, part, origin, time, position, command, rows)
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the smallest and largest value of every column."""
-    ends = [(part.min(axis=1), part.max(axis=1)) for part in (np.ascontiguousarray(part.T) for part in blocks(array))]
-    return np.min([low for low, _ in ends], axis=0), np.max([high for _, high in ends], axis=0)
+    columns = (np.ascontiguousarray(part.T) for part in blocks(array))
+    low, high = zip(*((part.min(axis=1), part.max(axis=1)) for part in columns), strict=True)
+    return np.min(low, axis=0), np.max(high, axis=0)
+
+
+LEAST = 128  # counts; below, it is a small number in any register
+# Median jump at the middle of the register once it is signed, over that as logged. Present PWM of seven logs of a
+# Dynamixel XL330: 3e-5 to 4e-3; of 1,500 other columns of the shared logs only nanoseconds of stamps are below (0.08).
+REMAINING = 0.3
+FULL = 0.9  # of the range that a number in two's complement reaches at least where it is just below zero
+VALUES = 3  # different ones on either side; a switch has fewer
+
+
+class Register(NamedTuple):
+    """A register: the number of its ``bits``, and whether the first one is a ``sign`` beside a magnitude."""
+
+    bits: int
+    sign: bool
+
+    def signed(self, values: np.ndarray) -> np.ndarray:
+        """Return the signed numbers of unsigned ones."""
+        half = 2.0 ** (self.bits - 1)
+        return np.where(values < half, values, half - values if self.sign else values - 2 * half)
+
+
+def register_of(values: np.ndarray) -> Register | None:
+    """Recognise a register logged without sign by its values (N,): whole numbers that jump at the middle of its range.
+
+    A switch is none, nor are values that pass the middle in small steps.
+    """
+    exact = values[np.isfinite(values)]
+    values = np.rint(exact)
+    if not values.size or values.min() < 0 or values.max() < LEAST or not np.allclose(values, exact, 1e-9, 0.0):
+        return None
+    bits = int(values.max()).bit_length()
+    above = values >= 2.0 ** (bits - 1)
+    at = np.flatnonzero(above[1:] != above[:-1])
+    if not at.size or min(len(np.unique(values[above])), len(np.unique(values[~above]))) < VALUES:
+        return None
+
+    def jump(numbers: np.ndarray) -> float:
+        return float(np.median(np.abs(np.diff(numbers)[at])))
+
+    register = min((Register(bits, sign) for sign in (False, True)), key=lambda one: jump(one.signed(values)))
+    full = register.sign or values.max() >= FULL * 2.0**bits
+    return register if full and jump(register.signed(values)) < REMAINING * jump(values) else None
+
+
+def with_signs(
+    samples: Samples, scales: tuple[Mapping[str, float], Mapping[str, float]], notes: list[Finding]
+) -> Samples:
+    """Correct registers logged without sign; ``scales`` are the SI values of a count of a joint's position, command."""
+    joints, signed = samples.joints, dict[str, np.ndarray]()
+    for kind, scale in zip(("position", "command"), scales, strict=True):
+        array: np.ndarray = getattr(samples, kind)
+        counts = {j: scale[joint] for j, joint in enumerate(joints) if joint in scale}
+        if kind == "command":  # positions wrap by turns, which are not a register's range
+            counts = {j: _count(array, j, size) for j, size in counts.items()}
+        registers = _registers(array, counts)
+        for register in set(registers.values()):
+            names = tuple(joints[j] for j, same in registers.items() if same == register)
+            half = 2 ** (register.bits - 1)
+            meaning = f"{2 * half} is subtracted from {half} and more"
+            if register.sign:
+                meaning = f"{half} and more are negative, with the magnitude above that"
+            number = f"a signed number of {register.bits} bits that was logged as unsigned"
+            text = f"the {kind} of {listed_joints(names)} is {number}: {meaning}"
+            notes.append(reading("unsigned register", text=text, joints=names))
+        if registers:
+            signed[kind] = stored_like(array, (_signed(part, registers, counts) for part in blocks(array)))
+    position, command = signed.get("position", samples.position), signed.get("command", samples.command)
+    return replace(samples, position=position, command=command)
+
+
+def _count(array: np.ndarray, j: int, scale: float) -> float:
+    """Find what one count is: ``scale``, or the step of a column that is never negative and was scaled before."""
+    if extremes(array)[0][j] < 0:
+        return scale
+    values = np.unique(_column(array, j)) / scale
+    steps = np.diff(values)[np.diff(values) > 1e-9 * values[-1]]
+    step = float(f"{steps.min():.6g}") if steps.size else 1.0
+    return scale if np.allclose(values, np.rint(values), 1e-9, 0.0) else scale * step
+
+
+def _column(array: np.ndarray, j: int) -> np.ndarray:
+    return np.concatenate([part[:, j] for part in blocks(array)])
+
+
+def _registers(array: np.ndarray, counts: Mapping[int, float]) -> dict[int, Register]:
+    """Recognise registers among columns; one in the upper half of its range alone is one if another joint's is."""
+    low, high = extremes(array)
+    ends = {j: sorted((low[j] / count, high[j] / count)) for j, count in counts.items()}
+    bits = {j: int(np.rint(most)).bit_length() for j, (least, most) in ends.items() if least >= 0 and most >= LEAST}
+    registers = (register_of(_column(array, j) / counts[j]) for j in bits)
+    common = {register.bits: register for register in registers if register}
+    return {j: common[width] for j, width in bits.items() if width in common}
+
+
+def _signed(part: np.ndarray, registers: Mapping[int, Register], counts: Mapping[int, float]) -> np.ndarray:
+    for j, register in registers.items():
+        part[:, j] = counts[j] * register.signed(part[:, j] / counts[j])
+    return part

@@ -1,10 +1,11 @@
-"""What a user states in an experiment file besides columns and logs: payloads, gains, data sheets, settings, limits."""
+"""What a user states besides columns and logs: payloads (also in file names), gains, data sheets, settings, limits."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
+from unicodedata import numeric
 
 import numpy as np
 from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
@@ -53,7 +54,7 @@ class Payload(Keys):
 
     @model_validator(mode="after")
     def _possible(self) -> Payload:
-        if problem := no_body(self.parameters, self.mass):
+        if problem := _no_body(self.parameters, self.mass):
             raise ValueError(f"{problem}, which no body has; correct the parameters (at the frame's origin, SI units)")
         return self
 
@@ -74,12 +75,8 @@ class Payload(Keys):
 ROUNDED = 0.01  # of a moment of inertia: what people round
 
 
-def no_body(parameters: Mapping[str, float], mass: float | None) -> str:
-    """Say which of the given inertial parameters (at the frame's origin) no body can have; empty if all are possible.
-
-    A moment of inertia is impossible if it is negative, larger than the other two together, or smaller than mass and
-    centre alone give; a product if it is larger than half the moment about the third axis.
-    """
+def _no_body(parameters: Mapping[str, float], mass: float | None) -> str:
+    """Say which of the inertial parameters (at the frame's origin) no body can have; empty if all are possible."""
     x, y, z = (parameters.get(kind, 0.0) for kind in FIRST_MOMENTS)
     axes = {"xx": ("yy", "zz", "yz", y, z), "yy": ("xx", "zz", "xz", x, z), "zz": ("xx", "yy", "xy", x, y)}
     for kind, (first, second, product, a, b) in axes.items():
@@ -206,17 +203,17 @@ def data_sheet_notes(
     """Compare estimates of gains and ``ia``, their values and standard deviations by name, with data sheets."""
     notes = []
     for joint, drive in drives.items():
-        for what, expected, name, unit in (
-            ("gain", drive.gain, Parameter("gain", joint), f"{torque_unit(robot, joint)}/A"),
-            ("rotor inertia", drive.inertia, Parameter("ia", joint), unit_of("ia", robot, joint)),
-        ):
-            value, std = estimates.get(name, (None, None))
-            if expected is None or value is None:
+        gain, ia = ("gain", drive.gain, "gain"), ("rotor inertia", drive.inertia, "ia")
+        for what, sheet, kind in (gain, ia):
+            value, std = estimates.get(Parameter(kind, joint), (None, None))
+            if sheet is None or value is None:
                 continue
-            apart = float(abs(value - expected[0]) / np.hypot(expected[1], std or 0.0))
+            expected, spread = sheet
+            unit = f"{torque_unit(robot, joint)}/A" if kind == "gain" else unit_of(kind, robot, joint)
+            apart = float(abs(value - expected) / np.hypot(spread, std or 0.0))
             text = (
-                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected[0]:.4g} {unit} is by the data "
-                f"sheet (standard deviation {expected[1]:.2g}; apart by {apart:.1f} standard deviations)"
+                f"{what} of '{joint}': {value:.4g} {unit} was identified, and {expected:.4g} {unit} is by the data "
+                f"sheet (standard deviation {spread:.2g}; apart by {apart:.1f} standard deviations)"
             )
             notes.append(Finding("data sheet", (joint,), text=text, grade=Grade.INFORMATION))
     return tuple(notes)
@@ -271,8 +268,7 @@ Percent = Annotated[FiniteFloat, Field(gt=0), BeforeValidator(_per_cent)]
 class Tolerances(Keys):
     """Changes since the identification that are accepted of a watched robot.
 
-    ``gain`` and ``friction`` are relative, ``load`` is in kg (2 % of ``rated_payload`` where that is given instead),
-    ``zero`` in degrees or mm, ``delay`` in s.
+    ``gain`` and ``friction`` are relative, ``load`` is in kg (or 2 % of ``rated_payload``), ``zero`` in degrees or mm.
     """
 
     gain: Positive = 0.05
@@ -298,3 +294,72 @@ class Requirements(Keys):
 
     torque_error: Percent | None = None
     gain_interval: Percent | None = None
+
+
+MASS_UNITS = {"kg": 1.0, "kilo": 1.0, "g": 1e-3, "lb": 0.45359237, "pound": 0.45359237, "oz": 0.45359237 / 16}
+MASS = re.compile(
+    r"(?:(?<![\d.,])(?P<plus>\d+(?:[.,]\d+)?) ?\+ ?)?"
+    r"(?:(?<!\d)(?P<times>\d+) ?[x*×] ?)?(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)"
+    r"(?P<power>e[+-]?\d)?[-_ ]?"
+    r"(?P<unit>kg(?![fm]|cm)|kilos?(?![a-z])|kilogram|(?:g|gr|gms?|grams?|grammes?|gramm)(?![a-z])|lbs?(?![a-z])|pounds?"
+    r"|oz(?![a-z]))(?P<rest>\d+(?![\d.,]*[-_ ]?(?:kg|g|lb|oz)(?![a-z])))?",
+    re.IGNORECASE,
+)
+FRACTION = re.compile(r"(?:(?<![\d.,])(\d+)[-_ ]?)?(?:(?<!\d)(\d)[/⁄](\d)|([¼½¾]))")
+NO = re.compile(r"(?<![a-z])(?:no|non|without|wo|sans|ohne|un)[-_ ]?(?:(?:pay)?load(?:ed)?|mass|weight)?[-_ ]*$", re.I)
+DATE = re.compile(
+    r"(?<!\d)20\d\d([-_.]?)[01]\d\1[0-3]\d(?:[-_T ][0-2]\d[-_.:h]?[0-5]\d(?:[-_.:]?[0-5]\d)?(?=[-_ ]))?(?!\d)"
+)
+DECIMAL = (".", ",", "·", "p", "dot", "pt")  # between digits; others may also separate a number from what precedes it
+LEAST, MOST = 0.01, 1e3  # kg; of a payload. Less may be an acceleration (0.5g), more a time or a count
+
+
+def masses_in_name(name: str) -> tuple[float, ...]:
+    """Read the mass, kg, from the name of a log: no reading, one, or several from which the user must choose.
+
+    ``1,5kg``, ``1p5kg`` and ``1500g`` have one; ``loaded_1_5kg`` may be 1.5 kg or log 1 with 5 kg, ``1kg5`` 1.5 kg or
+    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg, ``0.7+0.5kg`` both or the last. A mass that is too small or too
+    large may mean no payload (0), as may ``no_5kg``.
+    """
+    name = FRACTION.sub(_decimal, DATE.sub(" ", name))
+    matches = list(MASS.finditer(name))
+    readings = [_readings(match) for match in matches]
+    masses = [mass for several in readings for mass in several]
+    if len(matches) > 1:
+        masses.append(round(sum(several[0] for several in readings), 6))
+    if any(NO.search(name[: match.start()]) for match in matches):
+        masses.append(0.0)
+    likely = [mass for mass in masses if mass == 0 or LEAST <= mass <= MOST]
+    return tuple(dict.fromkeys(likely or [*masses, *[0.0] * bool(masses)]))
+
+
+def _decimal(match: re.Match[str]) -> str:
+    integer, over, under, sign = match.groups()
+    fraction = numeric(sign) if sign else int(over) / (int(under) or 1)
+    return f"{int(integer or 0) + fraction:.6g}"
+
+
+def _readings(match: re.Match[str]) -> list[float]:
+    """List the masses, kg, that a number and its unit may mean, the likeliest first."""
+    factor = next(size for unit, size in MASS_UNITS.items() if match["unit"].lower().startswith(unit))
+    *before, last = re.split(r"(\D+)", match["number"])
+    integer, separator = before[-2:] if before else ("", "")
+    texts = []
+    if integer and (separator in DECIMAL or integer == "0" or integer[0] != "0"):
+        texts.append(f"{integer}.{last}")
+    if len(last) == 3 and factor < 0.01 and integer and integer[0] != "0":
+        texts.append(integer + last)  # thousands of grams
+    if separator not in DECIMAL or len(before) > 2:
+        texts.append(last)
+    if match["point"] and not integer:
+        texts.append(f"0.{last}")
+    if match["rest"]:
+        texts.insert(0, f"{texts[0].partition('.')[0]}.{match['rest']}")
+    numbers = [float(text + (match["power"] or "")) for text in texts]
+    if match["power"] and not before:
+        numbers.append(float(match["power"].lstrip("eE+-")))  # log 1e with as much
+    if match["times"]:
+        numbers += [int(match["times"]) * number for number in numbers]
+    if match["plus"]:
+        numbers.insert(0, float(match["plus"].replace(",", ".")) + numbers[0])
+    return [round(number * factor, 6) for number in numbers]

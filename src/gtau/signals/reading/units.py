@@ -1,24 +1,25 @@
-"""Units of a log's columns, as factors to SI; units outside ``COMMON`` are converted by pint."""
+"""Units: factors to SI, by pint outside ``COMMON``, and units as recorders write them.
+
+Those become units of an experiment file (``mN m``), which refuses counts and unknown units: none is ignored.
+"""
 
 from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.documents.yaml_document import Document
-from gtau.errors import GtauError
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
-from gtau.signals.reading.body_columns import BaseColumns, PoseColumns, Wrench
-from gtau.signals.reading.column_names import parse_column_name
-from gtau.signals.reading.columns import PRESETS, Signals, optional_keys
-from gtau.signals.reading.formats import LogTable
-from gtau.signals.reading.written_units import SI
+from gtau.signals.reading.body_columns import BaseColumns, PoseColumns
+from gtau.signals.reading.columns import PRESETS, SENSORS, Signals, optional_keys
 
 Kind = Literal["time", "position", "current", "torque", "force"]
 
@@ -37,16 +38,14 @@ QUANTITIES: dict[Kind, tuple[str, ...]] = {
     "torque": ("torque", "force"),
     "force": ("force",),
 }
+SI = frozenset(["s", "rad", "m", "A", "N m", "N"])
 SHARES = {"%": 1e-2, "‰": 1e-3}  # of the rated current or torque
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?\s*", re.IGNORECASE)
+SIZE = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d{1,2})?\s*", re.IGNORECASE)
 UNIT = re.compile(r"[^\W\d_][^\W\d_/*^· -]*|[/*^· -]+|\d\b|[()]|°")
 
 
 def si_factor(text: str, kind: Kind) -> float:
-    """Convert a unit, or a quantity such as ``0.0012 A`` (of one count), to the SI unit of its kind.
-
-    Raises ValueError, whose text gives the remedy, if it is not a unit of that kind.
-    """
+    """Convert a unit, or a quantity such as ``0.0012 A`` (of one count), to the SI unit of its kind; or ValueError."""
     return _measured(text, kind)[1]
 
 
@@ -63,50 +62,28 @@ def is_angle(text: str) -> bool:
     return _measured(text, "position")[0] == "angle"
 
 
-def checked_unit(
-    kind: Kind, quantity: Literal["angle", "length"] | None = None, shares: bool = False
-) -> AfterValidator:
-    """Make the validator of units of a kind and, for positions, of a ``quantity``; ``shares`` may be allowed."""
-
-    def checked(text: str) -> str:
-        if shares and text in SHARES:
-            return text
-        si_factor(text, kind)
-        if quantity is not None and is_angle(text) != (quantity == "angle"):
-            raise ValueError(f"'{text}' is not a unit of {quantity}; write {' or '.join(COMMON[quantity])}")
-        return text
-
-    return AfterValidator(checked)
-
-
 def _measured(text: str, kind: Kind) -> tuple[str, float]:
-    """Find the quantity that a unit measures, and its factor to SI."""
-    for quantity in QUANTITIES[kind]:
+    quantities = QUANTITIES[kind]
+    for quantity in quantities:
         if text in COMMON[quantity]:
             return quantity, COMMON[quantity][text]
-    listed = [repr(name) for quantity in QUANTITIES[kind] for name in COMMON[quantity] if name != "Nm"]
-    choices = f"{', '.join(listed[:-1])} or {listed[-1]}" if len(listed) > 1 else listed[0]
-    unit = NUMBER.sub("", text, count=1) if NUMBER.match(text) else text
+    names = [repr(name) for quantity in quantities for name in COMMON[quantity] if name != "Nm"]
+    choices = " or ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
+    unit = SIZE.sub("", text, count=1) if SIZE.match(text) else text
     if not unit or len(text) > 40 or UNIT.sub("", unit) or unit.count("^") + unit.count("**") > 1:
         raise ValueError(f"write {choices}, not '{text}'")  # nor does pint get powers of powers, which take for ever
-    import pint
-
-    try:
-        quantity_written = _registry().Quantity(text)
-        for quantity in QUANTITIES[kind]:
-            base = quantity_written.to_base_units()
-            if quantity == "angle" and str(base.units) != "radian":
+    with suppress(Exception):  # pint's parser raises what it likes
+        written = _registry().Quantity(text)
+        base = str(written.to_base_units().units)
+        for quantity in quantities:
+            if quantity == "angle" and base != "radian":
                 continue  # pint counts per cents and revolutions a minute among the angles
-            if quantity_written.is_compatible_with(si := next(iter(COMMON[quantity]))):
-                factor = float(quantity_written.to(si).magnitude)
+            si = next(iter(COMMON[quantity]))
+            if written.is_compatible_with(si):
+                factor = float(written.to(si).magnitude)
                 if factor and math.isfinite(factor):
                     return quantity, factor
-    except (pint.PintError, ArithmeticError, AttributeError, TypeError, ValueError, SyntaxError):
-        pass
-    except Exception as error:
-        if type(error).__module__ not in ("tokenize", "builtins"):  # accepted by pint's parser
-            raise
-    raise ValueError(f"write {choices}, or another unit of {' or '.join(QUANTITIES[kind])}, not '{text}'")
+    raise ValueError(f"write {choices}, or another unit of {' or '.join(quantities)}, not '{text}'")
 
 
 @cache
@@ -116,21 +93,34 @@ def _registry() -> Any:
     return pint.UnitRegistry(cache_folder=None)
 
 
+def _checked(kind: Kind, quantity: str = "", shares: bool = False) -> AfterValidator:
+    """Make the validator of units of a kind and, for positions, of a ``quantity``; ``shares`` may be allowed."""
+
+    def checked(text: str) -> str:
+        if shares and text in SHARES:
+            return text
+        measures, _ = _measured(text, kind)
+        if quantity and measures != quantity:
+            raise ValueError(f"'{text}' is not a unit of {quantity}; write {' or '.join(COMMON[quantity])}")
+        return text
+
+    return AfterValidator(checked)
+
+
+Length = Annotated[str, _checked("position", "length")]
+
+
 class WrenchUnits(Keys):
     """Units of measured wrenches."""
 
-    force: Annotated[str, checked_unit("force")] = "N"
-    moment: Annotated[str, checked_unit("torque")] = "N m"
-
-    def scale(self, wrench: Wrench) -> list[float]:
-        """Return the factors to SI units of a wrench's columns."""
-        return [si_factor(self.force, "force")] * 3 + [si_factor(self.moment, "torque")] * (3 if wrench.moment else 0)
+    force: Annotated[str, _checked("force")] = "N"
+    moment: Annotated[str, _checked("torque")] = "N m"
 
 
 class BaseUnits(Keys):
     """Unit of the position of a base."""
 
-    length: Annotated[str, checked_unit("position", "length")] = "m"
+    length: Length = "m"
 
     def scale(self, base: BaseColumns) -> list[float]:
         """Return the factors to SI units of the pose's columns."""
@@ -141,34 +131,35 @@ class BaseUnits(Keys):
 class PoseUnits(Keys):
     """Units of the lengths and the angles of a pose."""
 
-    length: Annotated[str, checked_unit("position", "length")] = "m"
-    angle: Annotated[str, checked_unit("position", "angle")] = "rad"
+    length: Length = "m"
+    angle: Annotated[str, _checked("position", "angle")] = "rad"
 
     def scale(self, pose: PoseColumns) -> list[float]:
         """Return the factors to SI units of the pose's columns."""
-        angles = 3 if pose.rotation_vector else 0 if pose.angles is None else len(pose.angles.columns)
-        length, angle = si_factor(self.length, "position"), si_factor(self.angle, "position")
-        return [length] * len(pose.position) + [angle] * angles + [1.0] * (4 if pose.quaternion else 0)
+        angles = 3 if pose.rotation_vector else len(pose.angles.columns) if pose.angles else 0
+        lengths = [si_factor(self.length, "position")] * len(pose.position)
+        return lengths + [si_factor(self.angle, "position")] * angles + [1.0] * (4 if pose.quaternion else 0)
 
 
 def _one_or_by_joint(kind: Kind) -> Any:
-    text = Annotated[str, checked_unit(kind, shares=kind in ("current", "torque"))]
+    text = Annotated[str, _checked(kind, shares=kind in ("current", "torque"))]
     return Annotated[
         Annotated[text, Tag("text")] | Annotated[dict[str, text], Tag("group")], Discriminator(text_or_group)
     ]
 
 
-SIDE = {signal.key: Literal[signal.units] for signal in SIDE_SIGNALS}
+Optional = dict.fromkeys(SENSORS, _one_or_by_joint("torque"))
+Optional |= {signal.key: Literal[signal.units] for signal in SIDE_SIGNALS}
 
 
-class Units(optional_keys(_one_or_by_joint("torque"), SIDE), Keys):  # type: ignore[misc]
+class Units(optional_keys(Optional)):  # type: ignore[misc]
     """Units of the log's columns, or the quantity per logged count (``0.0012 A``); SI by default.
 
     ``joint_torque`` is the unit of the torque sensors. ``rated`` are the rated currents (A) or torques (N m, N) of
     which ``%`` and ``‰`` are shares.
     """
 
-    time: Annotated[str, checked_unit("time")] | None = None
+    time: Annotated[str, _checked("time")] | None = None
     position: _one_or_by_joint("position") | None = None  # type: ignore[valid-type]
     current: _one_or_by_joint("current") | None = None  # type: ignore[valid-type]
     torque: _one_or_by_joint("torque") | None = None  # type: ignore[valid-type]
@@ -179,37 +170,43 @@ class Units(optional_keys(_one_or_by_joint("torque"), SIDE), Keys):  # type: ign
 
     @model_validator(mode="after")
     def _rated_values_of_shares(self) -> Units:
-        command_units = self.current if self.torque is None else self.torque
-        units = command_units.values() if isinstance(command_units, dict) else [command_units]
-        if self.rated and not any(unit in SHARES for unit in units):
+        of_commands = self.current if self.torque is None else self.torque
+        units = of_commands.values() if isinstance(of_commands, dict) else [of_commands]
+        shares = any(unit in SHARES for unit in units)
+        if self.rated and not shares:
             raise ValueError("'rated' is given, but no unit is '%' or '‰'; remove it, or give that unit")
-        if not self.rated and any(unit in SHARES for unit in units):
+        if shares and not self.rated:
             raise ValueError(
                 "a unit is relative to the rated value, which is missing; add 'rated: {JOINT: ...}' in A (N m, N)"
             )
         return self
 
+    def stated(self, key: str, joint: str) -> str | None:
+        """Return the unit of a joint's column under a key; None where none is stated."""
+        units: str | dict[str, str] | None = getattr(self, key)
+        return units.get(joint) if isinstance(units, dict) else units
+
     def position_unit(self, joint: str) -> str | None:
         """Return the position unit of a joint; None where nothing is stated."""
-        return _unit(self.position, joint)
+        return self.stated("position", joint)
 
     def scale(self, signals: Signals) -> tuple[list[float], list[float], float]:
-        """Compute factors to SI for the columns of positions and base pose, for all measured columns, and for the time.
-
-        Raises GtauError where a share of a rated value is logged, but the rated value is not given.
-        """
+        """Compute factors to SI for the columns of positions and base pose, all measured columns, and the time."""
         positions = [si_factor(self.position_unit(joint) or "rad", "position") for joint in signals.position]
-        positions += self.base.scale(signals.base) if signals.base else []
+        if signals.base:
+            positions += self.base.scale(signals.base)
         commands = [self._command_factor(joint, signals) for joint in signals.position]
         for kind in LINK_SIDE:
-            units = getattr(self, kind.calibration)
-            commands += [si_factor(_unit(units, joint) or "N m", "torque") for joint in signals.sensors(kind)]
-        commands += [factor for wrench in signals.all_wrenches for factor in self.wrenches.scale(wrench)]
+            units = (self.stated(kind.calibration, joint) or "N m" for joint in signals.sensors(kind))
+            commands += [si_factor(unit, "torque") for unit in units]
+        force, moment = si_factor(self.wrenches.force, "force"), si_factor(self.wrenches.moment, "torque")
+        for wrench in signals.all_wrenches:
+            commands += [force] * 3 + [moment] * len(wrench.moment or ())
         preset = PRESETS[signals.preset] if signals.preset else {}
         return positions, commands, si_factor(self.time or preset.get("units", {}).get("time", "s"), "time")
 
     def _command_factor(self, joint: str, signals: Signals) -> float:
-        unit = _unit(self.current if signals.kind == "current" else self.torque, joint)
+        unit = self.stated(signals.kind, joint)
         ratio = (signals.gear_ratio or {}).get(joint, 1.0)
         if unit is None:
             return ratio
@@ -222,24 +219,97 @@ class Units(optional_keys(_one_or_by_joint("torque"), SIDE), Keys):  # type: ign
         return ratio * SHARES[unit] * self.rated[joint]
 
 
-def _unit(units: str | dict[str, str] | None, joint: str) -> str | None:
-    return units.get(joint) if isinstance(units, dict) else units
+SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
+    "time": "s: s sec secs second seconds sek; ms: ms msec msecs millis milliseconds; us: us usec usecs microseconds; "
+    "ns: ns nsec nsecs nanoseconds; min: min minutes",
+    # in German, Grad is no gon
+    "position": "rad: rad rads radian radians radiant; mrad: mrad; deg: deg degs degree degrees ° grad grado gradi; "
+    "mdeg: mdeg millideg; arcmin: arcmin; arcsec: arcsec; gon: gon gons; m: m meter meters metre metres; "
+    "mm: mm millimeter; cm: cm; um: um micron microns; inch: inch inches; turn: turn turns rev revs revolution "
+    "revolutions rot rotation rotations umdr umdrehungen tours",
+    "current": "A: a amp amps ampere amperes arms aeff apk; mA: ma mamp mamps milliamp milliamps marms",
+    "torque": "N m: nm newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; kN m: knm; "
+    "kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs "
+    "ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; ozf inch: ozin ozfin inoz; N: n newton newtons; kN: kn; kgf: kgf kp",
+    "share": "%: % percent pct prozent; ‰: ‰ permille promille 0.1% 1/1000",
+    "other": ": v mv volt volts w watt watts kw hz khz °c degc c celsius k kelvin bar pa j bool",
+}
+UNITS = {
+    spelling: (what, unit)
+    for what, units in SPELLINGS.items()
+    for unit, spellings in (entry.split(": ") for entry in units.split("; "))
+    for spelling in spellings.split()
+}
+LONGEST = 40  # characters
+PATTERNS = {  # of units that no experiment file takes, by what they measure
+    "acceleration": re.compile(r".*/(s\^?2|sec2|s\*\*2|s/s|min/s)"),
+    "velocity": re.compile(r"rpm|rps|dps|\D*(/|per)(s|sec|min)|(min|s)\^?1|1/(min|s)"),
+    None: re.compile(
+        r"(inc|ink|inkr|incr|increment|inkremente?|count|cnt|ct|tick|pulse?|step|digit)s?|pls|lsb|raw|adc|u"
+    ),
+}
+NUMBER = re.compile(r"[x×*]?\s*(\d+(?:[.,]\d+)?(?:e-?\d+)?)(?:/(\d+))?\s*[x×*]?\s*(.*)", re.IGNORECASE)
+WORDS = (  # of names, where they cannot mean anything else: no single letter, and no degs, which may be deg/s
+    "deg|degrees?|mdeg|rad|radians?|mrad|turns?|revs?|rotations?|mm|cm|mA|milliamps?|amps|m?Nm|N[cm]m|cNm|kNm|kgf?_?cm|"
+    "ozin|ms|msecs?|us|usecs?|ns|rpm|counts?|cnts?|ticks?|incs?|increments?|pct|percent|permille|lsb"
+)
+WORD = re.compile(
+    rf"(?:(?<![A-Za-z])|(?-i:(?<=[a-z])(?=[A-Z])))({WORDS}|%|‰)(?:[_ ]?(?:/|per)?[_ ]?(s|sec|min)(\^?2)?)?(?![A-Za-z])",
+    re.IGNORECASE,
+)
+# As physicists label axes, q/deg and i/mA: the last of two parts, and no single letter, which may be a joint
+QUOTIENT = re.compile(r"[^/]+?\s*/\s*([^/\W\d_]{2,}|[°%‰])")
 
 
-def refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: Units) -> None:
-    """Refuse columns whose unit, by name or log, is not SI if the experiment file states none; raises GtauError."""
-    written = {name: unit for file in files for name, unit in file.units.items()}
-    columns = [("position", *pair) for pair in signals.position.items()]
-    columns += [(signals.kind, *pair) for pair in signals.command.items()]
-    columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
-    if len(signals.time_columns) == 1 and "units" not in PRESETS.get(signals.preset or "", {}):
-        columns += [("time", "", column) for column in signals.time_columns]
-    for key, joint, column in columns:
-        unit = parse_column_name(column, [joint] if joint else [], written.get(column)).unit
-        if unit and unit not in SI and _unit(getattr(units, key), joint) is None:
-            raise GtauError(
-                f"column '{column}' is in '{unit}' by the log, but the experiment file states no unit; write units: "
-                f"{{{key}: {unit}}}, or the SI unit if the log is wrong. Of counts state the size of one, as in "
-                "'0.0012 A'; of shares the rated values, too.",
-                source=files[0].path,
-            )
+class WrittenUnit(NamedTuple):
+    """A unit in the form of an experiment file, or as written; it measures a key of SPELLINGS or PATTERNS, if known."""
+
+    measures: str | None
+    text: str
+
+
+def read_unit(text: str) -> WrittenUnit | None:
+    """Read a unit, or the quantity of one count (``0.01A``); None if the text is neither."""
+    if len(text) > LONGEST:
+        return None
+    plain = unicodedata.normalize("NFKC", text.replace("º", "°")).replace("μ", "u").strip()
+    key = re.sub(r"\s" if plain[:1].isdigit() else r"[\s·⋅._*-]", "", plain).lower()
+    if key in UNITS:
+        return WrittenUnit(*UNITS[key])
+    for measures, pattern in PATTERNS.items():
+        if pattern.fullmatch(key):
+            return WrittenUnit(measures, text.strip())
+    number = NUMBER.fullmatch(plain)
+    unit = read_unit(number[3]) if number and number[3] else None
+    if number is None or unit is None:
+        return None
+    if unit.measures not in SPELLINGS:
+        return WrittenUnit(unit.measures, text.strip())
+    size = float(number[1].replace(",", ".")) / (float(number[2] or 1) or 1.0)
+    return WrittenUnit(unit.measures, f"{size:g} {unit.text}")
+
+
+def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
+    """Split a column's name into the rest and its unit, in brackets, after a stroke, or else a word."""
+    for match in reversed(list(re.finditer(r"([\[(])([^\[\]()]*)[\])]", name))):
+        remark = match[1] == "(" and re.fullmatch(r"\s*[a-z]\s*", match[2])  # measured, set, actual
+        if not remark and (unit := read_unit(match[2])):
+            return name[: match.start()].rstrip(" /") + name[match.end() :], unit
+    if (quotient := QUOTIENT.fullmatch(name)) and (unit := read_unit(quotient[1])):
+        return name[: quotient.start(1)].rstrip("/ "), unit
+    words = list(WORD.finditer(name))
+    if not words:
+        return name, None
+    word = words[-1]
+    unit = read_unit(word[1].replace("_", ""))
+    if word[2]:
+        unit = WrittenUnit("acceleration" if word[3] else "velocity", word[0])
+    return name[: word.start()].rstrip("_ .-") + name[word.end() :], unit
+
+
+def unit_row(fields: Sequence[str]) -> list[str] | None:
+    """Read the units of a row below the header; None if most of its fields are not units."""
+    texts = [re.sub(r"^[\[(](.*)[\])]$", r"\1", field.strip()) for field in fields]
+    texts = ["" if text.lower() in ("unit", "units", "einheit", "-", "1") else text for text in texts]
+    known = [read_unit(text) is not None for text in texts if text]
+    return texts if 2 * sum(known) > len(known) else None

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gtau.signals.storage import block, blocks, spans, store
+from gtau.signals.storage import block, spans, steps, store
 
 # How much smoother the positions must be by the other clock. In the shared logs the Panda's positions are 20 times
 # smoother at a regular rate, the UR10e's 3.6 times by their stamps; where neither, jitter does not matter (0.9 to 1.1).
@@ -36,23 +36,25 @@ REACH = 2  # samples to either side of which a prediction is made
 # deviations of white noise: sqrt(1 + 2 (4^2 + 1) / 36).
 WHITE = 1.394
 
+Given = Literal["stamps", "regular"] | None
+Gaps = tuple[tuple[int, int], ...]
+"""Pairs of a sample and the number of samples missing before it, -1 where it repeats the previous one."""
+
 
 @dataclass(frozen=True)
 class Clock:
-    """Sampling instants of a log, s.
+    """Sampling instants of a log, s: the stamps, or multiples of the ``period`` where it is ``regular``.
 
-    The ``period`` is the step of a regular clock, or the mean step. ``regular``: instants are its multiples, by which
-    the time column is corrected; otherwise they are the stamps. ``start`` is the instant of the first sample. Steps
-    above ``longest_step`` miss samples. A regular clock has ``gaps``, pairs of a sample and the number missing before
-    it (-1 where it repeats the previous one), and its stamps are up to ``late`` late relative to the earliest; 0 if
-    only rounded. ``packets``: samples came in packets with the same stamps, or nearly so.
+    ``start`` is the instant of the first sample. Steps above ``longest_step`` miss samples. A regular clock has
+    ``gaps``, and its stamps are up to ``late`` late relative to the earliest; 0 if only rounded. ``packets``: samples
+    came in packets with the same stamps, or nearly so.
     """
 
     period: float
     regular: bool
     start: float
     longest_step: float
-    gaps: tuple[tuple[int, int], ...] = ()
+    gaps: Gaps = ()
     late: float = 0.0
     packets: bool = False
 
@@ -81,20 +83,19 @@ class Clock:
         """List the samples before which more than ``longest`` (s) passed, by this clock of their stamps."""
         if self.regular:
             return [sample for sample, missing in self.gaps if self.period * (1 + missing) > longest]
-        steps = ((start, np.diff(block(time, start, stop))) for start, stop in spans(len(time), before=1))
-        return [start + int(k) + 1 for start, step in steps for k in np.flatnonzero(step > longest)]
+        far, start = list[int](), 1
+        for step in steps(time):
+            far += (start + np.flatnonzero(step > longest)).tolist()
+            start += len(step)
+        return far
 
     def extreme_steps(self, time: np.ndarray) -> tuple[float, float, int]:
-        """Find the shortest and the longest step between samples at their stamps, s, and the sample before the latter.
-
-        The shortest of a regular clock is its period, the longest that with the most missing samples.
-        """
+        """Find the shortest and the longest step, s, and the sample before the latter."""
         if self.regular:
             sample, missing = max(self.gaps, key=lambda gap: gap[1], default=(1, 0))
             return self.period, self.period * (1 + missing), sample - 1
         shortest, longest, before, start = np.inf, 0.0, 0, 0
-        for part in blocks(time, before=1):
-            step = np.diff(part)
+        for step in steps(time):
             k = int(np.argmax(step))
             if step[k] > longest:
                 longest, before = float(step[k]), start + k
@@ -102,52 +103,46 @@ class Clock:
         return shortest, longest, before
 
 
-def _numbering(gaps: tuple[tuple[int, int], ...]) -> Callable[[int, int], np.ndarray]:
-    """Enumerate samples by a regular clock, missing ones included, from one to before another."""
-    pairs = np.array(gaps, dtype=int).reshape(-1, 2)
-    missing = np.concatenate([[0], np.cumsum(pairs[:, 1])])  # before each gap, and at the end
+def _numbering(gaps: Gaps) -> Callable[[int, int], np.ndarray]:
+    at, missing = np.array(gaps, dtype=int).reshape(-1, 2).T
+    before = np.concatenate([[0], np.cumsum(missing)])  # each gap, and the end
 
     def numbers(first: int, stop: int) -> np.ndarray:
-        number = np.arange(first, stop)
-        return np.asarray(number + missing[np.searchsorted(pairs[:, 0], number, side="right")], dtype=float)
+        number = np.arange(first, stop, dtype=float)
+        return np.asarray(number + before[np.searchsorted(at, number, side="right")])
 
     return numbers
 
 
-def clock_of(time: np.ndarray, position: np.ndarray, given: Literal["stamps", "regular"] | None = None) -> Clock:
-    """Identify the clock of a nondecreasing time column (N,), s, from the positions (N, n) at these times.
+def clock_of(time: np.ndarray, position: np.ndarray, given: Given = None) -> Clock:
+    """Identify the clock of a nondecreasing time column (N,), s, from the positions (N, n), unless it is ``given``.
 
     Where the stamps differ from a straight line by the rounding of the time column at most, the clock is regular.
-    Otherwise the positions decide between the stamps and a regular clock, unless it is ``given``.
     """
-    steps = sampled_steps(time)
-    regular, straight = _regular(time, position, steps)
+    sampled = sampled_steps(time)
+    regular, straight = _regular(time, position, sampled)
     if given == "regular" or (given is None and (straight or regular.packets)):
         return regular
     period = float((time[-1] - time[0]) / (len(time) - 1))
-    stamps = Clock(
-        period=period,
-        regular=False,
-        start=float(time[0]),
-        longest_step=1.5 * max(period, float(np.quantile(steps, 0.95))),
-    )
+    longest_step = 1.5 * max(period, float(np.quantile(sampled, 0.95)))
+    stamps = Clock(period, regular=False, start=float(time[0]), longest_step=longest_step)
     if given == "stamps":
         return stamps
     rough, stamped = (_roughness(time, position, clock) for clock in (regular, stamps))
     # Equal stamps cannot be right for both samples, so that the remaining stamps must show that they are true.
-    true = stamped * SMOOTHER < rough if steps.min() == 0 else stamped < SMOOTHER * rough
+    true = stamped * SMOOTHER < rough if sampled.min() == 0 else stamped < SMOOTHER * rough
     return stamps if true else regular
 
 
-def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple[Clock, bool]:
+def _regular(time: np.ndarray, position: np.ndarray, sampled: np.ndarray) -> tuple[Clock, bool]:
     """Find the regular clock closest to the stamps, and decide whether these are straight, up to their rounding."""
-    pause = 5 * np.quantile(steps, 0.99)  # as long as five steps, of all but one in a hundred
-    mean = float(np.mean(steps[steps <= pause] if pause > 0 else steps))
-    packets = bool(np.mean(steps < 0.1 * mean) > PACKET)
-    usual = float(mean if packets else np.median(steps))
+    pause = 5 * np.quantile(sampled, 0.99)  # as long as five steps, of all but one in a hundred
+    mean = float(np.mean(sampled[sampled <= pause] if pause > 0 else sampled))
+    packets = bool(np.mean(sampled < 0.1 * mean) > PACKET)
+    usual = float(mean if packets else np.median(sampled))
     for _ in range(PASSES):  # the median step of late stamps is not the period
-        gaps = find_gaps(time, position, usual, packets)
-        if gaps and (without := find_gaps(time, None, usual, packets)) != gaps:
+        gaps = _find_gaps(time, position, usual, packets)
+        if gaps and (without := _find_gaps(time, None, usual, packets)) != gaps:
             # Steps of the motion that grow and shrink within some samples look like gaps: the stamps then run away.
             late_by = [_line(time, usual, choice)[2] for choice in (gaps, without)]
             gaps = gaps if late_by[0] <= late_by[1] + usual else without
@@ -168,20 +163,13 @@ def _regular(time: np.ndarray, position: np.ndarray, steps: np.ndarray) -> tuple
         gapless = _line(time, float((time[-1] - time[0]) / (len(time) - 1)), ())
         if gapless[2] <= late + gapless[0]:
             gaps, (period, offset, late, rounded) = (), gapless
-    straight = rounded or late <= 1e-3 * period
-    clock = Clock(
-        period=period,
-        regular=True,
-        start=float(time[0]) if straight else float(time[0]) + offset,
-        longest_step=1.5 * period,
-        gaps=gaps,
-        late=0.0 if straight else late,
-        packets=packets,
-    )
-    return clock, straight
+    start, straight = float(time[0]), rounded or late <= 1e-3 * period
+    if straight:
+        offset = late = 0.0
+    return Clock(period, True, start + offset, 1.5 * period, gaps, late, packets), straight
 
 
-def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> tuple[float, float, float, bool]:
+def _line(time: np.ndarray, usual: float, gaps: Gaps) -> tuple[float, float, float, bool]:
     """Fit period and offset (s) of the stamps by least squares; return their lateness, and whether it is rounding."""
     numbers, sums, samples = _numbering(gaps), np.zeros(4), len(time)
     for start, stop in spans(samples):
@@ -208,47 +196,41 @@ def _line(time: np.ndarray, usual: float, gaps: tuple[tuple[int, int], ...]) -> 
 
 
 def _roughness(time: np.ndarray, position: np.ndarray, clock: Clock) -> float:
-    """Compute the typical residual of positions from cubics through their neighbours by a clock, where joints are fast.
-
-    The geometric mean over the joints, in m or rad; of a long log in parts spread over it.
-    """
+    """Compute the typical residual (m or rad) of positions from cubics by a clock, where joints are fast."""
     off, speeds = [], []
-    for start, stop in parts_of(len(time)):
+    for start, stop in _parts(len(time)):
         instants = clock.instants(block(time, start, stop), start)
         positions = block(position, start, stop)
         off.append(np.abs(cubic_residuals(instants, positions, clock.period)))
         speeds.append(np.abs(positions[4:] - positions[:-4]))
     distance, speed = np.concatenate(off), np.concatenate(speeds)
     roughness = []
-    for j in range(position.shape[1]):
-        fast = speed[:, j] > np.median(speed[:, j])
+    for residual, moved in zip(distance.T, speed.T, strict=True):
+        fast = moved > np.median(moved)
         if fast.any():
-            roughness.append(np.median(distance[fast, j]) + 1e-4 * np.median(speed[fast, j]))
+            roughness.append(np.median(residual[fast]) + 1e-4 * np.median(moved[fast]))
     return float(np.exp(np.mean(np.log(roughness)))) if roughness else 0.0
 
 
 def sampled_steps(time: np.ndarray) -> np.ndarray:
     """Compute steps of the time column, of a long one in parts spread over it."""
-    return np.concatenate([np.diff(block(time, *part)) for part in parts_of(len(time))])
+    return np.concatenate([np.diff(block(time, *part)) for part in _parts(len(time))])
 
 
-def parts_of(samples: int) -> list[tuple[int, int]]:
-    """Choose the parts of a log to evaluate: all of a short one, parts spread over a long one."""
+def _parts(samples: int) -> list[tuple[int, int]]:
     parts, size = LOOKED_AT
     if samples <= parts * size:
         return [(0, samples)]
     return [(int(start), int(start) + size) for start in np.linspace(0, samples - size, parts)]
 
 
-def find_gaps(
-    time: np.ndarray, position: np.ndarray | None, usual: float, packets: bool
-) -> tuple[tuple[int, int], ...]:
+def _find_gaps(time: np.ndarray, position: np.ndarray | None, usual: float, packets: bool) -> Gaps:
     """Find missing samples and their number, for regular sampling with late stamps.
 
     Where joints are fast enough, the positions count: a step twice as long as its neighbours has lost a sample, and one
-    of length zero repeats it. Elsewhere the stamps do: a late one makes a long step and a short one after it, but a
-    missing sample moves all stamps behind it. So a step is a gap by as much as the stamps around it are apart. Without
-    positions they count everywhere.
+    of length zero repeats it. Elsewhere, or without positions, the stamps do: a late one makes a long step and a short
+    one after it, but a missing sample moves all stamps behind it. So a step is a gap by as much as the stamps around it
+    are apart.
     """
     step, size, around = sampled_steps(time) / usual, 1, 1
     # Standard deviation of the stamps around a regular clock, in steps, from their differences.
@@ -258,39 +240,41 @@ def find_gaps(
     if packets or scatter > 0.01:
         # The median of as many stamps on either side is then known to a fifth of a step, three times in a hundred.
         around = int(min(max(np.ceil(150 * scatter**2), FEWEST_AROUND, 3 * size), MOST_AROUND))
-    noise = _noise(position) if around > 1 and position is not None else None
+    position = position if around > 1 else None
+    noise = None if position is None else _noise(position)
     gaps: list[tuple[int, int]] = []
     for start, stop in spans(len(time)):
         begin, end = max(start - around - 1, 0), min(stop + around, len(time))
-        part, step = block(time, begin, end), np.diff(block(time, begin, end))
-        steps = np.ones(len(step))
-        if noise is not None and position is not None:
-            steps = _steps_by_motion(block(position, begin, end), noise)
-        part -= usual * np.concatenate([[0.0], np.cumsum(np.nan_to_num(steps, nan=1.0))])
-        long = np.isnan(steps) | (noise is None)
-        for k in np.flatnonzero(long & (step > LATE * usual * size)) + 1:
+        part = block(time, begin, end)
+        step = np.diff(part)
+        number = np.full(len(step), np.nan)  # of steps of the clock
+        if position is not None and noise is not None:
+            number = _steps_by_motion(block(position, begin, end), noise)
+        unclear = np.isnan(number)
+        number[unclear] = 1.0
+        part -= usual * np.concatenate([[0.0], np.cumsum(number)])
+        for k in np.flatnonzero(unclear & (step > LATE * usual * size)) + 1:
             moved = np.median(part[k : k + around]) - np.median(part[max(k - around, 0) : k])
-            missing = int(moved / usual + 1 - DOUBT)
-            steps[k - 1] = 1 + max(missing, 0)
-            part[k:] -= max(missing, 0) * usual  # later samples are evaluated with this gap closed
-        changed = np.flatnonzero(np.nan_to_num(steps, nan=1.0) != 1) + 1
+            missing = max(int(moved / usual + 1 - DOUBT), 0)
+            number[k - 1] += missing
+            part[k:] -= missing * usual  # later samples are evaluated with this gap closed
+        changed = np.flatnonzero(number != 1) + 1
         changed = changed[(begin + changed >= start) & (begin + changed < stop)]
-        gaps += [(begin + int(k), int(steps[k - 1]) - 1) for k in changed]
+        gaps += [(begin + int(k), int(number[k - 1]) - 1) for k in changed]
     return tuple(gaps)
 
 
 def _noise(position: np.ndarray) -> np.ndarray:
     """Estimate the standard deviation (n,) of the positions' steps around their neighbours', and of their rounding."""
-    parts = [np.diff(block(position, *part), axis=0) for part in parts_of(len(position))]
-    change = np.abs(np.concatenate([steps - _usual_steps(steps) for steps in parts]))
-    steps = np.abs(np.concatenate(parts))
-    rounding = [np.min(column[column > 0], initial=np.inf) for column in steps.T]
-    quantum = np.where(np.isfinite(rounding), rounding, 1.0)
+    parts = [np.diff(block(position, *part), axis=0) for part in _parts(len(position))]
+    change = np.abs(np.concatenate([moved - _usual_steps(moved) for moved in parts]))
+    sizes = np.abs(np.concatenate(parts))
+    smallest = np.min(sizes, axis=0, where=sizes > 0, initial=np.inf)
+    quantum = np.where(np.isfinite(smallest), smallest, 1.0)
     return np.asarray(np.median(change, axis=0) / 0.6745 + quantum / 3)
 
 
 def _usual_steps(moved: np.ndarray) -> np.ndarray:
-    """Compute the median (M, n) of the steps around each of the positions' steps."""
     from scipy.ndimage import median_filter
 
     return np.asarray(median_filter(moved, size=(NEIGHBOURS, 1), mode="nearest"))
@@ -298,20 +282,17 @@ def _usual_steps(moved: np.ndarray) -> np.ndarray:
 
 def _steps_by_motion(position: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Estimate the clock steps between samples (M - 1,) from the joint motion; NaN where ambiguous."""
-    moved = np.diff(position, axis=0)
+    moved = np.diff(position, axis=0) / noise
     usual = _usual_steps(moved)
-    speed = ((usual / noise) ** 2).sum(axis=1)
+    speed = (usual**2).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        steps = ((moved / noise) * (usual / noise)).sum(axis=1) / speed
-    clear = (speed > CLEAR**2) & (steps < LONGEST_BY_MOTION)
-    return np.asarray(np.where(clear, np.maximum(np.round(steps), 0.0), np.nan))
+        number = (moved * usual).sum(axis=1) / speed
+    clear = (speed > CLEAR**2) & (number < LONGEST_BY_MOTION)
+    return np.asarray(np.where(clear, np.maximum(np.round(number), 0.0), np.nan))
 
 
 def cubic_residuals(instants: np.ndarray, position: np.ndarray, period: float) -> np.ndarray:
-    """Compute the residuals (N - 4, n) of positions (N, n) from the cubics through two neighbours on either side.
-
-    ``instants`` (N,) and the usual step, the ``period``, are in s; the first and the last two samples have none.
-    """
+    """Compute the residuals (N - 4, n) of positions (N, n) from the cubics through two neighbours on either side."""
     around = [slice(k, len(position) - 2 * REACH + k) for k in (0, 1, 3, 4)]
     apart = np.array([instants[neighbours] for neighbours in around]) - instants[REACH:-REACH]
     apart += 1e-9 * period * np.array([-2, -1, 1, 2])[:, None]  # equal stamps

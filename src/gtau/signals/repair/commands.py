@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,8 @@ from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
 from gtau.findings.words import counted
 from gtau.signals.reading.samples import Samples, extremes
-from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Holds
-from gtau.signals.storage import block, blocks, spans
+from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds, long_runs
+from gtau.signals.storage import block, blocks, spans, steps
 
 Ends = tuple[np.ndarray, np.ndarray]  # smallest and largest values of the commands
 # A command stays where it is equal for more than FROZEN samples, twice as long as held signals are, and STAYS (s),
@@ -35,18 +35,13 @@ COARSE = 20.0
 MOVING = 50.0  # steps of an encoder; a joint that covers less rests, and its command is noise
 
 
-@dataclass(frozen=True)
-class Spell:
-    """Samples of a channel with one ``value``, from ``begin`` to before ``end``.
-
-    Meanwhile its joint moves by ``moved``; ``jump`` is the larger change of the command at both ends.
-    """
+class Spell(NamedTuple):
+    """Samples of a channel with one ``value``; ``jump`` is the larger change of the command at both ends."""
 
     channel: int
     begin: int
     end: int
     value: float
-    moved: float
     jump: float
 
     @property
@@ -58,105 +53,94 @@ class Spell:
         """Decide whether another spell overlaps, and is one of zeros if this one is."""
         return other.begin < self.end and self.begin < other.end and (other.value == 0) == (self.value == 0)
 
+    def outlasts(self, others: list[Spell]) -> bool:
+        """Decide whether it is ALONE times as long as any of the other spells."""
+        return all(ALONE * other.samples < self.samples for other in others if other is not self)
+
 
 def refuse_held(samples: Samples, instants: np.ndarray, holds: Holds, ends: Ends) -> None:
     """Refuse commands that stay at a value while their joints move: motors that are off, columns that freeze."""
     channels, (first, last) = samples.channels, extremes(samples.position)
     equal: dict[int, list[Spell]] = {}
-    for spell in _spells(samples):
+    for spell in _spells(samples, np.zeros(len(channels))):
         equal.setdefault(spell.channel, []).append(spell)
 
     def in_motion(spell: Spell) -> bool:
         channel = channels[spell.channel]
-        enough = spell.samples > max(FROZEN, 2 * holds[channel.kind.group].longest)
-        lasts = instants[spell.end - 1] - instants[spell.begin]
-        return enough and lasts > STAYS and spell.moved > MOVED * (last - first)[channel.row]
+        row, lasts = channel.row, instants[spell.end - 1] - instants[spell.begin]
+        if lasts <= STAYS or spell.samples <= 2 * holds[channel.kind.group].longest:
+            return False
+        low, high = extremes(samples.position[spell.begin : spell.end, row : row + 1])
+        return bool(high[0] - low[0] > MOVED * (last - first)[row])
 
-    spells = {j: [spell for spell in spells if in_motion(spell)] for j, spells in equal.items()}
+    spells = {j: list(filter(in_motion, spells)) for j, spells in equal.items()}
     acting = [j for j, channel in enumerate(channels) if channel.kind.measures_joint and not channel.kind.link_side]
     moving = [j for j in acting if last[channels[j].row] > first[channels[j].row]]
-    coarse, quanta = coarse_steps(holds, ends), quanta_of(holds)
+    coarse, quanta = _coarse_steps(holds, ends), _quanta(holds)
 
     def at_fault(spell: Spell) -> bool:
         j = spell.channel
         if spell.value != 0 and spell.value in (ends[0][j], ends[1][j]):
             return False  # a limit
-        if all(ALONE * other.samples < spell.samples for other in equal[j] if other is not spell):
+        if spell.outlasts(equal[j]):
             return spell.samples > ALONE * FROZEN
         if coarse[j] or spell.jump < JUMP * quanta[j]:
             return False
-        zeros = [other for other in spells[j] if other.value == 0 and other is not spell]
         together = len(moving) > 1 and all(any(map(spell.beside, spells.get(k, ()))) for k in moving)
-        return spell.value != 0 or together or all(ALONE * other.samples < spell.samples for other in zeros)
+        return spell.value != 0 or together or spell.outlasts([other for other in spells[j] if other.value == 0])
 
-    held = [spell for spell in chain(*spells.values()) if at_fault(spell)]
+    held = list(filter(at_fault, chain(*spells.values())))
     noise = OFF * np.maximum(-ends[0], ends[1])
     off = [spell for spell in _spells(samples, noise) if in_motion(spell)]
     off = [spell for spell in off if spell.value == 0 and noise[spell.channel] > quanta[spell.channel]]
     if len(moving) > 1:
         held += [one for one in off if all(any(one.beside(k) for k in off if k.channel == j) for j in moving)]
-    if not held:
-        return
-    parts: list[Spell] = []  # the longest, and others of its kind at other times
+    if held:
+        raise GtauError(_stays(samples, held))
+
+
+def _stays(samples: Samples, held: list[Spell]) -> str:
+    parts: list[Spell] = []
     for spell in sorted(held, key=lambda spell: -spell.samples):
         if not parts or ((spell.value == 0) == (parts[0].value == 0) and not any(map(spell.beside, parts))):
             parts.append(spell)
     parts.sort(key=lambda spell: spell.begin)
-    spell, count = parts[0], len(samples.time)
+    spell, channels, time = parts[0], samples.channels, samples.time
     names = dict.fromkeys(channels[other.channel].joint for other in held if any(map(other.beside, parts)))
-    ends_at = ["the end" if part.end == count else f"{samples.time[part.end]:.9g} s" for part in parts]
-    times = [f"from {samples.time[part.begin]:.9g} s to {end}" for part, end in zip(parts, ends_at, strict=True)]
+    ends_at = ["the end" if part.end == len(time) else f"{time[part.end]:.9g} s" for part in parts]
+    times = [f"from {time[part.begin]:.9g} s to {end}" for part, end in zip(parts, ends_at, strict=True)]
     remedy = f"that part out ({samples.without(spell.begin, spell.end)})"
-    raise GtauError(
+    if len(parts) > 1:
+        remedy = "those parts out (one run of that log for each part between them)"
+    return (
         f"{samples.name}, {samples.place(spell.begin)}: the {channels[spell.channel].kind.name} of "
         f"joint{'s' * (len(names) > 1)} {' and '.join(map(repr, names))} stays at {spell.value + 0.0:.6g} "
         f"{' and '.join(times)} in full motion: {'it was not read' if spell.value else 'the motors were off'}; leave "
-        f"{remedy if len(parts) == 1 else 'those parts out (one run of that log for each part between them)'}."
+        f"{remedy}."
     )
 
 
-def _spells(samples: Samples, noise: np.ndarray | None = None) -> Iterator[Spell]:
+def _spells(samples: Samples, noise: np.ndarray) -> Iterator[Spell]:
     """Yield the spells of more than FROZEN equal commands; commands below the ``noise`` (c,) of theirs count as 0."""
-    columns = [(j, channel.row) for j, channel in enumerate(samples.channels) if channel.kind.measures_joint]
-    running: dict[int, list[float]] = {}  # begin, value, lowest and highest position, value before
-    for start, stop in spans(len(samples.time)):
-        command, position = block(samples.command, start, stop), block(samples.position, start, stop)
-        for j, row in columns:
-            x = command[:, j] if noise is None else np.where(np.abs(command[:, j]) < noise[j], 0.0, command[:, j])
-            begins = np.r_[0, np.flatnonzero(np.diff(x)) + 1]
-            low, high = (extreme.reduceat(position[:, row], begins) for extreme in (np.minimum, np.maximum))
-            begin, value, least, most, before = running.get(j, [start, x[0], np.inf, -np.inf, x[0]])
-            if value == x[0]:
-                begins, low[0], high[0] = np.r_[int(begin) - start, begins[1:]], min(low[0], least), max(high[0], most)
-            else:
-                if start - begin > FROZEN:
-                    yield _spell(j, begin, start, value, most - least, before, x[0])
-                before = value
-            values = np.r_[before, x[np.r_[0, begins[1:]]]]
-            for k in np.flatnonzero(np.diff(begins) > FROZEN):
-                first, last = start + begins[k], start + begins[k + 1]
-                yield _spell(j, first, last, values[k + 1], high[k] - low[k], values[k], values[k + 2])
-            running[j] = [start + begins[-1], x[-1], low[-1], high[-1], values[-2]]
-    for j, (begin, value, least, most, before) in running.items():
-        if len(samples.time) - begin > FROZEN:
-            yield _spell(j, begin, len(samples.time), value, most - least, before, value)
+    command, last = samples.command, len(samples.time) - 1
+
+    def value(k: int, j: int) -> float:
+        return float(command[k, j]) if abs(command[k, j]) >= noise[j] else 0.0
+
+    for j, begin, end in long_runs(command, noise):
+        if samples.channels[j].kind.measures_joint:
+            here, before, after = (value(k, j) for k in (begin, max(begin - 1, 0), min(end, last)))
+            yield Spell(j, begin, end, here, max(abs(before - here), abs(after - here)))
 
 
-def _spell(j: int, begin: float, end: float, value: float, moved: float, before: float, after: float) -> Spell:
-    return Spell(
-        j, int(begin), int(end), float(value), float(moved), float(max(abs(before - value), abs(after - value)))
-    )
-
-
-def quanta_of(holds: Holds) -> np.ndarray:
-    """Return the smallest changes (c,) of the commands."""
+def _quanta(holds: Holds) -> np.ndarray:
     return np.concatenate([held.quanta for group, held in holds.items() if group != POSITIONS])
 
 
-def coarse_steps(holds: Holds, ends: Ends) -> np.ndarray:
+def _coarse_steps(holds: Holds, ends: Ends) -> np.ndarray:
     """Compute the steps (c,) of the commands that take few values, 0 for others."""
-    quanta = quanta_of(holds)
-    return np.where((ends[0] < ends[1]) & (ends[1] - ends[0] < COARSE * quanta), quanta, 0.0)
+    quanta, (low, high) = _quanta(holds), ends
+    return np.where((low < high) & (high - low < COARSE * quanta), quanta, 0.0)
 
 
 REVERSING = 1.5  # travel of a joint over its range; a motion in one direction has 1
@@ -169,15 +153,12 @@ UNSIGNED = (
 
 
 def refuse_magnitudes(samples: Samples, ends: Ends) -> None:
-    """Refuse commands without sign: of joints that move and reverse none is ever negative, half come near zero.
-
-    A joint that holds against gravity may need one sign only, but it then stays away from zero; not all joints do.
-    """
+    """Refuse commands without sign: of joints that reverse none is ever negative, half come near zero."""
     low, high = (column[: len(samples.joints)] for column in ends)
-    steps = [np.abs(np.diff(part, axis=0)).sum(axis=0) for part in blocks(samples.position, before=1)]
+    travel = np.sum([np.abs(step).sum(axis=0) for step in steps(samples.position)], axis=0)
     first, last = extremes(samples.position)
     acting = (high > low) & (last > first)
-    reversing = np.sum(steps, axis=0) > REVERSING * (last - first)
+    reversing = travel > REVERSING * (last - first)
     unsigned, touching = ((low >= 0) & reversing)[acting], (low <= NEAR_ZERO * high)[acting]
     if acting.any() and unsigned.all() and touching.mean() >= TOUCHING:
         raise GtauError(f"its commands are {UNSIGNED}.", source=samples.name)
@@ -217,25 +198,24 @@ PILE_UP = 5.0  # times as many samples at the extreme value as at the one next t
 MAX_CLIPPED = 0.1
 
 
-def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) -> list[tuple[int, float]]:
-    """Find joints whose commands saturate while they move, as at a drive limit, with the levels; note coarse ones.
-
-    Raises GtauError where more than a tenth of the samples are clipped, or a command has no sign.
-    """
-    count, clips, steps = len(samples.time), [], coarse_steps(holds, ends).tolist()
+def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) -> Clips:
+    """Find joints whose commands saturate while they move, as at a drive limit, with the levels; note coarse ones."""
+    count, clips, coarse = len(samples.time), list[tuple[int, float]](), _coarse_steps(holds, ends).tolist()
+    first, last = extremes(samples.position)
+    travels = last - first > MOVING * holds[POSITIONS].quanta
     for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
         if low == high or not channel.kind.measures_joint:
             continue
         joints, what = (channel.joint,), f"the {channel.kind.name} of joint '{channel.joint}'"
-        if steps[j] and low != 0:  # whether zeros are magnitudes is judged below
-            if np.subtract(*extremes(samples.position))[channel.row] < -MOVING * holds[POSITIONS].quanta[channel.row]:
-                number, advice = round((high - low) / steps[j]), "log it with more digits"
-                text = f"{what} is rounded to steps of {steps[j]:.3g}, and its range holds only {number} of them"
+        if coarse[j] and low != 0:  # whether zeros are magnitudes is judged below
+            if travels[channel.row]:
+                number, advice = round((high - low) / coarse[j]), "log it with more digits"
+                text = f"{what} is rounded to steps of {coarse[j]:.3g}, and its range holds only {number} of them"
                 notes.append(Finding("coarse command", joints, text=text, advice=advice, grade=Grade.WARNING))
             continue
         for level in (float(high), float(low)):
             at, beside = _counts_at(samples.command, j, level)
-            if at < max(CLIPPED_RUN, PILE_UP * beside) or _longest_at(samples, j, channel.row, level) < CLIPPED_RUN:
+            if at < max(CLIPPED_RUN, PILE_UP * beside) or not _moves_at(samples, j, channel.row, level):
                 continue
             if at > MAX_CLIPPED * count and level == low == 0.0:
                 raise GtauError(f"{what} is {UNSIGNED}.", source=samples.name)
@@ -246,16 +226,13 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
                     source=samples.name,
                 )
             text = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
-            advice = "log again with smaller accelerations, or a higher limit of the drive"
-            notes.append(
-                Finding("clipped command", joints, text=text, advice=advice, share=at / count, grade=Grade.WARNING)
-            )
+            advice, share = "log again with smaller accelerations, or a higher limit of the drive", at / count
+            notes.append(Finding("clipped command", joints, text=text, advice=advice, share=share, grade=Grade.WARNING))
             clips.append((j, level))
     return clips
 
 
 def _counts_at(command: np.ndarray, j: int, level: float) -> tuple[int, int]:
-    """Count samples at an extreme value, and at the one next to it."""
     at, beside, nearest = 0, 0, np.inf
     for part in blocks(command):
         away = np.abs(part[:, j] - level)
@@ -267,19 +244,13 @@ def _counts_at(command: np.ndarray, j: int, level: float) -> tuple[int, int]:
     return at, beside
 
 
-def _longest_at(samples: Samples, j: int, mover: int, level: float) -> int:
-    """Find the longest run of samples in which joint j moves and its command stays at ``level``."""
+def _moves_at(samples: Samples, j: int, mover: int, level: float) -> bool:
+    """Decide whether joint j moves for CLIPPED_RUN samples in which its command is at ``level``."""
     position, command, count = samples.position, samples.command, len(samples.time)
-    steps = [np.sum(np.diff(part[:, mover]) ** 2) for part in blocks(position, before=1)]
-    least = 0.05 * np.sqrt(sum(steps) / count)
-    longest = now = 0
-    for start, stop in spans(count, before=1):
+    least = 0.05 * np.sqrt(sum(np.sum(step[:, mover] ** 2) for step in steps(position)) / count)
+    for start, stop in spans(count, before=CLIPPED_RUN):
         speed = np.abs(np.diff(block(position, start, stop)[:, mover]))
         at = (block(command, start, stop)[1:, j] == level) & (speed > least)
-        edges = np.flatnonzero(np.diff(np.r_[False, at, False]))
-        runs = edges[1::2] - edges[::2]
-        if runs.size and edges[0] == 0:
-            runs[0] += now
-        longest = max(longest, int(runs.max(initial=0)))
-        now = int(runs[-1]) if runs.size and at[-1] else 0
-    return longest
+        if np.any(np.convolve(at, np.ones(CLIPPED_RUN)) >= CLIPPED_RUN):
+            return True
+    return False

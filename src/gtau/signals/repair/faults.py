@@ -11,11 +11,11 @@ import numpy as np
 from gtau.errors import GtauError, quoted
 from gtau.findings import Finding
 from gtau.findings.words import counted, moment
-from gtau.signals.reading.notes import repair
+from gtau.signals.reading.formats import repair
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals
-from gtau.signals.repair.resampling import FROZEN, MISSING_STEP, Held
-from gtau.signals.storage import block, spans, stored_like, stride_of
+from gtau.signals.repair.resampling import MISSING_STEP, Held, long_runs
+from gtau.signals.storage import block, blocks, spans, stored_like, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
@@ -50,15 +50,10 @@ Glitches = Mapping[tuple[int, int], float]
 
 
 def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> Glitches:
-    """Find position outliers between mutually consistent neighbours, in two passes.
-
-    Angles are unwrapped, ``instants`` (N,) are in s; samples that are stale by the sample-and-hold of the positions,
-    ``held``, are ignored.
-    """
+    """Find outliers of positions (unwrapped) between mutually consistent neighbours that are not stale."""
     stride = stride_of(len(samples.time))
-    usual: list[np.ndarray] = []
-    steps: list[np.ndarray] = []
-    for numbers, time, position, mine in _blocks(samples, instants, held):
+    usual, steps = list[np.ndarray](), list[np.ndarray]()
+    for numbers, time, position, mine in _fresh_blocks(samples, instants, held):
         if len(numbers) > 2 * REACH:
             off = np.abs(cubic_residuals(time, position, float(np.diff(time).mean())))
             usual.append(off[mine[REACH:-REACH]][::stride].copy())  # a view would keep all of it
@@ -68,7 +63,7 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> Glitche
     period = float(np.median(np.concatenate(steps)))
     scale = np.maximum(np.quantile(np.concatenate(usual), SHARE, axis=0) / WHITE, held.quanta)
     glitches: dict[tuple[int, int], float] = {}
-    for numbers, time, position, mine in _blocks(samples, instants, held):
+    for numbers, time, position, mine in _fresh_blocks(samples, instants, held):
         if len(numbers) < NEIGHBOURS + WIDEST:
             continue
         off = np.abs(cubic_residuals(time, position, period))
@@ -80,7 +75,7 @@ def find_glitches(samples: Samples, instants: np.ndarray, held: Held) -> Glitche
     return dict(sorted(glitches.items()))
 
 
-def _blocks(
+def _fresh_blocks(
     samples: Samples, instants: np.ndarray, held: Held
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Yield numbers, instants and positions of fresh samples in blocks with margins, and mark the block."""
@@ -119,8 +114,8 @@ def _judge(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compare ``width`` samples from each of ``first`` (C,) with the cubic through their neighbours.
 
-    Returns how many scales the first and the last of them are off (C,), 0 where that is a matter of time; the same in
-    residuals of the neighbours; and the cubic's values (C, width).
+    Returns how many scales they are off at both ends (C,), 0 where that is a matter of time; the same in residuals of
+    the neighbours; and the cubic's values (C, width).
     """
     count = NEIGHBOURS + width
     lowest = np.clip(first - NEIGHBOURS // 2, 0, len(time) - count)
@@ -181,10 +176,7 @@ def glitch_note(samples: Samples, glitches: Glitches) -> Finding:
 
 
 def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
-    """Refuse positions with a permanent jump between two samples, as after a slipped coupling or lost counts.
-
-    The catch-up after a stale position is not a jump.
-    """
+    """Refuse positions with a permanent jump between two samples, as after a slipped coupling or lost counts."""
     n, stride = len(samples.joints), stride_of(len(samples.time))
     usual, fast = list[np.ndarray](), list[np.ndarray]()
     largest, places, jumps = np.zeros(n), np.zeros(n, dtype=int), np.zeros(n)
@@ -205,29 +197,27 @@ def refuse_slips(samples: Samples, instants: np.ndarray, held: Held) -> None:
     low, high = extremes(samples.position)
     far = np.abs(jumps) > np.maximum(SLIP_RANGE * (high - low), SLIP_QUANTA * held.quanta)
     slips = np.flatnonzero((largest > SLIP * usually) & (largest > SLIP_SPEED * speeds) & far)
-    for j in slips.tolist():
-        k = int(places[j])
-        together = [samples.joints[i] for i in slips if abs(places[i] - k) <= 1]
-        at = f"at {samples.time[k]:.9g} s"
+    if not slips.size:
+        return
+    j, k = int(slips[0]), int(places[slips[0]])
+    together = [samples.joints[i] for i in slips if abs(places[i] - k) <= 1]
+    at = f"at {samples.time[k]:.9g} s"
+    what = (
+        f"the position of joint '{samples.joints[j]}' jumps by {jumps[j]:.3g} (rad or m) {at}, which is not a "
+        "motion; check the coupling and the counter of its encoder, or cut the log there into two runs"
+    )
+    if len(together) > 1:
         what = (
-            f"the position of joint '{samples.joints[j]}' jumps by {jumps[j]:.3g} (rad or m) {at}, which is not a "
-            "motion; check the coupling and the counter of its encoder, or cut the log there into two runs"
+            f"the positions of joints {' and '.join(map(repr, together))} jump together {at}, so rows are missing, "
+            "or all encoders were reset; cut the log there into two runs (from: and to:)"
         )
-        if len(together) > 1:
-            what = (
-                f"the positions of joints {' and '.join(map(repr, together))} jump together {at}, so rows are missing, "
-                "or all encoders were reset; cut the log there into two runs (from: and to:)"
-            )
-        raise GtauError(f"{samples.name}, {samples.place(k)}: {what}.")
+    raise GtauError(f"{samples.name}, {samples.place(k)}: {what}.")
 
 
 def _changes_of_speed(
     samples: Samples, instants: np.ndarray, held: Held
 ) -> Iterator[tuple[int, int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield, by blocks, the first sample, the first new step, steps (M,), speeds (M, n) and lasting changes (M - 6, n).
-
-    A change is what three steps move against the speeds around them, over which stale samples and glitches cancel.
-    """
+    """Yield, by blocks, first sample, first new step, steps (M,), speeds (M, n) and lasting changes (M - 6, n)."""
     median = None
     for start, stop in spans(len(samples.time)):
         begin = max(0, start - 7 - held.longest)
@@ -255,27 +245,19 @@ def _changes_of_speed(
 def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
     """Refuse a position that freezes in full motion while the command goes on, as of an encoder that is not read.
 
-    A joint that comes to rest slows down, so its last step is small: refused is one that is constant to the last digit
-    after or before a step of its usual size.
+    A joint that comes to rest slows down: refused is one that is constant after or before a step of its usual size.
     """
-    n, count = len(samples.joints), len(samples.time)
+    n, count, position = len(samples.joints), len(samples.time), samples.position
     stride, fast, usual = stride_of(count), [], []
-    since, into = np.zeros(n, dtype=int), np.zeros(n)  # the first sample of the present value, and the step to it
-    edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
-    for start, stop in spans(count, before=1):
-        position = block(samples.position, start, stop)
-        fresh = held.fresh(position)
-        at, steps = start + np.flatnonzero(fresh), np.diff(position[fresh], axis=0)
+    for part in blocks(position, before=1):
+        steps = np.diff(part[held.fresh(part)], axis=0)
         fast.append(np.abs(steps[::stride]))
         usual.append(np.abs(np.diff(steps, axis=0)[::stride]))
-        for j, moved in enumerate(map(np.flatnonzero, steps.T)):
-            changes, sizes = at[moved + 1], np.abs(steps[moved, j])
-            begin, end = np.r_[since[j], changes], np.r_[changes, stop]
-            edge = np.maximum(np.r_[into[j], sizes], np.r_[sizes, 0.0]) * (end - begin > FROZEN)
-            k = int(np.argmax(edge))
-            if edge[k] >= edges[j]:
-                edges[j], spells[j] = edge[k], (begin[k], end[k])
-            since[j], into[j] = begin[-1], np.r_[into[j], sizes][-1]
+    edges, spells = np.zeros(n), np.zeros((n, 2), dtype=int)
+    for j, begin, end in long_runs(position):
+        edge = max((abs(position[k, j] - position[k - 1, j]) for k in (begin, end) if 0 < k < count), default=0.0)
+        if edge > edges[j]:
+            edges[j], spells[j] = edge, (begin, end)
     speeds, changes = (np.quantile(np.concatenate(parts), 0.999, axis=0) for parts in (fast, usual))
     sudden = (edges > FROZEN_QUANTA * held.quanta) & (edges > FROZEN_SPEED * speeds) & (edges > changes)
     for j in np.flatnonzero(sudden).tolist():
@@ -284,7 +266,7 @@ def refuse_frozen(samples: Samples, instants: np.ndarray, held: Held) -> None:
         if lasts > FROZEN_TIME and np.std(command[begin:end]) > FROZEN_CURRENT * np.std(command):
             raise GtauError(
                 f"{samples.name}, {samples.place(begin)}: the position of joint '{samples.joints[j]}' stays at "
-                f"{samples.position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
+                f"{position[begin, j]:.6g} (rad or m) for {lasts:.3g} s from {samples.time[begin]:.9g} s, "
                 f"with a step of {edges[j]:.2g} (rad or m) between two samples, while its "
                 f"{samples.channels[j].kind.name} varies: its encoder was not read; log again, or leave out that part "
                 "('from' and 'to' of the run)."

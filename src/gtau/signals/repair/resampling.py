@@ -10,14 +10,15 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
 from gtau.findings.words import counted, moment
-from gtau.signals.reading.notes import reading, repair
+from gtau.signals.reading.formats import reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
-from gtau.signals.storage import Store, block, blocks, spans, store
+from gtau.signals.storage import Store, block, blocks, spans, steps, store
 
 # After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.
 # At constant acceleration the factor is 6 after rest and 4 around a reversal.
@@ -46,9 +47,8 @@ Clips = Sequence[tuple[int, float]]
 class Held:
     """Sample-and-hold of a group of columns: of the positions, or of channels that a log updates together.
 
-    ``period`` is the usual number of samples from one value to the next, 1 where it is updated with every one.
-    ``quanta`` (n,) are the columns' smallest changes. ``stale`` counts the samples that repeat the one before, 0 where
-    noise and reversals explain all repeated values, so that all samples are new.
+    ``period`` is the usual number of samples from one value to the next; ``quanta`` (n,) are the columns' smallest
+    changes. ``stale`` counts the samples that repeat the one before, 0 where noise and reversals explain them all.
     """
 
     period: int
@@ -96,7 +96,6 @@ def holds_of(samples: Samples) -> Holds:
 
 
 def _groups(samples: Samples) -> Iterator[tuple[str, slice]]:
-    """List the groups of channels with their columns."""
     start = 0
     for group, channels in groupby(samples.channels, lambda channel: channel.kind.group):
         stop = start + len(list(channels))
@@ -106,16 +105,15 @@ def _groups(samples: Samples) -> Iterator[tuple[str, slice]]:
 
 def _held(array: np.ndarray, columns: slice) -> Held:
     """Detect sample-and-hold of a group's columns (N, n), and count its stale samples."""
-    n = len(range(array.shape[1])[columns])
-    smallest = np.full(n, np.inf)
-    for part in blocks(array, before=1):
-        change = np.abs(np.diff(part[:, columns], axis=0))
-        smallest = np.minimum(smallest, np.min(change, axis=0, where=change > 0, initial=np.inf))
+    array = array[:, columns]
+    n = array.shape[1]
+    changes = (np.abs(step) for step in steps(array))
+    smallest = np.min([np.min(sizes, axis=0, where=sizes > 0, initial=np.inf) for sizes in changes], axis=0)
     quanta = np.where(np.isfinite(smallest), smallest, 1.0)
     lengths = np.zeros(LONGEST + 2, dtype=int)  # how many runs of equal samples before a jump there are of each length
     run, near = 1, 0
-    for part in blocks(array, before=1):
-        change = np.max(np.abs(np.diff(part[:, columns], axis=0)) / quanta, axis=1, initial=0.0)
+    for step in steps(array):
+        change = np.max(np.abs(step) / quanta, axis=1, initial=0.0)
         near += int(((change[:-1] > 0) & (change[:-1] < 1.5) & (change[1:] >= JUMP)).sum())
         ends = np.flatnonzero(change)
         if not ends.size:
@@ -125,7 +123,7 @@ def _held(array: np.ndarray, columns: slice) -> Held:
         lengths += np.bincount(np.minimum(runs, LONGEST + 1), minlength=len(lengths))
         run = len(change) - int(ends[-1])
     held = Held(_period(lengths[:-1]), quanta, stale=len(array))
-    stale = sum(int((~held.fresh(part[:, columns])).sum()) for part in blocks(array, before=1))
+    stale = sum(int((~held.fresh(part)).sum()) for part in blocks(array, before=1))
     # Noise of some quanta repeats a sample as often as it steps by one quantum in each of the other 3^n - 1 directions.
     chance = 2 * near / (3.0**n - 1) + REPORTED * len(array)
     return replace(held, stale=stale) if stale > chance else replace(held, period=1, stale=0)
@@ -141,15 +139,27 @@ def _period(lengths: np.ndarray) -> int:
     return period if period > 1 and near > REGULAR * held.sum() else 1
 
 
+def long_runs(array: np.ndarray, noise: ArrayLike = 0.0) -> Iterator[tuple[int, int, int]]:
+    """Yield column, begin and end of runs of more than FROZEN equal values; those below the ``noise`` count as 0."""
+    count, columns = array.shape
+    begins = [0] * columns
+    for start, stop in spans(count, before=1):
+        part = block(array, start, stop)
+        part[np.abs(part) < noise] = 0.0
+        last = [count] if stop == count else []
+        for j, step in enumerate(np.diff(part, axis=0).T):
+            edges = np.r_[begins[j], start + 1 + np.flatnonzero(step), last].astype(int)
+            for k in np.flatnonzero(np.diff(edges) > FROZEN):
+                yield j, int(edges[k]), int(edges[k + 1])
+            begins[j] = int(edges[-1])
+
+
 def uniform(
     samples: Samples, clock: Clock, instants: np.ndarray, holds: Holds, clips: Clips, notes: list[Finding], given: bool
 ) -> tuple[Samples, np.ndarray]:
     """Put samples taken at their ``instants`` onto the uniform grid of a clock that was ``given`` or found.
 
-    Also mark the commands (N, c) that were neither interpolated nor clipped.
-
-    The channels say by how much they lag, which is compensated. Raises GtauError where a gap is longer than 0.1 s and
-    three steps, or too many samples are missing.
+    Also mark the commands (N, c) that were neither interpolated nor clipped. The channels' delays are compensated.
     """
     count, c = len(instants) + clock.missing, len(samples.channels)
     shortest, longest, before = clock.extreme_steps(samples.time)
@@ -163,7 +173,7 @@ def uniform(
     clock_notes = _clock_notes(clock, shortest, longest, given)
     if clock.regular and not (clock.gaps or delay or any(held.stale for held in holds.values())):
         # The samples are on the grid already.
-        valid = store((unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
+        valid = store((_unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
         notes += clock_notes
         return replace(samples, time=time), valid
     stores, missing, masked = (Store((len(samples.joints),)), Store((c,)), Store((c,), bool)), 0, 0
@@ -202,11 +212,12 @@ def uniform(
 
 
 def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
-    """List the notes on a clock that differs from the time column."""
     if not clock.regular:
         reason = "the time stamps are used, because a regular clock makes the positions no smoother"
-        steps = f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
-        text = f"resampled from {steps}: {'as preparation.clock says' if given else reason}"
+        irregular = (
+            f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
+        )
+        text = f"resampled from {irregular}: {'as preparation.clock says' if given else reason}"
         return [reading("irregular steps", text=text)]
     if not clock.late:
         return []
@@ -222,10 +233,7 @@ def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> 
 def _resampled(
     samples: Samples, clock: Clock, instants: np.ndarray, holds: Holds, clips: Clips, span: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Resample positions and commands (M, n) at the clock's samples; mark valid, missing and masked ones.
-
-    They are interpolated between fresh samples at ``instants``, of which there must be some before and after.
-    """
+    """Resample positions and commands (M, n) at the clock's samples of a span; mark valid, missing and masked ones."""
     from scipy.interpolate import CubicSpline
 
     grid = clock.time(*span)
@@ -244,7 +252,7 @@ def _resampled(
         new = later & holds[group].fresh(command[:, columns])
         for k in range(columns.start, columns.stop):
             values[:, k] = np.interp(grid + samples.channels[k].delay, known[new], command[new, k])
-    good = unclipped(command, clips)
+    good = _unclipped(command, clips)
     before = np.clip(np.searchsorted(known, grid, side="right") - 1, 0, len(known) - 2)
     valid = ~masked[:, None] & good[before] & good[before + 1]
     return CubicSpline(known[fresh], position[fresh])(grid), values, valid, lacking, masked
@@ -259,8 +267,7 @@ def _gaps(known: np.ndarray, grid: np.ndarray, longest: float) -> np.ndarray:
     return ~near & (step[before] > longest * (1 + 1e-9))
 
 
-def unclipped(command: np.ndarray, clips: Clips) -> np.ndarray:
-    """Mark where commands (M, n) are not clipped at a level."""
+def _unclipped(command: np.ndarray, clips: Clips) -> np.ndarray:
     good = np.ones(command.shape, dtype=bool)
     for j, level in clips:
         good[:, j] &= command[:, j] != level

@@ -53,10 +53,15 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     if column.about == "strength":
         what = "a different magnitude of gravity"
         if abs(size) > EARTH:
-            fast = "high, as accelerations are too large" if size > 0 else "low, as accelerations are too small"
-            what = f"a sampling rate that is too {fast} against gravity (or wrong lengths throughout the robot)"
-            action = f"{clock_advice(stated_rate(fit.dataset.runs[0]))}; then check the robot's lengths"
+            return clock_words(fit, size)
     return what, action
+
+
+def clock_words(fit: Fit, too_fast: float, by: str = "") -> Words:
+    """Say that a clock is too fast, or too slow where ``too_fast`` is negative, and ``by`` how much if known."""
+    fast = f"high{by}, as accelerations are too large" if too_fast > 0 else f"low{by}, as accelerations are too small"
+    what = f"a sampling rate that is too {fast} against gravity (or wrong lengths throughout the robot)"
+    return what, f"{clock_advice(stated_rate(fit.dataset.runs[0]))}; then check the robot's lengths"
 
 
 EFFECT = Effect("gravity", _torques, _columns, _say, shared=True, description=True)

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from gtau.documents.files import system_refusals
-from gtau.errors import GtauError, short
-from gtau.findings import Finding
+from gtau.errors import GtauError, quoted, short
+from gtau.findings import Finding, Grade
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:
@@ -51,6 +51,12 @@ class LogTable:
         """True where the log has no header, and its columns are named by their number."""
         return self.columns != () and self.columns == numbers(len(self.columns))
 
+    def places(self, rows: Sequence[int] | np.ndarray, count: int) -> str:
+        """Describe where ``count`` rows are in the file; ``rows`` are the first."""
+        first, word = (1, "row") if self.first_line is None else (self.first_line, "line")
+        listed = ", ".join(str(int(row) + first) for row in rows[: min(count, 5)])
+        return f"{word}{'s' * (count > 1)} {listed}{', ...' if count > 5 else ''}"
+
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
         """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far."""
         with system_refusals(self.path):
@@ -63,9 +69,9 @@ class LogTable:
                 yield values, done
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Read whole columns (N,) by name; raises GtauError where the file cannot be read on."""
+        """Read whole columns (N,) by name."""
         values = store((values for values, _ in self.blocks()), (len(self.columns),))
-        return {name: values[:, k] for k, name in enumerate(self.columns)}
+        return dict(zip(self.columns, values.T, strict=True))
 
 
 def numbers(count: int) -> tuple[str, ...]:
@@ -105,7 +111,7 @@ def readable(path: Path, kind: str) -> Iterator[None]:
 
 
 def common_length(path: Path, lengths: Mapping[str, int], more: int = 0) -> int:
-    """Count the rows of columns that must have as many, up to some rows ``more``; raises GtauError."""
+    """Count the rows of columns that must have as many, up to some rows ``more``."""
     if max(lengths.values()) - min(lengths.values()) > more:
         (first, rows), *rest = lengths.items()
         second = next(name for name, count in rest if count != rows)
@@ -115,3 +121,27 @@ def common_length(path: Path, lengths: Mapping[str, int], more: int = 0) -> int:
             source=path,
         )
     return max(lengths.values())
+
+
+# Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
+# except logs recorded by polling; 0.05 and more are refused. A choice between the two.
+COSTLY = 0.02
+
+
+def reading(kind: str, text: str, advice: str = "", joints: Sequence[str] = ()) -> Finding:
+    """Note how a log was read."""
+    return Finding(kind, tuple(joints), text=text, advice=advice, grade=Grade.INFORMATION, shown_as="reading")
+
+
+def repair(
+    kind: str, share: float, text: str, advice: str = "", joints: Sequence[str] = (), time: float | None = None
+) -> Finding:
+    """Note a repair of a ``share`` of the samples: a warning where it costs many of them."""
+    grade = Grade.WARNING if share > COSTLY else Grade.INFORMATION
+    note = reading(kind, text, advice, joints)
+    return replace(note, share=share, time=time, grade=grade, shown_as="repair")
+
+
+def listed_joints(joints: Sequence[str]) -> str:
+    """Write ``joint 'a'``, ``joints 'a' and 'b'``."""
+    return f"joint{'s' * (len(joints) > 1)} {' and '.join(map(quoted, joints))}"

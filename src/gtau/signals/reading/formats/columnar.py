@@ -30,10 +30,7 @@ DEPTH = 3  # folders between a file of frames and the data set
 
 
 def open_parquet(path: Path) -> LogTable:
-    """Find the columns of a Parquet file, or of a folder of them as one log (``part_2`` before ``part_10``).
-
-    The folder may be a LeRobot data set.
-    """
+    """Find the columns of a Parquet file, of a folder of them (``part_2`` before ``part_10``), or of a data set."""
     import polars as pl
 
     parts = [path]
@@ -58,10 +55,11 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         return GtauError(f"{path} is not a readable {kind} file ({str(error).splitlines()[0]}); export the log again.")
 
     try:
-        schema = scan(parts[0]).collect_schema()
-        lengths = [scan(part).select(pl.len()).collect().item() for part in parts]
-        columns = _columns(schema, scan(parts[0]))
-        episodes = _episodes([scan(part) for part in parts], schema)
+        tables = [scan(part) for part in parts]
+        schema = tables[0].collect_schema()
+        lengths = [table.select(pl.len()).collect().item() for table in tables]
+        columns = _columns(schema, tables[0])
+        episodes = _episodes(tables, schema)
     except pl.exceptions.PolarsError as error:
         raise refused(error) from None
 
@@ -69,12 +67,12 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
         for name in names:
             _refuse_unusable(path, name, schema.get(name))
         first = 0  # row of the part
-        for part, length in zip(parts, lengths, strict=True):
+        for table, length in zip(tables, lengths, strict=True):
             begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
             for start in range(begin, end, block_size()):
                 stop = min(start + block_size(), end)
                 try:
-                    frame = scan(part).select([columns[name] for name in names]).slice(start, stop - start).collect()
+                    frame = table.select([columns[name] for name in names]).slice(start, stop - start).collect()
                 except pl.exceptions.PolarsError as error:
                     raise refused(error) from None
                 yield frame, (first + stop) / sum(lengths)
@@ -102,7 +100,6 @@ def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str
 
 
 def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) -> dict[int, range]:
-    """Find the rows of each episode, where there are several."""
     import polars as pl
 
     if EPISODE not in schema or not schema[EPISODE].is_integer():
@@ -116,16 +113,14 @@ def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) 
 
 
 def _refuse_unusable(path: Path, name: str, kind: pl.DataType | None) -> None:
-    """Refuse a column that holds no numbers; an item of a column of lists has no kind of its own."""
     import polars as pl
 
     if kind is None or kind.is_numeric() or kind in (pl.String, pl.Boolean):
         return
+    remedy = f"{kind} values; write it as numbers"
     if kind.is_temporal():
-        remedy = f"holds dates or times ({kind}); write the seconds since the first sample, as numbers"
-    else:
-        remedy = f"holds {kind} values; write it as numbers"
-    raise GtauError(f"{path}, column '{name}' {remedy}.")
+        remedy = f"dates or times ({kind}); write the seconds since the first sample, as numbers"
+    raise GtauError(f"{path}, column '{name}' holds {remedy}.")
 
 
 def data_set(log: Path, columns: Sequence[str]) -> tuple[float | None, dict[str, str]]:
@@ -161,11 +156,7 @@ def _flat(names: Any) -> list[str]:
 
 @contextmanager
 def as_log(table: Any) -> Iterator[Path]:
-    """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log.
-
-    It is a frame of Polars or pandas, a mapping, or an array (N, columns), whose columns are numbered from 1 if
-    unnamed.
-    """
+    """Write a table to a temporary Parquet file for the context, so that it is read and checked like any log."""
     with TemporaryDirectory(prefix="gtau-") as folder:
         path = Path(folder) / "table.parquet"
         _frame(table).write_parquet(path)
@@ -178,10 +169,8 @@ def as_log(table: Any) -> Iterator[Path]:
 def _frame(table: Any) -> Any:
     import polars
 
-    if isinstance(table, polars.DataFrame):
-        return table
-    if isinstance(table, polars.LazyFrame):
-        return table.collect()
+    if isinstance(table, polars.DataFrame | polars.LazyFrame):
+        return table.lazy().collect()
     if isinstance(table, np.ndarray) and table.dtype.names:
         columns = {name: table[name] for name in table.dtype.names}
     elif isinstance(table, np.ndarray) and table.ndim == 2:

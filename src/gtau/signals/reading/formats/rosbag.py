@@ -7,9 +7,8 @@ has its stamps: ``/TOPIC/header/stamp``, where its messages have a header, and `
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
-from operator import attrgetter
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,14 +21,11 @@ from gtau.signals.storage import block_size
 if TYPE_CHECKING:
     import polars as pl
 
-Getter = Callable[[Any], float]
-
 JOINT_STATE = "sensor_msgs/msg/JointState"
 STRING = "std_msgs/msg/String"
 
 
 def _reader(path: Path) -> Any:
-    """Open a bag; messages that it does not define are defined by ROS 2."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -53,7 +49,7 @@ def robot_description(path: Path) -> str | None:
 
 def open_rosbag(path: Path) -> LogTable:
     """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic."""
-    columns: dict[str, tuple[str, Getter | None]] = {}  # topic, and what gets its value from a message; None: receipt
+    topics: dict[str, str] = {}  # by column
     counts: dict[str, int] = {}
     with readable(path, "a ROS bag"), _reader(path) as bag:
         for connection in bag.connections:
@@ -61,86 +57,68 @@ def open_rosbag(path: Path) -> LogTable:
             if first is None:
                 continue
             try:
-                message = bag.deserialize(first[2], connection.msgtype)
+                values = _values(bag, *first)
             except KeyError:  # of a type that neither the bag nor ROS 2 describes
                 continue
             topic = connection.topic
             counts[topic] = counts.get(topic, 0) + connection.msgcount
-            for name, getter in _getters(message, connection.msgtype):
-                columns[f"{topic}/{name}"] = topic, getter
-            columns[f"{topic}/received"] = topic, None
+            topics |= {f"{topic}/{name}": topic for name in values}
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
 
-        topics = [columns[name][0] for name in names]
-        count = common_length(path, {name: counts[topic] for name, topic in zip(names, topics, strict=True)})
-        if len(set(topics)) > 1:
-            second = next(name for name, topic in zip(names, topics, strict=True) if topic != topics[0])
+        topic, *others = dict.fromkeys(topics[name] for name in names)
+        count = common_length(path, {name: counts[topics[name]] for name in names})
+        if others:
+            second = next(name for name in names if topics[name] != topic)
             raise GtauError(
                 f"'{names[0]}' and '{second}' come from two topics with separate time stamps; give both (time: "
                 "{position: COLUMN, command: COLUMN}).",
                 source=path,
             )
-        getters = [columns[name][1] for name in names]
-        values = np.empty((min(block_size(), count), len(names)))
-        filled = 0
+        parts = [name.removeprefix(f"{topic}/") for name in names]
+        table, filled = np.empty((min(block_size(), count), len(names))), 0
         with readable(path, "a ROS bag"), _reader(path) as bag:
-            connections = [connection for connection in bag.connections if connection.topic == topics[0]]
-            for row, (connection, received, raw) in enumerate(bag.messages(connections=connections)):
-                if row < rows.start:
-                    continue
-                if row >= rows.stop:
-                    break
-                message = bag.deserialize(raw, connection.msgtype)
-                values[filled] = [getter(message) if getter else received * 1e-9 for getter in getters]
+            connections = [connection for connection in bag.connections if connection.topic == topic]
+            messages = islice(bag.messages(connections=connections), rows.start, min(rows.stop, count))
+            for row, message in enumerate(messages, start=rows.start + 1):
+                values = _values(bag, *message)
+                table[filled] = [values.get(part, np.nan) for part in parts]  # drivers may leave joints out
                 filled += 1
-                if filled == len(values):
-                    yield pl.DataFrame(values, schema=list(names)), (row + 1) / count
+                if filled == len(table):
+                    yield pl.DataFrame(table, schema=list(names)), row / count
                     filled = 0
         if filled:
-            yield pl.DataFrame(values[:filled], schema=list(names)), 1.0
+            yield pl.DataFrame(table[:filled], schema=list(names)), 1.0
 
-    return LogTable(path, tuple(columns), frames)
+    return LogTable(path, tuple(topics), frames)
 
 
-def _getters(message: Any, kind: str) -> Iterator[tuple[str, Getter]]:
-    """Name the numbers in a message, each with a function that gets it from later messages."""
-    if kind != JOINT_STATE:
-        yield from _numbers(message, "")
-        return
-    yield "header/stamp", lambda message: _seconds(message.header.stamp)
+def _values(bag: Any, connection: Any, received: int, raw: bytes) -> dict[str, float]:
+    """Name the numbers in a message, and its receipt stamp."""
+    message = bag.deserialize(raw, connection.msgtype)
+    if connection.msgtype != JOINT_STATE:
+        return dict(_numbers(message, "")) | {"received": received * 1e-9}
+    values = {"header/stamp": _seconds(message.header.stamp)}
     for field in ("position", "velocity", "effort"):
-        for k, joint in enumerate(message.name[: len(getattr(message, field))]):
-            yield f"{joint}/{field}", partial(_joint_value, field, joint, k)
+        pairs = zip(message.name, getattr(message, field), strict=False)
+        values |= {f"{joint}/{field}": float(value) for joint, value in pairs}
+    return values | {"received": received * 1e-9}
 
 
-def _joint_value(field: str, joint: str, k: int, message: Any) -> float:
-    names, values = message.name, getattr(message, field)
-    if k >= len(names) or names[k] != joint:
-        k = names.index(joint) if joint in names else len(values)
-    return float(values[k]) if k < len(values) else np.nan  # drivers may leave joints out
-
-
-def _numbers(value: Any, name: str) -> Iterator[tuple[str, Getter]]:
+def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
     """Name the numbers in a value, itself called ``name`` (``FIELD/FIELD``) in a message."""
-    getter = attrgetter(name.replace("/", "."))
     if isinstance(value, (bool, int, float, np.number)):
-        yield name, lambda message: float(getter(message))
+        yield name, float(value)
     elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size <= WIDEST:
-        for k in range(value.size):
-            yield f"{name}[{k + 1}]", partial(_item_value, getter, k)
+        for k, item in enumerate(value, start=1):
+            yield f"{name}[{k}]", float(item)
     elif hasattr(value, "sec") and hasattr(value, "nanosec"):
-        yield name, lambda message: _seconds(getter(message))
+        yield name, _seconds(value)
     elif hasattr(value, "__dataclass_fields__"):
         for field in value.__dataclass_fields__:
             if not field.startswith("__"):
                 yield from _numbers(getattr(value, field), f"{name}/{field}".lstrip("/"))
-
-
-def _item_value(getter: Callable[[Any], Any], k: int, message: Any) -> float:
-    array = getter(message)
-    return float(array[k]) if k < len(array) else np.nan
 
 
 def _seconds(stamp: Any) -> float:

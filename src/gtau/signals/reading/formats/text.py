@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.signals.reading.formats import LogTable, numbers
-from gtau.signals.reading.notes import reading
-from gtau.signals.reading.written_units import unit_row
+from gtau.signals.reading.formats import LogTable, numbers, reading
+from gtau.signals.reading.units import unit_row
 from gtau.signals.storage import BYTES, block_size
 
 if TYPE_CHECKING:
@@ -35,11 +34,7 @@ BOM = b"\xef\xbb\xbf"
 
 
 def open_text(path: Path) -> LogTable:
-    """Find the columns of a text log.
-
-    Decimal commas are allowed except between comma separated columns. Text before the table is skipped and noted.
-    Without a header the columns are named by their number from 1.
-    """
+    """Find the columns of a text log, named by their number from 1 without a header; text before it is noted."""
     lines, first_byte = _first_lines(path)
     texts = [_decoded(line).lstrip("# ").rstrip("\r\n") for line in lines]
     fields = [_fields(text) for text in texts]
@@ -66,8 +61,8 @@ def open_text(path: Path) -> LogTable:
     first_byte += sum(map(len, lines[:begin]))
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
-        row, places = 0, {name: k for k, name in enumerate(columns)}
-        wanted = [places[name] for name in names]
+        places = {name: k for k, name in enumerate(columns)}
+        row, wanted = 0, [places[name] for name in names]
         for text, done in _whole_lines(path, first_byte):
             frame = _frame(table, separator, text, wanted)
             part = frame[max(rows.start - row, 0) : max(rows.stop - row, 0)]
@@ -79,15 +74,15 @@ def open_text(path: Path) -> LogTable:
 
     notes: tuple[Finding, ...] = ()
     below = range(begin if header is None else header + 1, begin)
-    unit_line = next((k for k in below if len(fields[k]) == width and unit_row(fields[k])), None)
-    units = dict(zip(columns, () if unit_line is None else unit_row(fields[unit_line]) or (), strict=False))
+    unit_rows = {k: unit_row(fields[k]) for k in below if len(fields[k]) == width}
+    unit_line = next((k for k, units in unit_rows.items() if units), -1)
+    written_units = zip(columns, unit_rows.get(unit_line) or (), strict=False)
     if skipped := [k + 1 for k in written if k < begin and k not in (header, unit_line)]:
         which = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
         names = "" if header is None else f", took the names of its columns from line {header + 1}"
         notes = (reading("skipped lines", text=f"skipped {which} before the table{names}"),)
-    table = LogTable(
-        path, columns, frames, begin + 1, notes, units={name: unit for name, unit in units.items() if unit}
-    )
+    by_column = {name: unit for name, unit in written_units if unit}
+    table = LogTable(path, columns, frames, begin + 1, notes, units=by_column)
     return table
 
 
@@ -111,13 +106,11 @@ def _first_lines(path: Path) -> tuple[list[bytes], int]:
 
 
 def _separator(text: str) -> str:
-    """Find the character that separates the fields of a line, outside quotes where it occurs there."""
     outside = re.sub(r'"[^"]*"', "", text)
     return next((character for part in (outside, text) for character in SEPARATORS if character in part), ",")
 
 
 def _fields(text: str) -> tuple[str, ...]:
-    """Split a line into fields, without the blanks and quotes around them."""
     fields, unquoted = _split(text, _separator(text))
     stripped = (field.strip() for field in fields)
     if unquoted:  # remaining quotes belong to a name
@@ -126,10 +119,9 @@ def _fields(text: str) -> tuple[str, ...]:
 
 
 def _is_row(fields: Sequence[str]) -> bool:
-    """Decide whether most of the fields are numbers, the first of them among these."""
-    numbers = sum(is_number(field) for field in fields)
+    numbers = sum(_is_number(field) for field in fields)
     rest = sum(field.lower() in MISSING for field in fields)
-    begins = is_number(fields[0]) or fields[0].lower() in MISSING
+    begins = _is_number(fields[0]) or fields[0].lower() in MISSING
     return begins and numbers > 0 and 2 * (numbers + rest) > len(fields)
 
 
@@ -189,8 +181,7 @@ def _split(text: str, separator: str) -> tuple[list[str], bool]:
     return text.split() if separator == " " and text.strip() else text.split(separator), False
 
 
-def is_number(text: str) -> bool:
-    """Decide whether a field is a finite number or infinite, with a decimal point or comma."""
+def _is_number(text: str) -> bool:
     try:
         return float(text.replace(",", ".")) == float(text.replace(",", "."))
     except ValueError:
@@ -208,13 +199,9 @@ def _frame(table: LogTable, separator: str, text: bytes, wanted: list[int]) -> p
         text = text[:end].rstrip(b"\r") + separator.encode() * lacking + text[end:]  # for all there are
 
     def read(text: bytes) -> pl.DataFrame:
+        schema, names = dict.fromkeys(columns, pl.String), sorted(columns[k] for k in wanted)
         return pl.read_csv(
-            text,
-            has_header=False,
-            separator=separator,
-            schema=dict.fromkeys(columns, pl.String),
-            columns=sorted(columns[k] for k in wanted),
-            raise_if_empty=False,
+            text, has_header=False, separator=separator, schema=schema, columns=names, raise_if_empty=False
         )
 
     try:
@@ -254,17 +241,12 @@ def _unreadable_line(table: LogTable, separator: str, reason: str) -> str:
     where = f"line {first}" if table.numbered else "the header"
     with path.open("rb") as file:
         for number, line in islice(enumerate(map(_decoded, file), start=1), first - 1, None):
-            fields = len(_split(line, separator)[0])
-            if fields > count:
-                return (
-                    f"{path}, line {number} has {fields} columns where {where} has {count}; correct or delete the line "
-                    "(a header must name every column)."
-                )
+            if (fields := len(_split(line, separator)[0])) > count:
+                advice = "correct or delete the line (a header must name every column)"
+                return f"{path}, line {number} has {fields} columns where {where} has {count}; {advice}."
             if "\ufffd" in line:
-                return (
-                    f"{path}, line {number} is not text: the log is damaged there; delete the line, or record the log "
-                    f"again."
-                )
+                advice = "delete the line, or record the log again"
+                return f"{path}, line {number} is not text: the log is damaged there; {advice}."
     return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."
 
 

@@ -1,21 +1,29 @@
-"""Tendons of an MJCF file: fixed ones tie joints, straight ones between two sites are springs."""
+"""Actuators and tendons of an MJCF file: motors, couplings of joints, and springs between two sites."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from collections.abc import Set as AbstractSet
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.robots.parts import listed
-from gtau.robots.placement import compose, rounded
-from gtau.robots.readers.mjcf_file import MjcfFile, name_in, pose_in, straight_tendons
-from gtau.robots.robot import DAMPING, PRELOAD, SPRING, STIFFNESS, Attachment, Coupling, Spring
-
-if TYPE_CHECKING:
-    import mujoco
+from gtau.robots.placement import rounded
+from gtau.robots.readers.mjcf_file import MjcfFile, mujoco, name_in, pose_in, straight_tendons
+from gtau.robots.robot import (
+    DAMPING,
+    GROUND,
+    PRELOAD,
+    SPRING,
+    STIFFNESS,
+    Attachment,
+    Coupling,
+    Joint,
+    JointKind,
+    Spring,
+)
 
 PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
 """Largest play of a joint within the limits of a tendon at which the joint follows others.
@@ -27,8 +35,6 @@ No file with slides was at hand; MuJoCo's grippers have joint limits of 20 to 50
 
 def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     """Read the joints of the fixed tendons and their coefficients in the tendon's length."""
-    import mujoco
-
     tendons: dict[str, dict[str, float]] = {}
     for tendon in spec.tendons:
         for part in tendon.path:
@@ -44,11 +50,7 @@ def actuators(spec: mujoco.MjSpec) -> list[mujoco.MjsActuator]:
 
 
 def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
-    """Compute the largest forces, N or N m, of the actuators on each joint, if the file limits them.
-
-    The smaller end of a range counts. A joint's ``actuatorfrcrange`` limits all of its motors together.
-    """
-    import mujoco
+    """Compute the largest forces, N or N m, of the actuators on each joint, by the smaller ends of their ranges."""
 
     def most(limited: int, ends: np.ndarray, factor: float = 1.0) -> float:
         return float(np.abs(factor * ends).min()) if _is_limited(spec, limited, ends) else np.inf
@@ -68,8 +70,6 @@ def efforts(spec: mujoco.MjSpec) -> dict[str, float]:
 
 def _is_spring(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> bool:
     """Return whether an actuator pulls a straight tendon by an uncontrolled force, affine in length and speed."""
-    import mujoco
-
     affine = actuator.biastype == mujoco.mjtBias.mjBIAS_AFFINE and not np.any(actuator.gainprm)
     pulls = affine and actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON
     return bool(pulls and actuator.target in straight_tendons(spec))
@@ -107,15 +107,11 @@ def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[lis
 
 def attached_site(model: mujoco.MjModel, site: int, carried: Mapping[int, Attachment]) -> Attachment:
     """Find what carries a site."""
-    at = carried[int(model.site_bodyid[site])]
-    pose = pose_in(model.site_pos[site], model.site_quat[site])
-    return Attachment(at.body, compose(at.placement, pose))
+    return carried[int(model.site_bodyid[site])].at(pose_in(model.site_pos[site], model.site_quat[site]))
 
 
 def tied_tendons(file: MjcfFile) -> list[Coupling]:
     """Couple the joints of two fixed tendons that an active equality ties, or of one whose length it keeps constant."""
-    import mujoco
-
     tendons, couplings = fixed_tendons(file.spec), []
     for equality in file.spec.equalities:
         if equality.type != mujoco.mjtEq.mjEQ_TENDON or not equality.active:
@@ -146,10 +142,7 @@ def _solved(terms: Mapping[str, float], joint: str, length: float) -> Coupling:
 
 
 def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[str]) -> Iterator[tuple[Coupling, str]]:
-    """Couple motorless joints that a fixed tendon lets move only slightly against its other joints; with notes.
-
-    ``kinds`` maps joint names to kinds; joints that are already ``tied`` are not coupled again.
-    """
+    """Couple motorless joints, not ``tied`` yet, that a fixed tendon lets move only slightly against others."""
     tendons = fixed_tendons(file.spec)
     targets = {actuator.target for actuator in actuators(file.spec)}
     known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
@@ -173,8 +166,58 @@ def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[
 
 
 def _is_limited(spec: mujoco.MjSpec, limited: int, ends: np.ndarray) -> bool:
-    import mujoco
-
     if limited == mujoco.mjtLimited.mjLIMITED_AUTO:
         return bool(spec.compiler.autolimits and np.any(ends))
     return bool(limited == mujoco.mjtLimited.mjLIMITED_TRUE)
+
+
+@dataclass(frozen=True)
+class Motors:
+    """Joints and tendons driven by the actuators of a file."""
+
+    driven: set[str]  # joints with a motor, shafts included
+    pulled: set[str]  # joints that fixed tendons pull, which is not modelled
+    shafts: list[Joint]  # motors of tendons, as joints on the ground
+    couplings: list[Coupling]  # of joints to shafts
+    notes: list[str]
+
+
+def read_motors(file: MjcfFile, kinds: Mapping[str, JointKind]) -> Motors:
+    """Read the actuators; a tendon's becomes a shaft at the tendon's length, if no other actuator drives a joint."""
+    tendons, others, pulling = fixed_tendons(file.spec), [], []
+    motors = Motors(set(), set(), [], [], [])
+    joint_types = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    types = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    movable = {name_in(file.model, "joint", k) for k, kind in enumerate(file.model.jnt_type.tolist()) if kind in types}
+    for number, actuator in enumerate(actuators(file.spec), start=1):
+        target, gear = actuator.target, float(actuator.gear[0])
+        if actuator.trntype in joint_types and target in movable:
+            motors.driven.add(target)
+            if gear != 1.0:
+                motors.notes.append(
+                    f"actuator of joint '{target}' has a gear of {gear:g} in the file; positions are measured at the "
+                    "joint, and a drive gain is in N m (or N) at the joint per unit of the logged signal, gear included"
+                )
+        elif actuator.trntype == mujoco.mjtTrn.mjTRN_TENDON and target in tendons:
+            pulling.append((number, actuator.name, tendons[target]))
+            motors.pulled.update(tendons[target])
+        else:
+            others.append(actuator.name or target)
+    if others:
+        s = "s" * (len(others) > 1)
+        motors.notes.append(f"actuator{s} {listed(others)} on no hinge, slide or fixed tendon: left out")
+    if motors.driven:
+        motors.pulled.difference_update(motors.driven)
+        return motors
+    for number, name, terms in pulling:
+        ratios = tuple((joint, factor) for joint, factor in terms.items() if factor)
+        shaft = name if name and name not in kinds else f"motor {number}"
+        motors.shafts.append(Joint(shaft, GROUND, kinds[ratios[0][0]], parameters="drive"))
+        motors.couplings.append(Coupling(shaft, ratios))
+        motors.notes.append(
+            f"'{shaft}' is the motor that pulls {listed([joint for joint, _ in ratios])} by a fixed tendon; its "
+            "position is the tendon's length"
+        )
+        motors.driven.add(shaft)
+    motors.pulled.clear()
+    return motors

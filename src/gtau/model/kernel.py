@@ -75,7 +75,7 @@ def evaluate(code, signs, rows, sources, outputs, start, stop, column):  # type:
     """Compute ``outputs``, from a ``column`` on, of the samples ``start`` to ``stop`` of ``sources``.
 
     The sources, one above the other, are the inputs (inputs, N). For ``code``, ``signs`` and ``rows`` see
-    :class:`gtau.model.interpreter.program.Program`.
+    :class:`gtau.model.program.Program`.
     """
     lanes = rows.shape[1]
     for first in range(start, stop, lanes):

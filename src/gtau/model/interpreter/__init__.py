@@ -1,1 +1,0 @@
-"""A batched interpreter of CasADi functions."""
