@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.demo.orthoglide import LOGS, PAYLOAD_MASS, standard_parameters
-from gtau.demo.run import COMMANDS, CONTENT, demo
+from gtau.demo.run import COMMANDS, CONTENT, LOGS, PAYLOAD_MASS, demo, standard_parameters
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot

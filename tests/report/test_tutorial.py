@@ -14,7 +14,7 @@ from c_code import GCC
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 from gtau.errors import GtauError
 from gtau.signals.reading.logs import read_log
 from gtau.simulation.simulate import read_simulation
