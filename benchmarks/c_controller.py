@@ -33,8 +33,7 @@ from gtau.simulation.closed_loop import (
     rounded,
     sample,
 )
-from gtau.simulation.experiment_files import apparatus
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import apparatus, read_simulation
 from gtau.simulation.trajectories import make_trajectory
 
 sys.path.append(str(Path(__file__).parents[1] / "examples"))

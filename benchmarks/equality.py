@@ -40,7 +40,7 @@ def make(folder: Path) -> None:
     from test_control import described
     from zoo import ENTRIES
 
-    from gtau.simulation.experiment_files import simulate
+    from gtau.simulation.simulate import simulate
 
     def new(name: str) -> Path:
         (folder / name).mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,7 @@ from time import perf_counter
 import numpy as np
 import polars as pl
 
-from gtau.demo.orthoglide import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
+from gtau.demo.run import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 

@@ -16,8 +16,7 @@ import numpy as np
 import pinocchio as pin
 import polars as pl
 
-from gtau.excitation.evaluation import Grid
-from gtau.excitation.task import DesignProblem
+from gtau.excitation.task import DesignProblem, Grid
 from gtau.robots.robot import Robot
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))

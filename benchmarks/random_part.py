@@ -83,7 +83,7 @@ def make_case(source: str, repeated: bool = False) -> Case:
     robot = load_robot(source)
     model, rng = InverseDynamics(robot), np.random.default_rng(SEED)
     if source == "orthoglide":
-        from gtau.demo.orthoglide import standard_parameters
+        from gtau.demo.run import standard_parameters
 
         chi = standard_parameters()
     else:

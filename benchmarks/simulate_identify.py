@@ -14,7 +14,7 @@ import numpy as np
 from test_control import described
 
 from gtau.result import identify
-from gtau.simulation.experiment_files import simulate
+from gtau.simulation.simulate import simulate
 
 # A payload known in full fixes the gains of joints that gravity does not load.
 BLOCK = {"mx": 0.2, "my": 0.1, "mz": 0.5, "xx": 0.15, "yy": 0.17, "zz": 0.08, "xy": 0.0, "xz": 0.0, "yz": 0.0}

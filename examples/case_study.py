@@ -17,16 +17,17 @@ import numpy as np
 from case_study_figures import payload_chart, references_chart, tracking_chart, trajectory_chart
 from control_comparison import STRATEGIES, ControlComparison, compare_control
 
-from gtau.demo.orthoglide import (
+from gtau.demo.run import (
+    CASES,
     DRIVE_GAINS,
     LOGS,
     PRIOR_GAINS,
     RATE,
     SECOND_PAYLOAD_MASS,
     VALIDATION,
+    make_experiment,
     standard_parameters,
 )
-from gtau.demo.run import CASES, make_experiment
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.results.estimate import Estimate, TorqueError
@@ -34,13 +35,12 @@ from gtau.progress import Progress, silent
 from gtau.report.chart import Chart, intervals
 from gtau.report.gains import LARGEST
 from gtau.report.page import joint_label
-from gtau.report.render.charts import figure_of, save_figure
-from gtau.report.robot_figure import robot_figure
+from gtau.report.render.charts import figure_of, robot_figure, save_figure
 from gtau.report.torques import torques_chart
 from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import sample
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import read_simulation
 from gtau.simulation.trajectories import make_trajectory
 from gtau.uses.prediction import Prediction, torque_errors
 from gtau.uses.weigh import weigh

@@ -29,8 +29,7 @@ from gtau.simulation.closed_loop import (
     pid,
     sample,
 )
-from gtau.simulation.experiment_files import apparatus
-from gtau.simulation.simulation_file import Simulation, check_joints, read_simulation
+from gtau.simulation.simulate import Simulation, apparatus, check_joints, read_simulation
 from gtau.simulation.trajectories import make_trajectory
 from gtau.uses.prediction import torques_along
 

@@ -13,7 +13,7 @@ from tempfile import mkdtemp
 import matplotlib.pyplot as plt
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 # %%
 # Read the logs and say what the columns hold. The disc weighs 1.2 kg: all gains rest on this mass.

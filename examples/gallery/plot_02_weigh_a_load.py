@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 import matplotlib.pyplot as plt
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 # %%
 # Identify the robot first, with a disc of 1.2 kg.

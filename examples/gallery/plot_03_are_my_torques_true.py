@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import polars as pl
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 # %%
 # A driver that multiplies currents by the constants of the data sheet, 2.4 and 4.3 N m/A (true: 2.62 and 3.95).

@@ -15,7 +15,7 @@ import polars as pl
 from scipy.signal import savgol_filter
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 # %%
 # The logs have no torque sensor: add one to the left joint, between gear and link, with noise of 0.02 N m. It reads the

@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 import polars as pl
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 # %%
 # Shift one column by ten samples of 4 ms.

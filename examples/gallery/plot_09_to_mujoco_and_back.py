@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import mujoco
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 # %%
 # Export needs parameters that each body can have: ``consistent=True``.

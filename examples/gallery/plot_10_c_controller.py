@@ -17,7 +17,7 @@ import polars as pl
 from scipy.signal import savgol_filter
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 # %%
 # Identify and export.

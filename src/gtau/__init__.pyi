@@ -35,8 +35,8 @@ from .signals.reading.statements import Prior as Prior
 from .signals.reading.units import Units as Units
 from .signals.run import Run as Run
 from .signals.run import read_run as read_run
-from .simulation.experiment_files import simulate as simulate
-from .simulation.simulation_file import Simulation as Simulation
+from .simulation.simulate import Simulation as Simulation
+from .simulation.simulate import simulate as simulate
 from .uses.external_torques import momentum_observer as momentum_observer
 from .uses.prediction import Prediction as Prediction
 from .uses.weigh import weigh as weigh

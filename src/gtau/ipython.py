@@ -11,7 +11,7 @@ SHOWN = {
     "EstimatorComparison": "gtau.estimation.compare",
     "ExperimentCheck": "gtau.estimation.check_logs",
 }
-"""Classes that have a page in :mod:`gtau.report.notebook`, with their modules."""
+"""Classes that have a page in :mod:`gtau.report.plots`, with their modules."""
 
 
 def register(shell: Any) -> None:
@@ -23,6 +23,6 @@ def register(shell: Any) -> None:
 
 def html(shown: object) -> str:
     """Write the page of an object as HTML."""
-    from gtau.report import notebook
+    from gtau.report import plots
 
-    return notebook.html(shown)
+    return plots.html(shown)

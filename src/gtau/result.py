@@ -39,7 +39,7 @@ class Result(IdentifiedModel):
 
     def summary(self, verbose: bool = True) -> str:
         """Summarise the result as text: one screen, or with ``verbose`` all of it."""
-        from gtau.report.notebook import text
+        from gtau.report.plots import text
 
         return text(self, verbose)
 
@@ -102,7 +102,7 @@ class Result(IdentifiedModel):
 
     def report(self, path: str | Path) -> None:
         """Write the report of the result and its runs as one self-contained HTML file."""
-        from gtau.report.notebook import write
+        from gtau.report.plots import write
 
         write(self, Path(path))
 
@@ -114,7 +114,7 @@ class Result(IdentifiedModel):
         return estimates_frame(self)
 
     def _repr_html_(self) -> str:
-        from gtau.report.notebook import html
+        from gtau.report.plots import html
 
         return html(self)
 

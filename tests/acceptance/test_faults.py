@@ -13,7 +13,7 @@ from five_bar_logs import STEEL, Plant
 from orthoglide_logs import experiment
 
 import gtau.model.base_parameters
-from gtau.demo.orthoglide import DRIVE_GAINS
+from gtau.demo.run import DRIVE_GAINS
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
 from gtau.estimation.diagnostics.other_gravity import OTHER_GRAVITY

@@ -15,7 +15,7 @@ import pytest
 from five_bar_logs import DESIGN, Plant, write_experiment
 
 import gtau
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 
 ROOT = Path(__file__).parents[2]
 WRONG = [3, 2.5, b"x", [1], {"a": object()}, {1: "x"}, object(), np.zeros(3), gtau, True, "nonsense", Path("nowhere")]

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.cli.logs import Commands, experiment_of
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -21,7 +21,7 @@ from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.statements import Drive, Payload, Prior
 from gtau.signals.reading.units import Units
 from gtau.simulation.closed_loop import JointHardware
-from gtau.simulation.simulation_file import Friction, SimulatedRun, Simulation
+from gtau.simulation.simulate import Friction, SimulatedRun, Simulation
 from gtau.simulation.trajectories import Fourier, MotionEntry, Points, RandomMotion
 
 ROOT = Path(__file__).parents[2]

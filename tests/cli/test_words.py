@@ -62,7 +62,7 @@ def test_columns_are_echoed_printable_and_short(tmp_path: Path) -> None:
 
 
 def test_a_page_on_the_terminal_obeys_no_name() -> None:
-    said = plain(Page("title", (Section("", (Text(f"joint {HOSTILE}: '{'x' * 5000}'"),)),)))
+    said = plain(Page("title", Section("", Text(f"joint {HOSTILE}: '{'x' * 5000}'"))))
     assert "\\x1b]0;owned\\x07\\u202e" in said
     assert all(line.isprintable() and len(line) < 200 for line in said.splitlines())
 

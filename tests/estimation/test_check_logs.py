@@ -21,7 +21,7 @@ from gtau.estimation.results.model_file import NoteEntry
 from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity, note_document
 from gtau.report.check import expectation
-from gtau.report.findings import findings_table
+from gtau.report.evidence import findings_table
 from gtau.result import identify
 from gtau.signals.reading.formats import repair
 

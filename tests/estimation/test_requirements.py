@@ -79,7 +79,7 @@ def test_names_of_drifting_parameters_and_many_estimates_are_explained(result: g
         result.replaced(covariance_names=("fv_left@2", *(f"p{k}" for k in range(69))), covariance=np.eye(70))
     )
     assert shown is not None
-    text = plain(Page("", (shown,)))
+    text = plain(Page("", shown))
     assert "fv_left@2: by how much fv_left in run 2, 'loaded', differs from its mean" in text
 
 

@@ -18,11 +18,11 @@ from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage
 from gtau.excitation.design import Design, Stopped, check, excite
 from gtau.excitation.design_file import read_design
-from gtau.excitation.evaluation import design_grid, evaluate, information
 from gtau.excitation.forecast import Expected, Outlook, Weak, forecast, sampled_motions, weak_unknowns
 from gtau.excitation.information import root_covariance
-from gtau.excitation.nlp import Programme, random_start
+from gtau.excitation.nlp import Programme, information, random_start
 from gtau.excitation.prior import KnownGain
+from gtau.excitation.task import design_grid, evaluate
 from gtau.model.home import load_robot
 from gtau.report.design import design_document, design_page
 from gtau.report.page import Table

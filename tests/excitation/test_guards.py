@@ -17,12 +17,11 @@ from gtau.excitation.clearance import FLOOR, Capsule, bounding_capsule
 from gtau.excitation.constraints import usages_of_motion
 from gtau.excitation.design import Design, check, excite
 from gtau.excitation.design_file import read_design
-from gtau.excitation.evaluation import design_grid, evaluate
 from gtau.excitation.forecast import Outlook, sampled_motions
 from gtau.excitation.guards import speed_of_tool
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import COULOMB, ERROR, ROTOR, VISCOUS, KnownGain, identified_gains
-from gtau.excitation.task import DesignProblem
+from gtau.excitation.task import DesignProblem, design_grid, evaluate
 from gtau.findings import Finding, Grade
 from gtau.report.design import design_page
 from gtau.report.render.terminal import plain

@@ -22,7 +22,7 @@ from gtau.export.urdf import export as export_urdf
 from gtau.model.home import load_robot
 from gtau.result import Result
 from gtau.robots.robot import Robot
-from gtau.simulation.simulation_file import Simulation
+from gtau.simulation.simulate import Simulation
 from gtau.uses.identified import functions, identified
 
 ROUNDING = 1e-9  # W: of terms of 1e3

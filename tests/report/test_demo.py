@@ -13,8 +13,7 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.demo.orthoglide import LOGS, PAYLOAD_MASS, standard_parameters
-from gtau.demo.run import COMMANDS, CONTENT, demo
+from gtau.demo.run import COMMANDS, CONTENT, LOGS, PAYLOAD_MASS, demo, standard_parameters
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
@@ -22,8 +21,7 @@ from gtau.report.render.terminal import plain
 from gtau.robots.robot import Joint, Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload
-from gtau.simulation.experiment_files import experiment_text
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import experiment_text, read_simulation
 from gtau.simulation.trajectories import envelope, point_to_point, sines
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gtau.findings import Finding
-from gtau.report.findings import APART, same_in_several
+from gtau.report.evidence import APART, same_in_several
 from gtau.signals.reading.formats import repair
 
 ADVICE = "log in the controller's own cycle"

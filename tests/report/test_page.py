@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from itertools import pairwise
 from xml.etree import ElementTree
 
@@ -15,7 +14,7 @@ from matplotlib.colors import to_hex, to_rgb
 from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
 from gtau.report.motion import paths_chart
-from gtau.report.page import Column, Facts, Kind, Page, Text, page, section, table
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.render.charts import figure_of, palette, svg_of
 from gtau.report.render.html import arrays_for, frame, html, spec_of
 from gtau.report.render.html import words as in_html
@@ -35,7 +34,7 @@ ROWS = (
     (NASTY, "not identifiable", None, None, 4321.0),
     ("right", "weak", float("nan"), None, "known"),
 )
-FACTS, FOLDED = Facts({"file": NASTY}), section("folded", Text("inside"), folded=True)
+FACTS, FOLDED = Facts({"file": NASTY}), Section("folded", Text("inside"), folded=True)
 
 
 def lines_of(time: np.ndarray, count: int = 2) -> tuple[Series, ...]:
@@ -54,13 +53,13 @@ def whole() -> Page:
         lines_of(1 + time),
         rules=(Rule(x=2.0, label=NASTY),),
     )
-    return page(
+    return Page(
         f"Page of {NASTY}",
-        section("Verdict", Text(NASTY, ("a weak joint: use 3 % more",), "weak"), id="verdict"),
-        section("Gains", table(COLUMNS, ROWS, name="gains-table", faint=frozenset([1])), FACTS, id="gains"),
-        section("Charts", live, Chart((still,), columns=2), FOLDED, id="charts"),
+        Section("Verdict", Text(NASTY, ("a weak joint: use 3 % more",), "weak"), id="verdict"),
+        Section("Gains", Table(COLUMNS, ROWS, name="gains-table", faint=frozenset([1])), FACTS, id="gains"),
+        Section("Charts", live, Chart((still,), columns=2), FOLDED, id="charts"),
         None,
-        section("empty", None),
+        Section("empty", None),
         lead=[NASTY],
     )  # fmt: skip
 
@@ -92,10 +91,9 @@ def test_a_page_holds_only_what_is_there(whole: Page) -> None:
 
 
 def test_the_terminal_is_plain_text_of_80_columns(whole: Page) -> None:
-    wide = replace(whole, sections=(*whole.sections, section("Wide", table(
-        [Column("name"), *(Column(f"joint number {k}, N m/A", Kind.NUMBER) for k in range(12))],
-        [[f"row {r}", *(1000.0 + k for k in range(12))] for r in range(2)],
-    ))))  # fmt: skip
+    columns = [Column("name"), *(Column(f"joint number {k}, N m/A", Kind.NUMBER) for k in range(12))]
+    rows = [[f"row {r}", *(1000.0 + k for k in range(12))] for r in range(2)]
+    wide = Page(whole.title, *whole.sections, Section("Wide", Table(columns, rows)), lead=whole.lead)
     text = plain(wide)
     assert max(map(len, text.splitlines())) <= 80
     assert text.isascii()
@@ -110,24 +108,24 @@ def test_the_terminal_is_plain_text_of_80_columns(whole: Page) -> None:
 def test_no_line_breaks_between_a_number_and_its_unit_or_within_a_unit() -> None:
     columns = [Column("joint"), Column("limits"), *(Column(f"gain of {k}, N m/A", Kind.NUMBER) for k in range(6))]
     limits = "1.571 to 2.618 rad, 6 rad/s, 100 rad/s2, 30 N m, 5 %"
-    lines = plain(page("", section("", table(columns, [["left", limits, *6 * [2.5]]])))).splitlines()
+    lines = plain(Page("", Section("", Table(columns, [["left", limits, *6 * [2.5]]])))).splitlines()
     assert max(map(len, lines)) <= 80
     assert sum(line.count("N m/A") for line in lines) == 6
     for kept in ("2.618 rad", "6 rad/s", "100 rad/s2", "30 N m", "5 %"):
         assert any(kept in line for line in lines), kept
-    for words in (plain(page("", section("", Text(f"{'x' * k} 30 N m")))) for k in range(60, 80)):
+    for words in (plain(Page("", Section("", Text(f"{'x' * k} 30 N m")))) for k in range(60, 80)):
         assert "30 N m" in words
 
 
 def test_a_path_stays_in_one_piece() -> None:
     path = "/somewhere/" + "very-long-name/" * 8 + "log.csv"
-    assert path in plain(page("", section("", Text(f"cannot read {path} at all"))))
+    assert path in plain(Page("", Section("", Text(f"cannot read {path} at all"))))
 
 
 def test_findings_are_listed_by_severity() -> None:
     columns = (Column("grade", Kind.BADGE), Column("where"), Column("what", Kind.SENTENCE), Column("do", Kind.SENTENCE))
     rows = [("warning", "free", "it is held", "log faster"), ("information", "", "a clock", "")]
-    text = plain(page("", section("Findings", table(columns, rows, listed=True))))
+    text = plain(Page("", Section("Findings", Table(columns, rows, listed=True))))
     assert text.splitlines()[1:] == [
         "Warning:",
         "- free: it is held; log faster",
@@ -279,7 +277,7 @@ def test_a_figure_draws_a_matrix_spans_and_steps() -> None:
 
 
 def test_robots_are_drawn_once(whole: Page) -> None:
-    text = html(page("robot", section("Robot", load_robot("five-bar"))))
+    text = html(Page("robot", Section("Robot", load_robot("five-bar"))))
     assert text.count("<svg") == 1
     assert "payload on right_forearm" in text
 
@@ -290,7 +288,7 @@ def test_robots_are_drawn_once(whole: Page) -> None:
 def test_series_share_the_budget_of_a_page_and_equal_arrays_are_packed_once() -> None:
     time = np.arange(60_000) / 1000
     panels = tuple(Panel(Axis("time, s"), Axis("N m"), lines_of(time, 3)) for _ in range(24))
-    both = (section("a", Chart(panels, live=True)), section("b", Chart(panels, live=True), folded=True))
+    both = (Section("a", Chart(panels, live=True)), Section("b", Chart(panels, live=True), folded=True))
     arrays = arrays_for(both)
     specs = [spec_of(panel, arrays, "g", True) for panel in (*panels, *panels)]
     assert len({spec["x"] for spec in specs}) == 1

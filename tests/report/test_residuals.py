@@ -7,7 +7,7 @@ import pytest
 
 from gtau.estimation.results.estimate import TorqueError
 from gtau.report.identification import _largest
-from gtau.report.residuals import autocorrelation, histogram, moments, spectrum
+from gtau.report.uncertainty import autocorrelation, histogram, spectrum
 
 
 def test_autocorrelation_of_a_first_order_process_with_masked_samples(rng: np.random.Generator) -> None:
@@ -43,12 +43,10 @@ def test_a_histogram_is_a_density_with_the_deviation_of_what_is_kept(rng: np.ran
     assert found is not None
     edges, density = found
     assert np.sum(density * np.diff(edges)) == pytest.approx(1.0)
-    assert moments(residuals) == pytest.approx((np.nanmean(values), np.nanstd(values)))
     middles = (edges[1:] + edges[:-1]) / 2  # in standard deviations about the mean
     assert np.sum(density * np.diff(edges) * middles**2) == pytest.approx(1.0, rel=0.03)
     few = [(np.arange(5.0), np.ones(5))]
     assert histogram(few) is None
-    assert moments(few) is None
 
 
 def test_the_tile_of_the_largest_error_in_band_counts_reversals_too() -> None:

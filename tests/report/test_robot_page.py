@@ -19,9 +19,10 @@ from gtau.model.base_parameters import BaseParameters, base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.report.chart import Shape, Word
+from gtau.report.render.charts import robot_figure
 from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document, robot_page
-from gtau.report.robot_figure import robot_figure, sketch_of
+from gtau.report.robot_figure import sketch_of
 from gtau.robots.floating import float_base
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.readers.native import native_text, parse_native

@@ -14,10 +14,10 @@ from c_code import GCC
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.demo.tutorial import write_tutorial
+from gtau.demo import write_tutorial
 from gtau.errors import GtauError
 from gtau.signals.reading.logs import read_log
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import read_simulation
 
 SOURCE = Path(str(files("gtau.demo") / "tutorial_logs"))
 DOCS = Path(__file__).parents[2] / "docs"

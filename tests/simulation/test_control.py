@@ -19,7 +19,7 @@ from gtau.robots.readers.native import native_text
 from gtau.robots.robot import Joint, Limits, Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
-from gtau.simulation import experiment_files
+from gtau.simulation import simulate as module
 from gtau.simulation.closed_loop import (
     JointHardware,
     Reference,
@@ -28,9 +28,8 @@ from gtau.simulation.closed_loop import (
     pid,
     write_log,
 )
-from gtau.simulation.experiment_files import simulate
 from gtau.simulation.plant import Plant
-from gtau.simulation.simulation_file import read_simulation
+from gtau.simulation.simulate import read_simulation, simulate
 from gtau.simulation.trajectories import Envelope, MotionEntry, envelope, make_trajectory, moves_through, sines
 
 RATE = 1000.0
@@ -272,14 +271,14 @@ def test_the_command_writes_what_identify_reads(tmp_path):
 
 
 def test_an_interruption_says_what_is_finished(tmp_path, monkeypatch):
-    made = experiment_files.make_run
+    made = module.make_run
 
     def interrupted(simulation, model, described, progress):
         if described.name == "b":
             raise KeyboardInterrupt
         return made(simulation, model, described, progress)
 
-    monkeypatch.setattr(experiment_files, "make_run", interrupted)
+    monkeypatch.setattr(module, "make_run", interrupted)
     out = tmp_path / "out"
     out.mkdir()
     (out / "experiment.yaml").write_text("old", encoding="utf-8")
@@ -361,7 +360,7 @@ def test_passive_joints_keep_to_their_limits_too(tmp_path):
 
 @pytest.mark.slow
 def test_the_mujoco_engine_makes_the_same_run(tmp_path):
-    from gtau.simulation.experiment_files import make_run
+    from gtau.simulation.simulate import make_run
 
     simulation = read_simulation(written(tmp_path))
     model = InverseDynamics(load_robot("orthoglide"))

@@ -23,10 +23,10 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Robot
 from gtau.simulation import mujoco_plant
-from gtau.simulation.experiment_files import simulate
 from gtau.simulation.joint_friction import WIDTH, JointFriction, identified_friction
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant, PlantState
+from gtau.simulation.simulate import simulate
 
 SLIDE = Robot("slide", (Joint("1", "ground", "prismatic"),), gravity=(0.0, 0.0, 0.0))
 PERIOD = 1e-3

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -50,7 +50,6 @@ from gtau.campaigns.folder import (
     write_json,
 )
 from gtau.campaigns.rehearsal import Rehearsal, rehearse, write_motion
-from gtau.documents.files import folder_of
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import save
@@ -62,10 +61,6 @@ from gtau.progress import Progress, silent
 PLAY, MODEL_FILE = "play", "model.json"
 STARTS = 2  # searches for a motion
 REDUCED = 0.25  # m/s, largest speed of the tool in a dry run
-
-
-def _unstoppable() -> AbstractContextManager[Callable[[], bool]]:
-    return nullcontext(never)
 
 
 @dataclass(frozen=True)
@@ -85,23 +80,19 @@ class CampaignState:
     @property
     def document(self) -> dict[str, Any]:
         """The state as a JSON document."""
-        return {
-            "schema": "gtau-campaign/1",
-            "next": self.next,
-            "say": self.say,
-            "accuracy": self.accuracy,
-            "rounds": [
-                {
-                    "round": round_.folder.name,
-                    "purpose": round_.motion["purpose"],
-                    "rehearsal": round_.motion["rehearsal"],
-                    "played": round_.played and {"end": round_.played.end, "speed": round_.played.speed},
-                    "set_aside": round_.aside or None,
-                    "decision": dict(round_.decision) if round_.decision else None,
-                }
-                for round_ in self.rounds
-            ],
-        }
+        rounds = [
+            {
+                "round": round_.folder.name,
+                "purpose": round_.motion["purpose"],
+                "rehearsal": round_.motion["rehearsal"],
+                "played": round_.played and {"end": round_.played.end, "speed": round_.played.speed},
+                "set_aside": round_.aside or None,
+                "decision": dict(round_.decision) if round_.decision else None,
+            }
+            for round_ in self.rounds
+        ]
+        aim = {"next": self.next, "say": self.say, "accuracy": self.accuracy}
+        return {"schema": "gtau-campaign/1", **aim, "rounds": rounds}
 
 
 @takes(
@@ -118,7 +109,7 @@ def campaign(
     payload: float | None = None,
     accuracy: float | None = None,
     progress: Progress = silent,
-    searching: Callable[[], Any] = _unstoppable,
+    searching: Callable[[], Any] = lambda: nullcontext(never),
 ) -> CampaignState:
     """Identify from the rounds played, and decide: done, the next motion, or why another motion cannot help.
 
@@ -150,29 +141,29 @@ def campaign(
         If a file is wrong, or no motion is within the limits.
     """
     folder = Path(folder)
-    settings = read_settings(folder, robot, payload, accuracy)
+    aim = read_settings(folder, robot, payload, accuracy).accuracy
     file, rounds = read_design_file(folder), read_rounds(folder)
     used = [round_ for round_ in rounds if round_.played is not None and not round_.aside]
     pending = rounds[-1] if rounds and rounds[-1].played is None else None
     if pending is not None and pending.aside:
         raise GtauError(f"{pending.folder} was not played, so there is nothing to set aside; remove its {ASIDE}.")
     if pending is not None and not void(pending) and _current(folder, file, pending, used):
-        return _to_play(folder, settings.accuracy, rounds)
+        return _to_play(folder, aim, rounds)
     if problem := next(filter(None, map(_unusable, used)), ""):
-        return CampaignState(folder, settings.accuracy, BLOCKED, problem, tuple(rounds), None)
-    place = folder / f"{1 + max((round_.number for round_ in rounds if round_.played is not None), default=0):02d}"
+        return CampaignState(folder, aim, BLOCKED, problem, tuple(rounds), None)
+    last = max((round_.number for round_ in rounds if round_.played is not None), default=0)
+    place = folder / f"{last + 1:02d}"
     if used:
-        return _judge(place, settings.accuracy, file, used, progress, searching)
+        return _judge(place, aim, file, used, progress, searching)
     try:
         task, _ = make_task(file)
     except GtauError as refusal:
         raise GtauError(f"{folder / DESIGN}: {refusal}") from None
     with searching() as stop:
-        designed = excite(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
-    design, rehearsal = rehearsed(designed, file, None, progress)
+        designed = excite(task, starts=STARTS, seed=last + 1, progress=progress, stop=stop)
     purpose = {"purpose": "first", "after": "", "warm_up": False}
-    write_motion(folder_of(place), file, design, rehearsal, purpose)
-    return _to_play(folder, settings.accuracy, read_rounds(folder))
+    write_motion(place, file, *rehearsed(designed, file, None, progress), purpose)
+    return _to_play(folder, aim, read_rounds(folder))
 
 
 def _to_play(folder: Path, accuracy: float, rounds: list[Round]) -> CampaignState:
@@ -197,7 +188,8 @@ def _unusable(last: Round) -> str:
             f"round {last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or "
             f"set it aside with a reason ({ASIDE})"
         )
-    missing = [run["name"] for run in last.motion["runs"] if run["name"] not in {r.name for r in last.played.runs}]
+    names = {run.name for run in last.played.runs}
+    missing = [run["name"] for run in last.motion["runs"] if run["name"] not in names]
     missing += [run.log for run in last.played.runs if not (last.folder / run.log).exists()]
     if not missing:
         return ""
@@ -215,8 +207,9 @@ def _current(folder: Path, file: DesignFile, pending: Round, used: list[Round]) 
     """Whether the pending motion follows from the current decision."""
     if not used:
         return bool(pending.motion["purpose"] == "first")
-    decision, after = used[-1].decision, pending.motion["after"]
-    return decision is not None and decision["inputs"] == _inputs(folder, file, used) and after == used[-1].folder.name
+    last, decision = used[-1].folder.name, used[-1].decision
+    current = decision is not None and decision["inputs"] == _inputs(folder, file, used)
+    return current and pending.motion["after"] == last
 
 
 def _judge(
@@ -242,7 +235,7 @@ def _decided(
     file: DesignFile,
     used: list[Round],
     progress: Progress,
-    searching: Callable[[], Any] = _unstoppable,
+    searching: Callable[[], Any] = lambda: nullcontext(never),
 ) -> Decision:
     """Identify and decide, and write the next motion at ``place`` if the campaign goes on."""
     last = used[-1]
@@ -251,9 +244,8 @@ def _decided(
         return result
     model = last.folder / MODEL_FILE
     save(result, model)
-    alone, before = _confirmation(place.parent, accuracy, file, used, progress)
-    decision = decide(result, accuracy, used, alone, before)
-    decision = replace(decision, notes=(*decision.notes, *slower(result, used), MASS_NOTE))
+    confirming = _confirmation(place.parent, accuracy, file, used, progress)
+    decision = decide(result, accuracy, used, *confirming).noting(*slower(result, used), MASS_NOTE)
     if not decision.goes_on:
         return decision
     task = next_task(file, result, model)
@@ -262,15 +254,15 @@ def _decided(
             designed = excite(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
     except GtauError as refusal:
         designed, note = played_again(task, used, refusal, progress)
-        decision = replace(decision, notes=(*decision.notes, note))
+        decision = decision.noting(note)
     if decision.kind != CONFIRM:
         designed, decision = _best_candidate(designed, decision, result, last.number, progress)
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
         warm_up = warming(result, last)
-        decision = replace(decision, notes=(*decision.notes, *filter(None, (warm_up,))))
+        decision = decision.noting(*filter(None, (warm_up,)))
         purpose = {"purpose": decision.kind, "after": last.folder.name, "warm_up": bool(warm_up)}
-        write_motion(folder_of(place), file, *rehearsed(designed, file, trusted, progress), purpose)
+        write_motion(place, file, *rehearsed(designed, file, trusted, progress), purpose)
     return decision
 
 

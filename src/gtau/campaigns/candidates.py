@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,10 +21,9 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design import Design, check, redesign
 from gtau.excitation.design_file import DesignFile, make_task
-from gtau.excitation.evaluation import Point, along
 from gtau.excitation.forecast import sampled_motions
 from gtau.excitation.prior import DesignPrior
-from gtau.excitation.task import DesignProblem
+from gtau.excitation.task import DesignProblem, Point, along
 from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
@@ -71,13 +71,10 @@ def beside_the_axis(design: Design, result: IdentifiedModel) -> Iterator[Candida
     robot, wide = result.robot, widths(result)
     worst, last = max(wide, key=lambda joint: wide[joint]), robot.tool
     driven = worst == last or any({worst, last} <= coupling.terms.keys() for coupling in robot.couplings)
-    heaviest = max((load for load in design.task.payloads if load is not None), key=lambda load: load.mass or 0.0)
-    if (
-        not driven
-        or last not in {joint.name for joint in robot.joints}
-        or not robot.joint(last).turns
-        or not heaviest.mass
-    ):
+    turns = any(joint.name == last and joint.turns for joint in robot.joints)
+    loads = [load for load in design.task.payloads if load is not None]
+    heaviest = max(loads, key=lambda load: load.mass or 0.0)
+    if not driven or not turns or not heaviest.mass:
         return
     moments, axis = result.payload(heaviest.name), np.array(robot.joint(last).axis)
     center = np.array([moments.get(kind, 0.0) for kind in FIRST_MOMENTS]) / heaviest.mass
@@ -140,11 +137,9 @@ def _simulated(candidate: Candidate, result: IdentifiedModel, seed: int) -> Iter
     for k, payload in enumerate(design.task.payloads):
         carried = _carried(payload, result)
         if payload is not None and carried is not None and any(candidate.beside):
-            moments = carried.parameters
-            moved = np.array([moments.get(kind, 0.0) for kind in FIRST_MOMENTS])
-            moved += (carried.mass or 0.0) * np.array(candidate.beside)
-            mounted = dict(zip(FIRST_MOMENTS, moved.tolist(), strict=True))
-            carried = carried.model_copy(update={"parameters": moments | mounted})
+            moments, mass = carried.parameters, carried.mass or 0.0
+            moved = {k: moments.get(k, 0.0) + mass * d for k, d in zip(FIRST_MOMENTS, candidate.beside, strict=True)}
+            carried = carried.model_copy(update={"parameters": moments | moved})
             unknown = {kind: value for kind, value in payload.parameters.items() if kind not in FIRST_MOMENTS}
             payload = payload.model_copy(update={"parameters": unknown})
         current = torques(result, q, qd, qdd, carried) / result.gains
@@ -165,15 +160,16 @@ def _carried(payload: Payload | None, result: IdentifiedModel) -> Payload | None
 
 def best(
     offered: Sequence[Candidate], simulated_width: Callable[[Candidate], float]
-) -> tuple[Candidate, list[dict[str, float | str | bool | None]]]:
+) -> tuple[Candidate, list[dict[str, Any]]]:
     """Find the candidate at hand with the narrowest interval, and list all candidates."""
-    halfwidths = [(candidate, simulated_width(candidate)) for candidate in offered]
-    chosen, _ = min((pair for pair in halfwidths if pair[0].at_hand), key=lambda pair: pair[1])
-    listed: list[dict[str, float | str | bool | None]] = [
-        {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
-        for candidate, width in halfwidths
+    halfwidths = [simulated_width(candidate) for candidate in offered]
+    chosen = min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: halfwidths[k])
+    shown = [width if np.isfinite(width) else None for width in halfwidths]
+    listed = [
+        {"motion": candidate.label, "half_width": width, "at_hand": candidate.at_hand}
+        for candidate, width in zip(offered, shown, strict=True)
     ]
-    return chosen, listed
+    return offered[chosen], listed
 
 
 def next_task(file: DesignFile, result: IdentifiedModel, model: Path) -> DesignProblem:
@@ -187,19 +183,14 @@ def next_task(file: DesignFile, result: IdentifiedModel, model: Path) -> DesignP
 
 def _shared(result: IdentifiedModel) -> tuple[tuple[Parameter, ...], np.ndarray]:
     """Compute the covariance of the parameters shared with later rounds, with only the random part of the gains."""
-    bodies = result.robot.bodies  # the mount of a payload may change between rounds, and friction drifts
-    kept = [
-        k
-        for k, name in enumerate(result.covariance_names)
-        if name.kind == "gain" or (name.kind in INERTIAL and name.body in bodies)
-    ]
-    names = tuple(result.covariance_names[k] for k in kept)
-    part = np.ones(len(kept))
+    names, kept, part = result.covariance_names, list[int](), list[float]()
     for k, name in enumerate(names):
         gain = result.drive_gains.get(name.body) if name.kind == "gain" else None
-        if gain is not None and gain.std and gain.random_std:
-            part[k] = gain.random_std / gain.std
-    return names, result.covariance[np.ix_(kept, kept)] * np.outer(part, part)
+        # the mount of a payload may change between rounds, and friction drifts
+        if name.kind == "gain" or (name.kind in INERTIAL and name.body in result.robot.bodies):
+            kept.append(k)
+            part.append(gain.random_std / gain.std if gain and gain.std and gain.random_std else 1.0)
+    return tuple(names[k] for k in kept), result.covariance[np.ix_(kept, kept)] * np.outer(part, part)
 
 
 def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, progress: Progress) -> tuple[Design, str]:

@@ -33,13 +33,16 @@ from gtau.uses.identify import identify
 
 ROUNDS = 5  # after which a campaign ends
 WORTH = 0.9  # share of the widest interval that a motion must reach, or the campaign ends
-SHOWN = 0.05  # share of the residual variance: 0.00 in nine results of healthy five-bars, 0.41 with a falling gain
+# share of the residual variance: 0.00 in nine results of healthy five-bars, 0.41 with a falling gain
+SHOWN = 0.05
 STRETCHED = 0.9  # share of the speed below which a motion was not played as designed
 # effects that a warm-up reduces: shown by none of 87 results of healthy robots in MuJoCo, and by all four with friction
 # falling by 10 or 30 % with time constants of 30 to 300 s
 DRIFTS = {FRICTION_DRIFT.name, GAIN_DRIFT.name}
-MASS_NOTE = "gains are proportional to the payload's mass: they are as exact as its weighing"  # no motion shows it
-RANDOM, MODEL, CONFIRM, DONE, STOPPED, BLOCKED = "random part", "model part", "confirm", "done", "stopped", "blocked"
+# no motion shows it
+MASS_NOTE = "gains are proportional to the payload's mass: they are as exact as its weighing"
+RANDOM, MODEL, CONFIRM = "random part", "model part", "confirm"
+DONE, STOPPED, BLOCKED = "done", "stopped", "blocked"
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,10 @@ class Decision:
     def goes_on(self) -> bool:
         """Whether another motion is to be played."""
         return self.kind in (RANDOM, MODEL, CONFIRM)
+
+    def noting(self, *notes: str) -> Decision:
+        """Add notes."""
+        return replace(self, notes=(*self.notes, *notes))
 
 
 def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> Path:
@@ -94,15 +101,14 @@ def identified(path: Path, accuracy: float, progress: Progress) -> IdentifiedMod
         result = identify(path, options=options_of(accuracy=accuracy / 100), progress=progress)
     except GtauError as refusal:
         return Decision(BLOCKED, f"no result: {str(refusal).rstrip('.')}")
-    outcomes = {gain.verdict.outcome for gain in result.drive_gains.values()}
-    if result.believable and Grade.CONTRADICTORY not in outcomes:
+    gains = result.drive_gains
+    if result.believable and all(gain.verdict.outcome != Grade.CONTRADICTORY for gain in gains.values()):
         return result
-    verdicts = [(joint, gain.verdict) for joint, gain in result.drive_gains.items()]
-    verdicts += [(load.name, load.verdict) for load in result.payloads]
-    verdicts += [(name, estimate.verdict) for name, estimate in result.parameters.items()]
-    name, worst = max(verdicts, key=lambda pair: pair[1].outcome.rank)
+    loads = [(load.name, load) for load in result.payloads]
+    estimates: list[tuple[str, Any]] = [*gains.items(), *loads, *result.parameters.items()]
+    name, worst = max(((name, one.verdict) for name, one in estimates), key=lambda pair: pair[1].outcome.rank)
     say = ": ".join(filter(None, (f"'{name}' is {worst.outcome.value}", worst.why)))
-    return Decision(BLOCKED, say, listed(result), notes=(worst.advice,) if worst.advice else ())
+    return Decision(BLOCKED, say, listed(result), notes=tuple(filter(None, (worst.advice,))))
 
 
 def listed(result: IdentifiedModel) -> dict[str, dict[str, Any]]:
@@ -112,13 +118,17 @@ def listed(result: IdentifiedModel) -> dict[str, dict[str, Any]]:
             "value": gain.value,
             "unit": gain.unit,
             "half_width": gain.half_width,
-            "random": None if gain.random_std is None or not gain.value else 100 * gain.random_std / abs(gain.value),
-            "model": None if gain.model_std is None or not gain.value else 100 * gain.model_std / abs(gain.value),
+            "random": _share(gain.random_std, gain.value),
+            "model": _share(gain.model_std, gain.value),
             "verdict": gain.verdict.outcome.value,
             "why": gain.verdict.sentence,
         }
         for joint, gain in result.drive_gains.items()
     }
+
+
+def _share(std: float | None, value: float | None) -> float | None:
+    return None if std is None or not value else 100 * std / abs(value)
 
 
 def decide(
@@ -135,7 +145,8 @@ def decide(
     wide, gains = widths(result), listed(result)
     joint = max(wide, key=lambda name: wide[name])
     width = f"+-{wide[joint]:.3g} %"
-    reached, within = wide[joint] <= accuracy, f"all gains are known to {accuracy:g} % (the widest: '{joint}' {width})"
+    reached = wide[joint] <= accuracy
+    within = f"all gains are known to {accuracy:g} % (the widest: '{joint}' {width})"
     if reached and alone is None:
         if len(rounds) >= ROUNDS:
             return Decision(STOPPED, f"{within}; five rounds are over, so none is left to confirm it", gains)
@@ -168,7 +179,8 @@ def slower(result: IdentifiedModel, rounds: Sequence[Round]) -> tuple[str, ...]:
         names = [f"q_{joint['name']}" for joint in round_.motion["joints"]]
         log = read_log(round_.folder / "motion.csv", ("t", *names)).arrays()
         designed = _moving(log["t"], np.column_stack([log[name] for name in names]))
-        share = designed / max(_moving(run.time, run.position) for _, run in zip(round_.runs, runs, strict=False))
+        played = (_moving(run.time, run.position) for _, run in zip(round_.runs, runs, strict=False))
+        share = designed / max(played)
         if share < STRETCHED:
             notes.append(
                 f"round {round_.folder.name} was played at {100 * share:.0f} % of its speed and is used as such"
@@ -210,19 +222,17 @@ def _cause(result: IdentifiedModel, joint: str) -> tuple[str, ...]:
     return f"the data speak for {suspect.subject} ({share})", suspect.cause.advice
 
 
-def _suspect(result: IdentifiedModel) -> EstimatedEffect | None:
-    """Find the effect with the largest share that no warm-up reduces; None if the data show none."""
-    shown = [effect for effect in result.effects if effect.likelihood > CONTRADICTED and effect.share >= SHOWN]
-    return max(
-        (effect for effect in shown if effect.effect not in DRIFTS), key=lambda effect: effect.share, default=None
-    )
+def _suspect(result: IdentifiedModel, drifts: bool = False) -> EstimatedEffect | None:
+    """Find the effect with the largest share that a warm-up reduces (``drifts``) or that none does; None without."""
+    least = -np.inf if drifts else SHOWN
+    shown = (effect for effect in result.effects if effect.likelihood > CONTRADICTED and effect.share >= least)
+    alike = (effect for effect in shown if (effect.effect in DRIFTS) == drifts)
+    return max(alike, key=lambda effect: effect.share, default=None)
 
 
 def warming(result: IdentifiedModel, last: Round) -> str:
     """Say why the next round begins with a warm-up run; empty if it does not."""
-    drifts = (effect for effect in result.effects if effect.effect in DRIFTS and effect.likelihood > CONTRADICTED)
-    drift = max(drifts, key=lambda effect: effect.share, default=None)
-    if drift is not None:
+    if (drift := _suspect(result, drifts=True)) is not None:
         return f"the data show {drift.subject}, so the next round begins with a warm-up run"
     warmed = any(run["name"] == WARM_UP for run in last.motion["runs"])
     return "the next round begins with a warm-up run, as this one did" if warmed else ""

@@ -25,7 +25,8 @@ PLAYED, DECISION, ASIDE = "played.json", "decision.json", "set-aside.txt"
 WARM_UP = "warm-up"  # name of a run that is played but not evaluated
 RATE = 250.0  # Hz, accepted by common controllers
 PAYLOAD = "payload"
-ORDER = (False, True, True, False)  # loaded runs: drift affects both loads alike, and the payload is mounted once
+# loaded runs: drift affects both loads alike, and the payload is mounted once
+ORDER = (False, True, True, False)
 
 
 class Settings(Keys):
@@ -98,7 +99,8 @@ def read_settings(folder: Path, robot: str | Path | None, payload: float | None,
 def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None:
     """Write the design file of a new campaign; refuse a robot or payload that an existing one does not state."""
     path = folder / DESIGN
-    robot = urdf if robot and (urdf := Path(robot) / "robot.urdf").is_file() else robot  # a folder may name a robot
+    if robot is not None and (Path(robot) / "robot.urdf").is_file():  # a folder may name a robot
+        robot = Path(robot) / "robot.urdf"
     if not path.exists():
         if robot is None or payload is None:
             raise GtauError(
@@ -114,16 +116,12 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
         return
     file = read_design_file(folder)
     masses = {f"{load.mass:g}" for load in file.payloads if load is not None and load.mass}
-    differs = robot is not None and str(robot) != file.robot and not _same(Path(robot), Path(file.robot))
+    differs = robot is not None and str(robot) != file.robot and Path(robot).resolve() != Path(file.robot).resolve()
     if differs or (payload is not None and f"{payload:g}" not in masses):
         raise GtauError(
             f"{path} states robot {normpath(file.robot)} and payloads of {', '.join(masses)} kg, other than the "
             "command; change the file, or begin another folder."
         )
-
-
-def _same(a: Path, b: Path) -> bool:
-    return a.exists() and b.exists() and a.samefile(b)
 
 
 def read_design_file(folder: Path) -> DesignFile:
@@ -170,10 +168,11 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 def digest(paths: Iterable[Path], base: Path) -> dict[str, str]:
     """Hash files (SHA-256) by their paths relative to ``base``; the hash of a missing file is empty."""
-    return {
-        Path(relpath(path, base)).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
-        for path in paths
-    }
+    hashes = {}
+    for path in paths:
+        name = Path(relpath(path, base)).as_posix()
+        hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+    return hashes
 
 
 def seal(motion: Mapping[str, Any]) -> str:

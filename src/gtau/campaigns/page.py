@@ -8,7 +8,7 @@ from typing import Any, Literal
 from gtau.campaigns.campaign import MODEL_FILE, CampaignState
 from gtau.campaigns.folder import DESIGN, Round
 from gtau.report.chart import Chart, intervals
-from gtau.report.page import Column, Kind, Page, Section, Text, joint_label, page, section, table
+from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label, table_of
 
 Judged = tuple[Round, Mapping[str, Any]]
 """A round and its decision."""
@@ -31,13 +31,13 @@ def campaign_page(state: CampaignState) -> Page:
         points.append(f"the model is {judged[-1][0].folder / MODEL_FILE}; 'gtau validate' tests it on other logs")
     points += [f"round {round_.folder.name} is set aside: {round_.aside}" for round_ in state.rounds if round_.aside]
     verdict = Text(f"{state.say[0].upper()}{state.say[1:]}.", tuple(points), GRADES[state.next])
-    return page(
+    return Page(
         f"Campaign in {state.folder}",
-        section("Next", verdict, id="next"),
+        Section("Next", verdict, id="next"),
         _gains(judged),
         _candidates(judged),
         _rehearsals(state.rounds),
-        section("Guards of the last motion", Text("", tuple(state.rounds[-1].motion["guards"])), id="guards"),
+        Section("Guards of the last motion", Text("", tuple(state.rounds[-1].motion["guards"])), id="guards"),
     )
 
 
@@ -66,7 +66,7 @@ def _gains(judged: list[Judged]) -> Section | None:
     earlier = [round_.folder.name for round_, decision in judged if not decision["inputs"].items() <= now]
     notes = tuple(f"round {name} was judged before a change of {changed}" for name in earlier)
     words = "+-: half the 95 % interval; random, model: standard deviations; % of the gain"
-    return section("Gains round by round", table(columns, rows), Text(words, notes, "soft"), _chart(judged), id="gains")
+    return Section("Gains round by round", Table(columns, rows), Text(words, notes, "soft"), _chart(judged), id="gains")
 
 
 def _chart(judged: list[Judged]) -> Chart | None:
@@ -91,22 +91,18 @@ def _candidates(judged: list[Judged]) -> Section | None:
         return None
     columns = (Column("motion"), Column("widest interval then, +- %", Kind.NUMBER, 3), Column("payload at hand"))
     rows = [(motion["motion"], motion["half_width"], "yes" if motion["at_hand"] else "no") for motion in offered]
-    return section("Motions rehearsed", table(columns, rows), id="candidates")
+    return Section("Motions rehearsed", Table(columns, rows), id="candidates")
 
 
 def _rehearsals(rounds: tuple[Round, ...]) -> Section:
-    columns = (
-        Column("round"),
-        Column("purpose"),
-        Column("played"),
-        Column("tool, m/s", Kind.NUMBER, 2),
-        Column("at a tenth", Kind.NUMBER, 2),
-        Column("largest use of a limit, %", Kind.SHARE, decimals=0),
-        Column("of"),
+    shown = table_of(
+        [(round_, round_.motion["rehearsal"]) for round_ in rounds],
+        (Column("round"), lambda pair: pair[0].folder.name),
+        (Column("purpose"), lambda pair: pair[0].motion["purpose"]),
+        (Column("played"), lambda pair: pair[0].played.end if pair[0].played else "not yet"),
+        (Column("tool, m/s", Kind.NUMBER, 2), lambda pair: pair[1]["speed"]),
+        (Column("at a tenth", Kind.NUMBER, 2), lambda pair: pair[1]["speed"] / 10),
+        (Column("largest use of a limit, %", Kind.SHARE, decimals=0), lambda pair: pair[1]["used"]),
+        (Column("of"), lambda pair: pair[1]["limit"]),
     )
-    rows = []
-    for round_ in rounds:
-        rehearsal, end = round_.motion["rehearsal"], "not yet" if round_.played is None else round_.played.end
-        speed, usage = rehearsal["speed"], (rehearsal["used"], rehearsal["limit"])
-        rows.append((round_.folder.name, round_.motion["purpose"], end, speed, speed / 10, *usage))
-    return section("Rehearsals", table(columns, rows), id="rehearsals")
+    return Section("Rehearsals", shown, id="rehearsals")

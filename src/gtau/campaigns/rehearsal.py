@@ -25,7 +25,7 @@ from gtau.robots.parameter import torque_unit
 from gtau.robots.readers.mjcf_guard import refuse_deadly
 from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
-from gtau.simulation.experiment_files import simulate
+from gtau.simulation.simulate import simulate
 from gtau.simulation.trajectories import log_column
 
 NEAR = {True: 0.02, False: 0.002}  # rad and m, tolerance of the pose at the start
@@ -81,7 +81,8 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
         notes.append(f"contacts in MuJoCo: not checked, {unseen}")
     robot = load_robot(file.robot)
     for joint, torque in torques.items():
-        most = robot.joint(joint).limits.effort  # of the file, as the design's share leaves a reserve for control
+        # of the file, as the design's share leaves a reserve for control
+        most = robot.joint(joint).limits.effort
         if most is not None and torque > most:
             raise GtauError(
                 f"in the rehearsal joint '{joint}' takes {torque:.3g} {torque_unit(robot, joint)}, "
@@ -114,7 +115,8 @@ def _under_control(
         log = read_log(out / "logs" / "loaded.csv", columns).arrays()
     errors, torques = {}, {}
     for k, joint in enumerate(task.model.actuated):
-        errors[joint] = float(np.abs(log[log_column("q", joint)] - np.interp(log["t"], time, joints[0, k])).max())
+        designed = np.interp(log["t"], time, joints[0, k])
+        errors[joint] = float(np.abs(log[log_column("q", joint)] - designed).max())
         torques[joint] = float(np.abs(log[log_column("v", joint)]).max())
     return errors, torques
 
@@ -154,27 +156,28 @@ def write_motion(
     allowed = tolerances(design)
     names = [*([WARM_UP] if decided["warm_up"] else []), *(f"run{k + 1}" for k in range(len(task.payloads)))]
     loads = (task.payloads[0], *task.payloads)[-len(names) :]
-    files = digest([folder / CSV, *scene(folder.parent, file)], folder)
+    described = [
+        {
+            "name": name,
+            "unit": robot.joint(name).unit,
+            "start": float(row[0]),
+            "start_tolerance": NEAR[robot.joint(name).turns],
+            "tracking_tolerance": allowed[name],
+        }
+        for name, row in zip(robot.actuated, joints[0], strict=True)
+    ]
+    runs = [
+        {"name": name, "payload": None if load is None else {"name": load.name, "mass": load.mass}}
+        for name, load in zip(names, loads, strict=True)
+    ]
     motion = {
         "schema": "gtau-motion/1",
-        "files": files,
+        "files": digest([folder / CSV, *scene(folder.parent, file)], folder),
         "robot": robot.name,
         "rate": task.rate,
         "duration": float(time[-1]),
-        "joints": [
-            {
-                "name": name,
-                "unit": robot.joint(name).unit,
-                "start": float(row[0]),
-                "start_tolerance": NEAR[robot.joint(name).turns],
-                "tracking_tolerance": allowed[name],
-            }
-            for name, row in zip(robot.actuated, joints[0], strict=True)
-        ],
-        "runs": [
-            {"name": name, "payload": None if load is None else {"name": load.name, "mass": load.mass}}
-            for name, load in zip(names, loads, strict=True)
-        ],
+        "joints": described,
+        "runs": runs,
         "guards": [*task.guards, *rehearsal.notes],
         "series": {"period": task.series.period, "repetitions": task.repetitions, "x": design.x.tolist()},
         "rehearsal": asdict(rehearsal),

@@ -9,8 +9,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gtau import __version__
-from gtau.cli.campaign import campaign
-from gtau.cli.identification import compare, fleet, identify
+from gtau.cli.identification import campaign, compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
 from gtau.cli.robots import demo, excite, robot, simulate, tutorial

@@ -8,18 +8,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import typer
 
-from gtau.cli.interruption import begin, exit_code, interrupted
-from gtau.cli.interruption import report as report_interruption
+from gtau.cli import begin, exit_code, interrupted, report_ending
 from gtau.documents.files import hold_folder
 from gtau.errors import GtauError, tidy
 from gtau.estimation.estimators.registry import NAMES
+from gtau.progress import Progress
 
 if TYPE_CHECKING:
     from gtau.report.page import Page
@@ -29,23 +29,21 @@ _begun: list[float] = []  # start of the command, s
 _held: list[Callable[[], None]] = []  # functions that release the folders held by the command
 METHODS = "|".join(NAMES)
 EVERY = 15.0  # s between lines where stderr is no terminal
-STARTING = "starting"
 
 
-@contextmanager
-def progress_bar() -> Iterator[Callable[[str, int, int], None]]:
+def progress_bar() -> AbstractContextManager[Progress]:
     """Show the stages that the yielded function is called with, on stderr."""
-    with _bar(STARTING) if sys.stderr.isatty() else progress_lines(STARTING, EVERY) as report:
-        yield report
+    return _bar("starting") if sys.stderr.isatty() else progress_lines("starting", EVERY)
 
 
 @contextmanager
-def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
+def _bar(first: str) -> Iterator[Progress]:
+    from rich import progress
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    named = progress.TextColumn("{task.description}")
+    columns = (named, progress.BarColumn(), progress.TaskProgressColumn(), progress.TimeElapsedColumn())
+    with progress.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(first, total=None)
 
         def report(stage: str, done: int, total: int) -> None:
@@ -56,7 +54,7 @@ def _bar(first: str) -> Iterator[Callable[[str, int, int], None]]:
 
 
 @contextmanager
-def progress_lines(first: str, every: float) -> Iterator[Callable[[str, int, int], None]]:
+def progress_lines(first: str, every: float) -> Iterator[Progress]:
     """Print the progress at regular intervals, also while nothing is reported."""
     begun, finished, now = time.monotonic(), threading.Event(), [first]
 
@@ -98,17 +96,15 @@ def base_choice(text: str | None) -> Any:
         return text
     from gtau.robots.readers.source import angle
 
-    angles = [part.strip() for part in text.split(",")]
-    problem = "" if len(angles) == 3 else ";"
+    angles, why = [part.strip() for part in text.split(",")], ""
     try:
         for part in angles:
             angle(part)
     except ValueError as error:
-        problem = problem or f": {error};"
-    if problem:
-        raise GtauError(
-            f"--base is '{text}'{problem} write fixed, floating, or three angles in rad, such as 0,0,deg(90)."
-        )
+        why = f": {error}"
+    if len(angles) != 3 or why:
+        why = why if len(angles) == 3 else ""
+        raise GtauError(f"--base is '{text}'{why}; write fixed, floating, or three angles in rad, such as 0,0,deg(90).")
     return {"rpy": angles}
 
 
@@ -126,7 +122,7 @@ def refusing(command: Callable[P, None]) -> Callable[P, None]:
                 raise KeyboardInterrupt from None
             raise refused(str(error), bool(options["json_"])) from None
         except KeyboardInterrupt as interruption:
-            report_interruption(str(interruption))
+            report_ending(str(interruption))
             raise typer.Exit(exit_code()) from None
         except BrokenPipeError:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -144,13 +140,13 @@ def hold(folder: Path | None) -> None:
         _held.append(hold_folder(folder))
 
 
-def refused(sentence: str, as_json: bool, code: int = 2) -> typer.Exit:
+def refused(sentence: str, as_json: bool) -> typer.Exit:
     """Report a refusal; return the exit to raise."""
     sentence = tidy(sentence)  # also click's sentences
     typer.echo(f"gtau: {sentence}", err=True)
     if as_json:
         print_json({"error": sentence})
-    return typer.Exit(code)
+    return typer.Exit(2)
 
 
 def seconds() -> float:

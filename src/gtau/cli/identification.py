@@ -1,14 +1,16 @@
-"""Commands from logs to models: identify, compare, fleet."""
+"""Commands from logs to models: identify, compare, fleet, campaign."""
 
 from __future__ import annotations
 
 import os
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from gtau.cli import stop_request
 from gtau.cli.console import (
     METHODS,
     ExperimentFile,
@@ -61,6 +63,7 @@ PriorInertias = Annotated[
         "the scale of the gains where nothing else does.",
     ),
 ]
+EXIT = {"play": 0, "done": 0, "stopped": 3, "blocked": 3}
 
 
 def percent(text: str | float) -> float:
@@ -136,7 +139,7 @@ def _write(result: IdentifiedModel, out: Path) -> list[Path]:
     from gtau.estimation.results.conclusions import torque_scale_text, torque_scales
     from gtau.estimation.results.estimate import write_distances
     from gtau.estimation.results.model_file import save
-    from gtau.report.notebook import text
+    from gtau.report.plots import text
 
     written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
     save(result, written[0])
@@ -155,14 +158,13 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
     with progress_bar() as progress:
         from gtau.estimation.compare import compare as run
         from gtau.estimation.compare import to_document
-        from gtau.report.comparison import comparison_page
+        from gtau.report.fleet import comparison_page
         from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
 
         comparison = run(experiment, progress=progress)
     described = read_experiment(experiment)
-    page = comparison_page(comparison, described.expected_gains)
-    written = []
+    page, written = comparison_page(comparison, described.expected_gains), []
     if out is not None:
         written = [write_report(page, folder_of(out), seconds(), inputs_of(experiment, described))]
     answer(json_, lambda: to_document(comparison), lambda: page, written)
@@ -220,3 +222,30 @@ def fleet(
     answer(json_, lambda: fleet_document(table), lambda: fleet_page(table), written)
     if not table.robots:
         raise typer.Exit(3)  # so that scripts do not continue with this fleet
+
+
+@refusing
+def campaign(
+    folder: Annotated[Path, argument("DIR", "Folder of the campaign, its only state.")],
+    robot: Annotated[str | None, option("ROBOT", "Robot file or catalog name, of a new campaign.")] = None,
+    payload: Annotated[float | None, option("KG", "Mass of the payload, of a new campaign.", min=0.0)] = None,
+    accuracy: Annotated[
+        float | None, option("PERCENT", "Required half-width of every gain's 95 % interval (default 3).")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Identify the robot from the motions played, and decide: done, the next motion, or why none can help.
+
+    Run the command again to resume from the folder. The exit code is 3 if the campaign cannot continue.
+    """
+    hold(folder)
+    with progress_bar() as progress:
+        from gtau.campaigns.campaign import campaign as run
+        from gtau.campaigns.page import campaign_page
+        from gtau.report.write import write_report
+
+        state = run(folder, robot, payload, accuracy, progress, partial(stop_request, ""))
+        report = write_report(campaign_page(state), folder, seconds())
+    answer(json_, lambda: state.document, lambda: campaign_page(state), [report])
+    if code := EXIT[state.next]:
+        raise typer.Exit(code)

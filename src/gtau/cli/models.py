@@ -33,11 +33,10 @@ from gtau.errors import GtauError, missing_extra
 from gtau.findings import Grade
 
 if TYPE_CHECKING:
-    from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
+    from gtau.estimation.results.payload_body import PayloadBody
     from gtau.estimation.results.result import IdentifiedModel
     from gtau.export.exported import Exported
     from gtau.findings import Finding
-    from gtau.robots.robot import Placement
 
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # as in export.payload, which --help need not import
 
@@ -73,13 +72,13 @@ def validate(
         described = experiment_for(result, experiment)
         if not described.validation:
             raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
-        runs = []
         read, unread = read_validation(described, progress)
         if not read:
             raise GtauError(f"{unread[0]}.")
+        runs = []
         for k, run in enumerate(read):
             progress("predicting torques", k, len(read))
-            runs.append(predicted(result, run, longest=None, progress=progress))
+            runs.append(predicted(result, run, whole=True, progress=progress))
     written: list[Path] = []
     notes = [*unread, *without_temperature(result, described.signals)]
     if out is not None:
@@ -143,7 +142,11 @@ def payload(
             _refuse_controller(to, frame, result, file)
         with said_if_refused(guessed):
             weighed = weigh(result, experiment, gains=gains.value, progress=progress)
-    bodies, notes = _bodies(weighed, frame, file, needed=bool(frame or to))
+    bodies, notes = [], []
+    if frame or to or find_spec("clarabel"):
+        bodies = [payload.in_frame(frame, file) for payload in weighed]
+    else:
+        notes.append(str(missing_extra("a centre of mass", "clarabel", "consistency")))
     notes += [f"{guess.what}; {guess.advice}".removesuffix("; ") for guess in guessed]
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)
@@ -155,9 +158,14 @@ def payload(
         for exported in () if to is None else export_bodies(bodies, to, out):
             written += exported.files
             notes += exported.notes
-    document: dict[str, Any] = {"payloads": payload_documents(weighed), "bodies": bodies_document(bodies)}
-    document |= {"files": [str(path) for path in written], "notes": notes}
-    document |= {"gains": gains.value, "gain_uncertainty_included": not exact}
+    document = {
+        "payloads": payload_documents(weighed),
+        "bodies": bodies_document(bodies),
+        "files": [str(path) for path in written],
+        "notes": notes,
+        "gains": gains.value,
+        "gain_uncertainty_included": not exact,
+    }
     answer(json_, lambda: document, page, written)
     _show_notes([] if json_ else notes)
     doubted = gains == GainChoice.identified and not exact and not result.believable
@@ -176,15 +184,6 @@ def _drafted(
     file = folder_of(folder) / "robot.yaml"
     write_atomically(file, native_text(result.robot))
     return experiment_of(sources, str(file), payloads, Commands(result.kind), None, folder, weigh=True)
-
-
-def _bodies(
-    weighed: Sequence[PayloadEstimate], frame: str, file: str, needed: bool
-) -> tuple[list[PayloadBody], list[str]]:
-    """Compute the bodies of payloads, or a note that the package for them is missing and only masses are weighed."""
-    if needed or find_spec("clarabel"):
-        return [payload.in_frame(frame, file) for payload in weighed], []
-    return [], [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
 
 
 def _refuse_controller(to: str, frame: str, result: IdentifiedModel, file: str) -> None:
@@ -297,6 +296,8 @@ def use(
     """
     from gtau.estimation.results.model_file import load, torque_error
     from gtau.report.torques import external_page
+    from gtau.robots.readers.read import frame_on
+    from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.external_torques import torques_along_log, write_table
     from gtau.uses.identify import read_log
 
@@ -305,26 +306,22 @@ def use(
             "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
         )
     result = load(model)
-    at = None if frame is None else _frame(result, frame, experiment)
+    at = None
+    if frame is not None:
+        file = None if experiment is None else read_experiment(experiment).robot
+        at = frame_on(result.robot.tool, frame, file if file is None or isinstance(file, str) else file.file)
     with progress_bar() as progress:
         progress("torques along the log", 0, 1)
         run = read_log(result, log, experiment, payload=payload)
         torques = torques_along_log(result, run, at, force_only, observer)
     if out is not None:
         write_table(torques, out)
-    document: dict[str, Any] = {"log": str(log), "out": None if out is None else str(out)}
-    document |= {
+    document: dict[str, Any] = {
+        "log": str(log),
+        "out": None if out is None else str(out),
         "joints": [asdict(joint) for joint in torques.joints],
         "errors": list(map(torque_error, torques.errors)),
     }
     if (wrench := torques.wrench) is not None:
         document["wrench"] = {"frame": wrench.frame, "components": list(map(asdict, wrench.components))}
     answer(json_, lambda: document, lambda: external_page(torques), [] if out is None else [out])
-
-
-def _frame(result: IdentifiedModel, frame: str, experiment: Path | None) -> tuple[str, Placement]:
-    from gtau.robots.readers.read import frame_on
-    from gtau.signals.reading.experiment import read_experiment
-
-    robot = None if experiment is None else read_experiment(experiment).robot
-    return frame_on(result.robot.tool, frame, robot if robot is None or isinstance(robot, str) else robot.file)

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from gtau.cli.console import Json, answer, argument, base_choice, hold, option, progress_bar, refusing, seconds
-from gtau.cli.interruption import stop_request
+from gtau.cli import stop_request
+from gtau.cli.console import (
+    Json,
+    answer,
+    argument,
+    base_choice,
+    hold,
+    option,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
-
-if TYPE_CHECKING:
-    from gtau.robots.robot import Robot
-
 
 RobotFile = Annotated[
     str | None,
@@ -61,47 +68,33 @@ def robot(
 
         described = load_robot(source, base=base_choice(base), joints=joints or ())
     if save is not None:
-        _save(described, save, source)
+        from gtau.robots.readers.native import write_native
+        from gtau.robots.readers.read import is_loops_file
+
+        is_source = save.exists() and Path(source).exists() and save.samefile(source)
+        if is_source or (save.exists() and save.suffix in (".yaml", ".yml") and is_loops_file(save)):
+            raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
+        write_native(described, save)
     if figure is not None:
-        from gtau.report.render.charts import save_figure
-        from gtau.report.robot_figure import robot_figure
+        from gtau.report.render.charts import robot_figure, save_figure
 
         save_figure(robot_figure(described), figure)
     with progress_bar() as progress:
         model = InverseDynamics(described)
         parameters = base_parameters(model, progress=progress)
-    answer(
-        json_,
-        lambda: robot_document(model, parameters),
-        lambda: robot_page(model, parameters, verbose),
-        filter(None, (save, figure)),
-    )
-
-
-def _save(described: Robot, save: Path, source: str) -> None:
-    """Write a robot file, but never over the source of the robot."""
-    from gtau.robots.readers.native import write_native
-    from gtau.robots.readers.read import is_loops_file
-
-    if save.exists() and (
-        (Path(source).exists() and save.samefile(source)) or (save.suffix in (".yaml", ".yml") and is_loops_file(save))
-    ):
-        raise GtauError(f"--save would replace {save}, which is being read; give it another name.")
-    write_native(described, save)
+    document, page = partial(robot_document, model, parameters), partial(robot_page, model, parameters, verbose)
+    answer(json_, document, page, filter(None, (save, figure)))
 
 
 def _list_catalog(as_json: bool) -> None:
-    from gtau.report.page import Column, page, section, table
+    from gtau.report.page import Column, Page, Section, Table
     from gtau.robots.readers.read import catalog_names, read_robot
 
     robots = {name: read_robot(name) for name in catalog_names()}
     rows = [(name, f"{len(robot.motors)}", robot.source) for name, robot in robots.items()]
-    columns = (Column("robot"), Column("motors"), Column("source"))
-    answer(
-        as_json,
-        lambda: {"catalog": [{"name": name, "source": robot.source} for name, robot in robots.items()]},
-        lambda: page("", section("Catalog", table(columns, rows))),
-    )
+    catalog = [{"name": name, "source": source} for name, _, source in rows]
+    shown = Table((Column("robot"), Column("motors"), Column("source")), rows)
+    answer(as_json, lambda: {"catalog": catalog}, lambda: Page("", Section("Catalog", shown)))
 
 
 STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again stops at once."
@@ -153,8 +146,9 @@ def excite(
         for older in (REPORT, pages.DESIGN):
             (out / older).unlink(missing_ok=True)
         written = pages.write_design(outlook, folder_of(out))
-        report = write_report(pages.design_report(outlook), out, seconds(), (("design", design),))
-    answer(json_, lambda: pages.design_document(outlook), lambda: pages.design_page(outlook), (report, *written))
+        page = pages.design_page(outlook)
+        report = write_report(page, out, seconds(), (("design", design),))
+    answer(json_, lambda: pages.design_document(outlook), lambda: page, (report, *written))
 
 
 def _masses(first: list[float], words: list[str]) -> list[float]:
@@ -191,7 +185,7 @@ def demo(
 @refusing
 def tutorial(out: Annotated[Path, argument("DIR", "Folder for the logs.")], json_: Json = False) -> None:
     """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and print the next command."""
-    from gtau.demo.tutorial import write_tutorial
+    from gtau.demo import write_tutorial
 
     written = write_tutorial(out)
     answer(json_, lambda: {"files": [str(path) for path in written]}, written=written)
@@ -210,8 +204,7 @@ def simulate(
     with progress_bar() as progress:
         from gtau.model.home import load_robot
         from gtau.robots.geometry import massless
-        from gtau.simulation.experiment_files import simulate
-        from gtau.simulation.simulation_file import read_simulation
+        from gtau.simulation.simulate import read_simulation, simulate
 
         written = simulate(simulation, out, progress)
     described = read_simulation(simulation)

@@ -125,10 +125,9 @@ def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:
 
 
 def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], as_json: bool, follow: bool) -> bool:
-    """Print a line for each log set aside or followed, or a line of JSON for every log, then the last page.
+    """Print a line for logs set aside or followed, or JSON for every log, and the last page; return whether to attend.
 
-    Writes a report at the end, at Ctrl-C, and when the state of a followed robot changes. Returns whether the robot
-    needs attention.
+    A report is written at the end, at Ctrl-C, and when the state of a followed robot changes.
     """
     from gtau.report.watch import status_words, watch_page, watch_report
     from gtau.report.write import write_report

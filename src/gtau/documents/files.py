@@ -33,18 +33,17 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
     data = content.encode() if isinstance(content, str) else content
     unfinished = path.with_name(f".{path.name}.{os.urandom(4).hex()}")  # known before it exists, for its removal
     try:
-        try:
-            with unfinished.open("xb") as file:
-                file.write(data)
-            unfinished.chmod(0o644)
-            unfinished.replace(path)
-        except BaseException:
-            unfinished.unlink(missing_ok=True)
+        with unfinished.open("xb") as file:
+            file.write(data)
+        unfinished.chmod(0o644)
+        unfinished.replace(path)
+    except BaseException as error:
+        with suppress(OSError):
+            unfinished.unlink()
+        if not isinstance(error, OSError):
             raise
-    except OSError as error:
-        raise GtauError(
-            f"{path} cannot be written ({error.strerror}); choose another folder or free some space."
-        ) from None
+        why = error.strerror
+        raise GtauError(f"{path} cannot be written ({why}); choose another folder or free some space.") from None
 
 
 def in_csv(table: pl.DataFrame) -> str:
@@ -67,29 +66,27 @@ def write_table(table: pl.DataFrame, path: str | Path) -> None:
 
 
 def refuse_as_folder(path: str | Path | None) -> None:
-    """Refuse a path, unless None, at which :func:`folder_of` would fail, before hours of work; raises GtauError.
-
-    The folder is not made yet, so that a refused or interrupted command leaves no empty folder.
-    """
+    """Refuse a path, unless None, at which :func:`folder_of` would fail, before hours of work; raises GtauError."""
     if path is None:
         return
+    why = ""
     try:
         _refuse_detour(Path(path))
         existing = next(place for place in (Path(path), *Path(path).absolute().parents) if place.exists())
+        if not existing.is_dir():
+            why = f", because {existing.name} is a file"
+        elif not os.access(existing, os.W_OK):
+            why = f", because {existing} is write-protected"
     except OSError as error:  # such as a name that is too long
-        raise GtauError(f"{path} cannot be the output folder ({error.strerror}); choose another one.") from None
-    if not existing.is_dir():
-        raise GtauError(f"{path} cannot be the output folder, because {existing.name} is a file; choose another one.")
-    if not os.access(existing, os.W_OK):
-        raise GtauError(
-            f"{path} cannot be the output folder, because {existing} is write-protected; choose another one."
-        )
+        why = f" ({error.strerror})"
+    if why:
+        raise GtauError(f"{path} cannot be the output folder{why}; choose another one.")
 
 
 def hold_folder(path: str | Path) -> Callable[[], None]:
-    """Make a folder, and keep other commands from writing to it until the returned function is called; GtauError.
+    """Make a folder, and keep other commands from writing to it; raises GtauError.
 
-    This function removes the new folders that are still empty.
+    The returned function ends this, and removes the new folders that are still empty.
     """
     refuse_as_folder(path)
     made = [place for place in (Path(path), *Path(path).parents) if not place.exists()]
@@ -159,10 +156,7 @@ def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None
 
 
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
-    """Read a file of at most ``size`` bytes, so that a wrong path costs neither time nor memory.
-
-    Raises GtauError if the file is unreadable or longer (message ``larger``). The caller names the file.
-    """
+    """Read a file of at most ``size`` bytes; raises GtauError, with the message ``larger`` if it is longer."""
     try:
         with regular(path).open("rb") as file:
             content = file.read(size + 1)

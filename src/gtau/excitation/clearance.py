@@ -14,6 +14,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError, missing_extra
 from gtau.model.kinematics import Coordinates, frames
@@ -22,15 +23,25 @@ from gtau.robots.robot import GROUND, Pose
 
 FLOOR = "the floor"
 """Name of the :class:`Floor` among the bodies; no body has a name with a blank."""
+FIXED = (GROUND, FLOOR)
+Pair = tuple[str, str]
+Poses = tuple[np.ndarray, np.ndarray]
+"""Orientations (3, 3, N) and positions (3, N) in the base."""
 
 
 @dataclass(frozen=True, eq=False)
 class Capsule:
-    """All points within ``radius`` m of a segment between two points (3,) of the body's frame."""
+    """All points within ``radius`` m of a segment: ends (3,) in the frame of the body, or (3, N) in the base."""
 
     start: np.ndarray
     end: np.ndarray
     radius: float
+
+    def placed(self, poses: Poses) -> Capsule:
+        """Place the capsule in the base, with its body."""
+        R, p = poses
+        start, end = (p + np.einsum("ijn,j->in", R, point) for point in (self.start, self.end))
+        return Capsule(start, end, self.radius)
 
 
 @dataclass(frozen=True)
@@ -39,22 +50,27 @@ class Floor:
 
     height: float
 
+    def placed(self, _: Poses) -> Floor:
+        """Return the floor, which has no body."""
+        return self
+
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """A convex coal shape with its orientation (3, 3) and position (3,) in the body's frame."""
+    """A convex coal shape with orientation (3, 3) and position (3,) in the body's frame, or with :data:`Poses`."""
 
     convex: Any
     rotation: np.ndarray
     position: np.ndarray
 
+    def placed(self, poses: Poses) -> Hull:
+        """Place the hull in the base, with its body."""
+        R, p = poses
+        rotation = np.einsum("ijn,jk->ikn", R, self.rotation)
+        return Hull(self.convex, rotation, p + np.einsum("ijn,j->in", R, self.position))
 
-FIXED = (GROUND, FLOOR)
+
 Shape = Capsule | Floor | Hull
-Placed = tuple[str, Shape]
-"""A body and its shape."""
-Poses = tuple[np.ndarray, np.ndarray]
-"""Orientations (3, 3, N) and positions (3, N) in the base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,33 +90,26 @@ class Clearance:
     layout: Coordinates
     least: float
     shapes: Mapping[str, Sequence[Shape]]
-    pairs: tuple[tuple[str, str], ...]
+    pairs: tuple[Pair, ...]
 
-    def nearest(self, c: np.ndarray, pair: tuple[str, str]) -> Nearest:
+    def nearest(self, c: np.ndarray, pair: Pair) -> Nearest:
         """Find the nearest points of a pair of bodies at configurations (n_c, N)."""
         return self.all_nearest(c, [pair])[0]
 
-    def all_nearest(self, c: np.ndarray, pairs: Sequence[tuple[str, str]]) -> list[Nearest]:
+    def all_nearest(self, c: np.ndarray, pairs: Sequence[Pair]) -> list[Nearest]:
         """Find the nearest points of some pairs of bodies, with one call for all capsules."""
         poses = {body: self.poses(body, c) for body in dict.fromkeys(chain(*pairs))}
-        placed = {body: [(body, shape) for shape in self.shapes[body]] for body in poses}
-        lines: dict[Placed, tuple[np.ndarray, np.ndarray, float]] = {
-            (body, shape): (*_ends(poses[body], shape), shape.radius)
-            for body, shape in chain(*placed.values())
-            if isinstance(shape, Capsule)
-        }
-        couples_by_pair = [list(product(placed[a], placed[b])) for a, b in pairs]
-        between = _between_capsules([couple for couple in chain(*couples_by_pair) if {*couple} <= lines.keys()], lines)
+        placed = {body: [shape.placed(poses[body]) for shape in self.shapes[body]] for body in poses}
+        couples = [list(product(placed[first], placed[second])) for first, second in pairs]
+        capsules = [(a, b) for a, b in chain(*couples) if isinstance(a, Capsule) and isinstance(b, Capsule)]
+        between: dict[tuple[Shape, Shape], Nearest] = dict(zip(capsules, _between_capsules(capsules), strict=True))
         nearest, samples = [], np.arange(c.shape[1])
-        for pair, couples in zip(pairs, couples_by_pair, strict=True):
-            first, second = (poses[body] for body in pair)
-            contacts = [between.get((a, b)) or _contacts(a[1], first, b[1], second) for a, b in couples]
+        for of_pair in couples:
+            contacts = [between.get(couple) or _contacts(*couple) for couple in of_pair]
             distances = np.array([contact.distance for contact in contacts])
             which = np.argmin(distances, axis=0)
-            normal, a, b = (
-                np.array([getattr(contact, name) for contact in contacts])[which, :, samples].T
-                for name in ("normal", "a", "b")
-            )
+            vectors = np.array([(contact.normal, contact.a, contact.b) for contact in contacts])
+            normal, a, b = vectors[which, :, :, samples].transpose(1, 2, 0)
             nearest.append(Nearest(distances[which, samples], normal, a, b))
         return nearest
 
@@ -108,7 +117,7 @@ class Clearance:
         """Whether all pairs keep their distance at configurations (n_c, N)."""
         return all(near.distance.min(initial=np.inf) >= self.least for near in self.all_nearest(c, self.pairs))
 
-    def slopes(self, c: np.ndarray, pair: tuple[str, str], nearest: Nearest) -> np.ndarray:
+    def slopes(self, c: np.ndarray, pair: Pair, nearest: Nearest) -> np.ndarray:
         """Compute the gradient (n_c, N) of the distance by c; the nearest points move with their bodies."""
         total = np.zeros_like(c)
         for body, point, sign in zip(pair, (nearest.a, nearest.b), (-1.0, 1.0), strict=True):
@@ -142,121 +151,86 @@ def clearance(layout: Coordinates, least: float, shapes: Mapping[str, Sequence[S
     """Build the clearance of bodies with shapes, for all pairs without a common joint or closure."""
     robot = layout.robot
     bodies = (GROUND, *robot.bodies)
-    for body in shapes:
-        if body not in (FLOOR, *bodies):
-            raise GtauError(f"limits.shapes names '{body}', which is no body; choose from {', '.join(bodies)}.")
-    joined = {frozenset((joint.name, joint.antecedent)) for joint in robot.joints} | {frozenset(FIXED)}
-    joined |= {frozenset((closure.a.body, closure.b.body)) for closure in robot.closures}
+    if wrong := next((body for body in shapes if body not in (FLOOR, *bodies)), None):
+        raise GtauError(f"limits.shapes names '{wrong}', which is no body; choose from {', '.join(bodies)}.")
+    joined = [{joint.name, joint.antecedent} for joint in robot.joints] + [{*FIXED}]
+    joined += [{closure.a.body, closure.b.body} for closure in robot.closures]
     shaped = [body for body in (GROUND, FLOOR, *robot.bodies) if shapes.get(body)]
-    pairs = tuple(pair for pair in combinations(shaped, 2) if frozenset(pair) not in joined)
+    pairs = tuple(pair for pair in combinations(shaped, 2) if {*pair} not in joined)
     return Clearance(layout, least, shapes, pairs)
 
 
-def _placed(poses: Poses, point: np.ndarray) -> np.ndarray:
-    R, p = poses
-    return p + np.einsum("ijn,j->in", R, point)
-
-
-def _ends(poses: Poses, capsule: Capsule) -> tuple[np.ndarray, np.ndarray]:
-    return _placed(poses, capsule.start), _placed(poses, capsule.end)
-
-
-def _contacts(a: Shape, first: Poses, b: Shape, second: Poses) -> Nearest:
-    """Compute the contacts of two shapes of which at most one is a capsule."""
+def _contacts(a: Shape, b: Shape) -> Nearest:
+    """Compute the contacts of two placed shapes of which at most one is a capsule."""
     if isinstance(a, Hull) or isinstance(b, Hull):
-        return _between_hulls(a, first, b, second)
+        return _between_hulls(a, b)
     if isinstance(a, Floor):
-        turned = _contacts(b, second, a, first)
+        turned = _contacts(b, a)
         return Nearest(turned.distance, -turned.normal, turned.b, turned.a)
     assert isinstance(b, Floor)
-    ends = _ends(first, a)
-    lowest = np.where(ends[0][2] < ends[1][2], *ends)
+    lowest = np.where(a.start[2] < a.end[2], a.start, a.end)
     down = np.broadcast_to([[0.0], [0.0], [-1.0]], lowest.shape)
     below = np.vstack([lowest[:2], np.full((1, lowest.shape[1]), b.height)])
     return Nearest(lowest[2] - a.radius - b.height, down, lowest + a.radius * down, below)
 
 
-def _between_capsules(
-    pairs: Sequence[tuple[Placed, Placed]], lines: Mapping[Placed, tuple[np.ndarray, np.ndarray, float]]
-) -> dict[tuple[Placed, Placed], Nearest]:
-    """Compute the contacts of all pairs of capsules at once; ``lines`` are their ends (3, N) and radii."""
-    if not pairs:
-        return {}
-    points = (np.concatenate([lines[pair[k]][end] for pair in pairs], axis=1) for k in (0, 1) for end in (0, 1))
-    on_a, on_b = (point.reshape(3, len(pairs), -1).swapaxes(0, 1) for point in nearest_points(*points))
+def _between_capsules(couples: Sequence[tuple[Capsule, Capsule]]) -> list[Nearest]:
+    """Compute the contacts of all couples of placed capsules at once."""
+    if not couples:
+        return []
+    ends = zip(*((a.start, a.end, b.start, b.end) for a, b in couples), strict=True)
+    points = nearest_points(*(np.concatenate(end, axis=1) for end in ends))
+    on_a, on_b = (point.reshape(3, len(couples), -1).swapaxes(0, 1) for point in points)
     apart = np.linalg.norm(on_b - on_a, axis=1)
-    normal = (on_b - on_a) / np.maximum(apart, 1e-12)[:, None]
-    return {
-        pair: Nearest(gap - r - s, along, a + r * along, b - s * along)
-        for pair, gap, along, a, b in zip(pairs, apart, normal, on_a, on_b, strict=True)
-        for r, s in [(lines[pair[0]][2], lines[pair[1]][2])]
-    }
+    normals = (on_b - on_a) / np.maximum(apart, 1e-12)[:, None]
+    return [
+        Nearest(gap - a.radius - b.radius, normal, p + a.radius * normal, q - b.radius * normal)
+        for (a, b), gap, normal, p, q in zip(couples, apart, normals, on_a, on_b, strict=True)
+    ]
 
 
 def nearest_points(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find the nearest points (3, N) of the segments from ``a`` to ``b`` and from ``c`` to ``d``, (3, N) each.
 
-    They are the feet of the common perpendicular if both are inside, or else an end and its foot on the other segment.
+    The point of the first line nearest to the second line, moved to its segment, leads to the point of the second
+    segment, and this one back to the first segment.
     """
-    along, across, between = b - a, d - c, c - a
-    uu, vv, uv = np.sum(along**2, 0), np.sum(across**2, 0), np.sum(along * across, 0)
-    at_u, at_v = np.sum(along * between, 0), np.sum(across * between, 0)
+    u, v, w = b - a, d - c, c - a
+    uu, vv, uv, uw, vw = (np.sum(x * y, axis=0) for x, y in ((u, u), (v, v), (u, v), (u, w), (v, w)))
     determinant = uu * vv - uv**2
     crossing = determinant > 1e-12 * uu * vv
-    safe = np.where(crossing, determinant, 1.0)
-    one, zero = np.ones_like(uu), np.zeros_like(uu)
-
-    def foot(numerator: np.ndarray, square: np.ndarray) -> np.ndarray:
-        return np.clip(numerator / np.maximum(square, 1e-300), 0.0, 1.0)
-
-    s, t = (vv * at_u - uv * at_v) / safe, (uv * at_u - uu * at_v) / safe
-    inside = crossing & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
-    candidates = np.array([
-        (np.where(inside, s, 0.0), np.where(inside, t, foot(-at_v, vv))),
-        (zero, foot(-at_v, vv)),
-        (one, foot(uv - at_v, vv)),
-        (foot(at_u, uu), zero),
-        (foot(at_u + uv, uu), one),
-    ])  # fmt: skip
-    on_first = a + candidates[:, 0, None] * along
-    on_second = c + candidates[:, 1, None] * across
-    best = np.argmin(np.sum((on_second - on_first) ** 2, axis=1), axis=0)
-    samples = np.arange(len(best))
-    return on_first[best, :, samples].T, on_second[best, :, samples].T
+    s = np.where(crossing, (vv * uw - uv * vw) / np.where(crossing, determinant, 1.0), 0.0)
+    t = np.clip((uv * np.clip(s, 0.0, 1.0) - vw) / np.maximum(vv, 1e-300), 0.0, 1.0)
+    s = np.clip((uv * t + uw) / np.maximum(uu, 1e-300), 0.0, 1.0)
+    return a + s * u, c + t * v
 
 
-def _between_hulls(a: Shape, first: Poses, b: Shape, second: Poses) -> Nearest:
-    """Compute the contacts of two shapes of which at least one is a hull, sample by sample."""
+def _between_hulls(a: Shape, b: Shape) -> Nearest:
+    """Compute the contacts of two placed shapes of which at least one is a hull, sample by sample."""
     coal = _coal()
-    (shape_1, R_1, p_1), (shape_2, R_2, p_2) = _coal_shape(a), _coal_shape(b)
-    samples = first[1].shape[1]
+    samples = next(shape.position.shape[1] for shape in (a, b) if isinstance(shape, Hull))
     distance, (normal, on_a, on_b) = np.empty(samples), (np.empty((3, samples)) for _ in range(3))
     request, result = coal.DistanceRequest(), coal.DistanceResult()
     for k in range(samples):
-        (R_a, p_a), (R_b, p_b) = ((R[:, :, k], p[:, k]) for R, p in (first, second))
         result.clear()
-        distance[k] = coal.distance(
-            shape_1, coal.Transform3s(R_a @ R_1, p_a + R_a @ p_1),
-            shape_2, coal.Transform3s(R_b @ R_2, p_b + R_b @ p_2), request, result,
-        )  # fmt: skip
+        distance[k] = coal.distance(*_coal_shape(a, k), *_coal_shape(b, k), request, result)
         normal[:, k], on_a[:, k], on_b[:, k] = result.normal, result.getNearestPoint1(), result.getNearestPoint2()
     return Nearest(distance, normal, on_a, on_b)
 
 
-def _coal_shape(shape: Shape) -> tuple[Any, np.ndarray, np.ndarray]:
+def _coal_shape(shape: Shape, k: int) -> tuple[Any, Any]:
+    """Return coal's shape and transform of a placed shape at a sample."""
     coal = _coal()
     if isinstance(shape, Hull):
-        return shape.convex, shape.rotation, shape.position
+        return shape.convex, coal.Transform3s(shape.rotation[:, :, k], shape.position[:, k])
     if isinstance(shape, Floor):
-        return coal.Halfspace(np.array([0.0, 0.0, 1.0]), shape.height), np.eye(3), np.zeros(3)
-    line, middle = shape.end - shape.start, (shape.end + shape.start) / 2
-    length = float(np.linalg.norm(line))
+        return coal.Halfspace(np.array([0.0, 0.0, 1.0]), shape.height), coal.Transform3s()
+    start, end = shape.start[:, k], shape.end[:, k]
+    length = float(np.linalg.norm(end - start))
     if length == 0.0:
-        return coal.Sphere(shape.radius), np.eye(3), middle
-    z = line / length
-    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    x /= np.linalg.norm(x)
-    return coal.Capsule(shape.radius, length), np.column_stack([x, np.cross(z, x), z]), middle
+        return coal.Sphere(shape.radius), coal.Transform3s(np.eye(3), start)
+    turn, _ = Rotation.align_vectors((end - start)[None], [[0.0, 0.0, 1.0]])
+    return coal.Capsule(shape.radius, length), coal.Transform3s(turn.as_matrix(), (start + end) / 2)
 
 
 def capsule(start: Iterable[float], end: Iterable[float], radius: float) -> Capsule:
@@ -268,19 +242,20 @@ def bounding_capsule(points: np.ndarray) -> Capsule:
     """Enclose points (K, 3) in the smallest capsule along one of their principal axes."""
     middle = (points.max(axis=0) + points.min(axis=0)) / 2
     axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
-    fits = [_along(points - middle, axis) for axis in axes]
-    low, high, radius, axis = min(fits, key=lambda fit: (fit[1] - fit[0] + 4 / 3 * fit[2]) * fit[2] ** 2)
-    return Capsule(middle + low * axis, middle + high * axis, radius)
+    fits = [_along(points, middle, axis) for axis in axes]
+    return min(fits, key=lambda fit: (np.linalg.norm(fit.end - fit.start) + 4 / 3 * fit.radius) * fit.radius**2)
 
 
-def _along(points: np.ndarray, axis: np.ndarray) -> tuple[float, float, float, np.ndarray]:
-    heights = points @ axis
-    sideways = np.linalg.norm(points - np.outer(heights, axis), axis=1)
+def _along(points: np.ndarray, middle: np.ndarray, axis: np.ndarray) -> Capsule:
+    """Enclose points (K, 3) in the smallest capsule along an ``axis`` (3,) through ``middle`` (3,)."""
+    heights = (points - middle) @ axis
+    sideways = np.linalg.norm(points - middle - np.outer(heights, axis), axis=1)
     radius = float(sideways.max())
     cap = np.sqrt(np.maximum(radius**2 - sideways**2, 0.0))
-    low, high = float((heights + cap).min()), float((heights - cap).max())
-    middle = (low + high) / 2
-    return min(low, middle), max(high, middle), radius, axis
+    low, high = (heights + cap).min(), (heights - cap).max()
+    if low > high:
+        low = high = (low + high) / 2
+    return Capsule(middle + low * axis, middle + high * axis, radius)
 
 
 def hull(path: Path, scale: float, pose: Pose) -> Hull:

@@ -2,55 +2,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.excitation.clearance import FLOOR, Clearance, Nearest
-from gtau.excitation.evaluation import Grid, Point, along
-from gtau.excitation.gradients import Slopes
-from gtau.excitation.task import DesignProblem, close
+from gtau.excitation.clearance import FLOOR, Clearance, Nearest, Pair
+from gtau.excitation.task import DesignProblem, Grid, Point, along, close
 from gtau.excitation.trajectory import approach_duration, quintic
+from gtau.model.program import Program
 from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
-APPROACH = 12  # poses between rest and the beginning of the motion, in which the search checks distances
+PER = ("", "/s", "/s2", "/s3")
+# poses between rest and the beginning of the motion, in which the search checks distances
+APPROACH = 12
 WAY = quintic(np.zeros(1), np.ones(1), 1.0, np.linspace(0.0, 1.0, APPROACH + 2))[0][0]  # from 0 to 1
 MARGIN = 0.97  # share of every limit for a first design: between instants speeds exceed it by up to 2 %
 CONDITION, TOOL_SPEED = "condition", "tool speed"
-SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)  # durations of an approach to try; four times takes 1/16 of the acceleration
+# durations of an approach to try; four times takes 1/16 of the acceleration
+SLOWER = (1.0, 1.4, 2.0, 3.0, 4.0)
 
 
 @dataclass(frozen=True, eq=False)
 class ConstraintUsage:
-    """Usage of a limit along a motion.
-
-    Attributes
-    ----------
-    kind, what : str
-        Kind of the limit, and the limit in words.
-    limit, unit : float, str
-        Value of the limit, counted from ``middle`` where it is an interval.
-    values : (N,)
-        Within -1 and 1 if the limit holds; at least 1 for a lower limit (``least``).
-    rows : callable
-        Jacobian of the values by x.
-    logarithmic : bool
-        Whether values are ratios of logarithms.
-    """
+    """Usage of a limit along a motion."""
 
     kind: str
-    what: str
-    limit: float
+    what: str  # the limit in words
+    limit: float  # counted from ``middle`` if it is an interval
     unit: str
+    # (N,) within -1 and 1 if the limit holds; at least 1 for a lower limit (``least``)
     values: np.ndarray
-    rows: Callable[[], np.ndarray]
+    rows: Callable[[], np.ndarray]  # Jacobian of the values by x
     least: bool = False
     middle: float | None = None
-    logarithmic: bool = False
+    logarithmic: bool = False  # whether values are ratios of logarithms
 
     @property
     def allowed(self) -> str:
@@ -85,19 +74,17 @@ class ConstraintUsage:
 def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
     """Compute the usage of all limits by all motions, with Jacobians (N, task.size)."""
     for k, point in enumerate(points):
-        usages = usages_of_motion(point, shares[k] if shares else None)
-        if len(points) == 1:
-            yield from usages
-            continue
-        size = point.task.series.size
-        around = (0, 0), (k * size, (len(points) - 1 - k) * size)
-        for usage in usages:
-            rows = partial(_padded, usage.rows, around)
-            yield replace(usage, what=f"{usage.what} in run {k + 1}", rows=rows)
+        where = f" in run {k + 1}" if len(points) > 1 else ""
+        for usage in usages_of_motion(point, shares[k] if shares else None):
+            rows = partial(_padded, usage.rows, k, len(points))
+            yield replace(usage, what=usage.what + where, rows=rows)
 
 
-def _padded(rows: Callable[[], np.ndarray], around: tuple[tuple[int, int], tuple[int, int]]) -> np.ndarray:
-    return np.pad(rows(), around)
+def _padded(rows: Callable[[], np.ndarray], number: int, motions: int) -> np.ndarray:
+    """Add zero derivatives by the numbers of the other motions."""
+    part = rows()
+    size = part.shape[1]
+    return np.pad(part, ((0, 0), (number * size, (motions - 1 - number) * size)))
 
 
 def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
@@ -105,22 +92,25 @@ def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[
 
     ``share`` (n,), the counted share of samples away from reversals, replaces the smooth estimate if given.
     """
-    task = point.task
+    limits = point.task.limits
     yield from _kinematic(point)
     yield from _drives(point)
-    if task.limits.workspace:
-        yield from _workspace(point)
+    yield from _workspace(point)
     yield from tool_speed(point)
-    if task.limits.clearance is not None:
-        yield from _clearances(point, task.limits.clearance)
-    if task.pullback is not None and np.isfinite(task.limits.condition):
-        largest = np.log(task.limits.condition)
-        values, slopes = task.pullback.condition(point.motion)
+    if limits.clearance is not None:
+        yield from _clearances(point, limits.clearance)
+    if point.task.model.loops is not None and np.isfinite(limits.condition):
+        condition, largest = point.motion.condition, np.log(limits.condition)
         yield ConstraintUsage(
-            CONDITION, "condition number of the closures", task.limits.condition, "", values / largest,
-            lambda: point.to_rows(point.to_joints(slopes)) / largest, logarithmic=True,
-        )  # fmt: skip
-    if task.limits.away > 0:
+            CONDITION,
+            "condition number of the closures",
+            limits.condition,
+            "",
+            np.log(condition) / largest,
+            lambda: point.rows(np.zeros((0, len(condition))), 1 / largest),
+            logarithmic=True,
+        )
+    if limits.away > 0:
         yield from _away_from_reversals(point, share)
 
 
@@ -129,64 +119,60 @@ def _kinematic(point: Point) -> Iterator[ConstraintUsage]:
     for j, joint in enumerate(task.model.actuated):
         unit = task.model.robot.joint(joint).unit
         low, high = limits.position[j]
-        middle, half = ((low + high) / 2, (high - low) / 2) if np.isfinite(high - low) else (0.0, np.inf)
-        scales = [(middle, half), *((0.0, float(rate)) for rate in limits.rates[:, j])]
-        for order, (offset, scale) in enumerate(scales):
+        for order, scale in enumerate([(high - low) / 2, *limits.rates[:, j]]):
             if not np.isfinite(scale):
                 continue
-
-            def rows(j: int = j, order: int = order, scale: float = scale) -> np.ndarray:
-                if order == 3:
-                    return point.jerk_rows(j) / scale
-                seed = np.zeros((3, *point.joints.shape[1:]))
-                seed[order, j] = 1.0 / scale
-                return point.to_rows(seed)
-
-            values = (point.joints[order, j] - offset) / scale
-            kind, per = ORDERS[order], unit + ("", "/s", "/s2", "/s3")[order]
-            what = f"{kind} of joint '{joint}'"
-            yield ConstraintUsage(kind, what, scale, per, values, rows, middle=None if order else middle)
+            middle = 0.0 if order else (low + high) / 2
+            yield ConstraintUsage(
+                ORDERS[order],
+                f"{ORDERS[order]} of joint '{joint}'",
+                float(scale),
+                unit + PER[order],
+                (point.joints[order, j] - middle) / scale,
+                lambda order=order, j=j, scale=scale: point.rows_of(order, j) / scale,  # type: ignore[misc]
+                middle=None if order else middle,
+            )
 
 
 def _drives(point: Point) -> Iterator[ConstraintUsage]:
     """Compute the usage of torque limits, and of stated current limits, at the worst end of the gain's interval."""
-    task, n = point.task, len(point.task.model.actuated)
-    torques, currents = (np.broadcast_to(limit, n) for limit in (task.limits.torque, task.limits.current))
-    payloads = [task.payloads[run] for run in point.runs]
-    for number, (run, payload) in enumerate(zip(point.runs, payloads, strict=True)):
-        if payload in payloads[:number]:
+    task, payloads = point.task, point.task.payloads
+    torques = np.broadcast_to(task.limits.torque, len(task.model.actuated))
+    for run in point.runs:
+        payload = payloads[run]
+        if payloads.index(payload) in point.runs[: point.runs.index(run)]:
             continue
         carried = "" if payload is None else f" with payload '{payload.name}'"
         for j, joint in enumerate(task.model.actuated):
-            gain, unit = task.prior.known[j], torque_unit(task.model.robot, joint)
-            kinds = (("torque", torques[j], 1 / gain.excess, unit), ("current", currents[j], gain.least, "A"))
-            for kind, limit, factor, unit in kinds:
-                if not np.isfinite(limit):
-                    continue
-                load = task.information.cautious[run] / (factor * limit)
-
-                def rows(j: int = j, load: np.ndarray = load) -> np.ndarray:
-                    weights = np.zeros_like(point.W)
-                    weights[j] = load
-                    return point.to_rows(point.to_joints(task.regressor.slopes(point.motion, weights)))
-
+            gain, kind, limit = task.prior.known[j], "torque", torques[j]
+            factor, unit = gain.excess, torque_unit(task.model.robot, joint)
+            if np.isfinite(task.limits.current[j]):
+                kind, limit, factor, unit = "current", task.limits.current[j], 1 / gain.least, "A"
+            if np.isfinite(limit):
+                load = task.information.cautious[run] * factor / limit
                 what = f"{kind} of joint '{joint}'{carried}"
+                rows = partial(_load_rows, point, j, load)
                 yield ConstraintUsage(kind, what, float(limit), unit, point.W[j] @ load, rows)
 
 
+def _load_rows(point: Point, j: int, load: np.ndarray) -> np.ndarray:
+    weights = np.zeros_like(point.W)
+    weights[j] = load
+    return point.rows(point.task.regressor.slopes(point.motion, weights))
+
+
 def _workspace(point: Point) -> Iterator[ConstraintUsage]:
-    task, motion = point.task, point.motion
-    position = task.tool[0](motion.c)
-    for axis, (low, high) in task.limits.workspace.items():
+    c, (place, back) = point.motion.c, point.task.tool
+    for axis, (low, high) in point.task.limits.workspace.items():
         k, middle, half = "xyz".index(axis), (low + high) / 2, (high - low) / 2
-
-        def rows(k: int = k, half: float = half) -> np.ndarray:
-            weights = np.zeros_like(position)
-            weights[k] = 1.0 / half
-            return point.rows_by_configuration(task.tool[1](motion.c, weights))
-
-        values = (position[k] - middle) / half
+        weights = np.outer(np.eye(3)[k], np.full(c.shape[1], 1 / half))
+        rows = partial(_point_rows, point, back, weights)
+        values = (place(c)[k] - middle) / half
         yield ConstraintUsage("workspace", f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
+
+
+def _point_rows(point: Point, back: Program, weights: np.ndarray) -> np.ndarray:
+    return point.rows(back(point.motion.c, weights))
 
 
 def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
@@ -194,46 +180,40 @@ def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
     task, motion, limit = point.task, point.motion, point.task.limits.tool_speed
     if not np.isfinite(limit):
         return
+    speed, slopes = task.tool_speed
 
     def rows() -> np.ndarray:
-        slopes = Slopes.by_configuration(np.zeros_like(motion.c), motion, task.model.layout)
-        by_c, by_yd = np.split(task.tool_speed[1](motion.c, motion.yd) / limit, [len(motion.c)])
-        return point.to_rows(point.to_joints(replace(slopes, c=by_c, yd=by_yd)))
+        return point.rows(slopes(motion.c, motion.yd) / limit)
 
-    values = task.tool_speed[0](motion.c, motion.yd)[0] / limit
+    values = speed(motion.c, motion.yd)[0] / limit
     yield ConstraintUsage(TOOL_SPEED, "speed of the tool's frame", limit, "m/s", values, rows)
 
 
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
     """Compute distances between bodies along the motion and the approach to it."""
-    parts = [point] if (way := _approach(point)) is None else [point, way]
-    by_part = [clearance.all_nearest(part.motion.c, clearance.pairs) for part in parts]
-    for body in dict.fromkeys(second for _, second in clearance.pairs):
-        places = [k for k, (_, second) in enumerate(clearance.pairs) if second == body]
-        pairs = [clearance.pairs[k] for k in places]
-        nearest = [[contacts[k] for k in places] for contacts in by_part]
-
-        def rows(pairs: list[tuple[str, str]] = pairs, nearest: list[list[Nearest]] = nearest) -> np.ndarray:
-            ways = zip(parts, nearest, strict=True)
-            return np.vstack([_nearing(part, clearance, pairs, near) for part, near in ways])
-
-        obstacles = [first if first == FLOOR else f"'{first}'" for first, _ in pairs]
-        distance = np.concatenate([np.min([near.distance for near in contacts], axis=0) for contacts in nearest])
+    parts = [part for part in (point, _approach(point)) if part is not None]
+    pairs = clearance.pairs
+    contacts = [dict(zip(pairs, clearance.all_nearest(part.motion.c, pairs), strict=True)) for part in parts]
+    for body in dict.fromkeys(second for _, second in pairs):
+        nearest = [{pair: near for pair, near in by_pair.items() if pair[1] == body} for by_pair in contacts]
+        distances = [np.min([near.distance for near in by_pair.values()], axis=0) for by_pair in nearest]
+        obstacles = [first if first == FLOOR else f"'{first}'" for first, _ in nearest[0]]
         what = f"distance of '{body}' from {', '.join(obstacles)}"
-        yield ConstraintUsage("distance", what, clearance.least, "m", distance / clearance.least, rows, True)
+        values, rows = np.concatenate(distances) / clearance.least, partial(_nearing, parts, clearance, nearest)
+        yield ConstraintUsage("distance", what, clearance.least, "m", values, rows, True)
 
 
-def _nearing(
-    point: Point, clearance: Clearance, pairs: Sequence[tuple[str, str]], nearest: Sequence[Nearest]
-) -> np.ndarray:
-    """Compute the Jacobian (N, series.size) of the smallest distance of several pairs."""
-    motion = point.motion
-    which = np.argmin([near.distance for near in nearest], axis=0)
-    by_c = np.zeros_like(motion.c)
-    for k, (pair, near) in enumerate(zip(pairs, nearest, strict=True)):
-        if (chosen := which == k).any():
-            by_c[:, chosen] = clearance.slopes(motion.c, pair, near)[:, chosen] / clearance.least
-    return point.rows_by_configuration(by_c)
+def _nearing(parts: Sequence[Point], clearance: Clearance, nearest: Sequence[Mapping[Pair, Nearest]]) -> np.ndarray:
+    """Compute the Jacobian (N, series.size) of the smallest distance of several pairs along all parts of a motion."""
+    rows = []
+    for part, by_pair in zip(parts, nearest, strict=True):
+        which = np.argmin([near.distance for near in by_pair.values()], axis=0)
+        by_c = np.zeros_like(part.motion.c)
+        for k, (pair, near) in enumerate(by_pair.items()):
+            if (chosen := which == k).any():
+                by_c[:, chosen] = clearance.slopes(part.motion.c, pair, near)[:, chosen] / clearance.least
+        rows.append(part.rows(by_c))
+    return np.vstack(rows)
 
 
 def _approach(point: Point) -> Point | None:
@@ -277,8 +257,8 @@ def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
     home, start = task.rest, joints[0, :, 0]
     count = int(np.ceil(_approach_duration(task, home, start, period.runs) * rate))
     time = np.arange(count) / rate
-    there = np.stack(quintic(home, start, count / rate, time))
-    back = np.stack(quintic(start, home, count / rate, time + 1 / rate))
+    there = quintic(home, start, count / rate, time)
+    back = quintic(start, home, count / rate, time + 1 / rate)
     return np.concatenate([there, periods, back], axis=2)
 
 
@@ -287,7 +267,7 @@ def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray,
     span = approach_duration(start - home, task.limits.rates)
 
     def lasting(duration: float) -> Point:
-        joints = np.stack(quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH)))
+        joints = quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH))
         return along(task, joints, duration, runs)
 
     span *= max((usage.excess / MARGIN for usage in tool_speed(lasting(span)) if usage.excess > MARGIN), default=1.0)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
@@ -19,9 +19,8 @@ from gtau.excitation.constraints import (
     constraint_usages,
     whole_run,
 )
-from gtau.excitation.evaluation import along, design_grid, evaluate
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
-from gtau.excitation.task import SPEED_FRACTION, DesignProblem
+from gtau.excitation.task import SPEED_FRACTION, DesignProblem, along, design_grid, evaluate
 from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 
@@ -30,13 +29,16 @@ FINER = 10
 STAGE = "searching"
 CLOSER = 0.8  # factor on the limits of kinds REACH after a round in which loops could not be closed
 REACH = (ORDERS[0], CONDITION)
-IDLE = 0.3  # usage of the tool's speed at a start below which the search ignores it until exceeded (five-bar: 0.1)
+# usage of the tool's speed at a start below which the search ignores it until exceeded (five-bar: 0.1)
+IDLE = 0.3
 TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round follows if the last one reduced the criterion below this share
-STALLED = 25  # iterations that must improve the logarithm of the criterion by WORTHLESS, or the round ends
+# iterations that must improve the logarithm of the criterion by WORTHLESS, or the round ends
+STALLED = 25
 WORTHLESS = 3e-3
-SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)  # scales tried for an interrupted motion; the first within all limits is kept
+# scales tried for an interrupted motion; the first within all limits is kept
+SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -121,7 +123,7 @@ def excite(
     require_rest(task)
     rng = np.random.default_rng(seed)
     best: Design | None = None
-    failure: ConstraintUsage | None = None
+    failures: list[ConstraintUsage] = []
     total = starts * ROUNDS * ITERATIONS
 
     def better(candidate: Design) -> None:
@@ -140,8 +142,8 @@ def excite(
         worst = _from_one(task, criterion, guess, start, better, stop, advance)
         if stop():
             break
-        if worst is not None and (failure is None or worst.shortfall < failure.shortfall):
-            failure = worst
+        if worst is not None:
+            failures.append(worst)
     progress(STAGE, total, total)
     if best is not None:
         return replace(best, cut_short=stop())
@@ -151,16 +153,17 @@ def excite(
             "longer."
         )
     robot = task.model.robot.name
-    if failure is not None:
+    if not failures:
         raise GtauError(
-            f"robot '{robot}': no motion within the limits was found: the {failure.what} must be {failure.allowed}, "
-            f"and the nearest motion reaches {failure.reached:.4g}; relax this limit or the limits that conflict with "
-            "it, or start from another pose ('rest')."
+            f"robot '{robot}': the loops cannot be closed along any motion that was tried, from rest to the middle of "
+            "the position limits or of the workspace and about it; narrow them to what the robot can reach, lower "
+            "limits.condition, or start from another pose ('rest')."
         )
+    nearest = min(failures, key=lambda usage: usage.shortfall)
     raise GtauError(
-        f"robot '{robot}': the loops cannot be closed along any motion that was tried, from rest to the middle of the "
-        "position limits or of the workspace and about it; narrow them to what the robot can reach, lower "
-        "limits.condition, or start from another pose ('rest')."
+        f"robot '{robot}': no motion within the limits was found: the {nearest.what} must be {nearest.allowed}, "
+        f"and the nearest motion reaches {nearest.reached:.4g}; relax this limit or the limits that conflict with "
+        "it, or start from another pose ('rest')."
     )
 
 
@@ -168,8 +171,7 @@ def excite(
 def redesign(task: DesignProblem, x: np.ndarray, progress: Progress = silent) -> Design | None:
     """Improve the motion ``x``, scaled down if needed; None if no scale is within the limits."""
     kept: list[Design] = []
-    begin = next(filter(None, (_feasible(task, "gains", part * x, 0) for part in SMALLER)), None)
-    if begin is not None:
+    if (begin := _smaller(task, "gains", x, 0)) is not None:
         total = ROUNDS * ITERATIONS
         _from_one(task, "gains", begin.x, 0, kept.append, never, lambda done: progress(STAGE, done, total))
     return min(kept, key=lambda design: design.value, default=None)
@@ -205,8 +207,7 @@ def _from_one(
             return _most_exceeded(programme.constraint_usages(ended), 0.0) or worst
         x = programme.best
         if stop():
-            smaller = (_feasible(task, criterion, part * x, start) for part in SMALLER)
-            if (within := next(filter(None, smaller), None)) is not None:
+            if (within := _smaller(task, criterion, x, start)) is not None:
                 keep(within)
             break
         if (usages := _usages(task, x)) is None:
@@ -231,10 +232,10 @@ def _stalled(
     programme: Programme, stop: Callable[[], bool], progress: Callable[[int], None], done: int
 ) -> Callable[[], bool]:
     """Make the function called in every iteration: True to stop, or if the criterion no longer improves."""
-    iterations, values = itertools.count(done), [np.inf] * STALLED
+    values = [np.inf] * STALLED
 
     def ended() -> bool:
-        progress(next(iterations))
+        progress(done + len(values) - STALLED)
         values.append(programme.best_value)
         return stop() or values[-1] > values[-1 - STALLED] - WORTHLESS
 
@@ -243,8 +244,13 @@ def _stalled(
 
 def _most_exceeded(usages: Iterable[ConstraintUsage], least: float) -> ConstraintUsage | None:
     """Find the limit that is exceeded most, by more than the share ``least``; None if there is none."""
-    worst = max(usages, key=lambda usage: usage.shortfall, default=None)
-    return worst if worst is not None and worst.shortfall > least else None
+    exceeded = (usage for usage in usages if usage.shortfall > least)
+    return max(exceeded, key=lambda usage: usage.shortfall, default=None)
+
+
+def _smaller(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
+    """Scale x down until it is within all limits; None if no scale is."""
+    return next(filter(None, (_feasible(task, criterion, part * x, start) for part in SMALLER)), None)
 
 
 def _feasible(task: DesignProblem, criterion: str, x: np.ndarray, start: int) -> Design | None:
@@ -295,7 +301,5 @@ def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray
     slow = np.abs(qd) < SPEED_FRACTION * rms[:, None]
     slow |= np.sign(qd) != np.sign(np.roll(qd, 1, axis=1))
     reach = round(task.decimator.guard / task.rate / step)
-    lost = slow.copy()
-    for shift in range(1, reach + 1):
-        lost |= np.roll(slow, shift, axis=1) | np.roll(slow, -shift, axis=1)
+    lost = maximum_filter1d(slow, 2 * reach + 1, axis=1, mode="wrap")
     return np.asarray(1 - lost.mean(axis=1))

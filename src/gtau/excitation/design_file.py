@@ -15,16 +15,15 @@ from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, vali
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Shape, capsule, hull
-from gtau.excitation.gradients import in_platform_space
 from gtau.excitation.guards import guard, speed_of_tool
 from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
-from gtau.excitation.trajectory import FourierSeries
+from gtau.excitation.trajectory import FourierSeries, in_platform_space
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.floating import refuse_floating
-from gtau.robots.robot import Pose, Robot
+from gtau.robots.robot import TRANSLATIONS, Limits, Pose, Robot
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
@@ -165,10 +164,10 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
             f"robot '{robot.name}': the loops cannot be closed where runs begin, or only beyond a singular pose; give "
             "positions that the robot can reach from home under 'rest'."
         ) from None
-    guarded = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
+    apart, words = guard(model, poses, file.limits.clearance, stated, file.limits.floor, Path(file.robot))
     fastest, tool = speed_of_tool(robot, file.limits.tool_speed)
-    notes = (*guarded.notes, tool, *notes, *_torques(model, file, prior, assumed), *_rest(robot, rest, file, limits))
-    limits = replace(limits, guarded=replace(guarded, notes=notes), tool_speed=fastest)
+    guards = (*words, tool, *notes, *_torques(model, file, prior, assumed), *_rest(robot, rest, file, limits))
+    limits = replace(limits, clearance=apart, guards=guards, tool_speed=fastest)
     period = round(file.period * file.rate) / file.rate  # a whole number of samples
     if file.space == "platform":
         series = _platform_series(robot, file.limits, period, file.harmonics)
@@ -201,7 +200,8 @@ def _rest(robot: Robot, rest: np.ndarray, file: DesignFile, limits: MotionLimits
 def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assumed: Mapping[str, str]) -> Iterator[str]:
     """Say on what torque limits depend: inertias of links, and the centres of payloads."""
     stated, state = stated_bodies(model), "state prior.parameters or prior.model"
-    rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in model.parameter_names]
+    names = model.parameter_names
+    rods = [f"'{body}'" for body in model.robot.bodies if body not in stated and f"m_{body}" in names]
     if "parameters" in assumed and not stated:
         yield f"torque: guessed for links that are rods, real links may need more; {state}"
     elif "parameters" in assumed:
@@ -222,53 +222,49 @@ def _require_actuated(file: DesignFile, robot: Robot) -> None:
     limits, prior = ("position", "velocity", "acceleration", "jerk", "current"), ("gains", "noise")
     named = {f"limits.{key}": getattr(file.limits, key) for key in limits} | {"rest": file.rest}
     named |= {f"prior.{key}": getattr(file.prior, key) for key in prior}
-    for key, values in named.items():
-        for joint in values:
-            if joint not in robot.actuated:
-                raise GtauError(
-                    f"{key} names '{joint}', which is no actuated joint of robot '{robot.name}'; choose from "
-                    f"{', '.join(robot.actuated)}."
-                )
+    for key, joint in ((key, joint) for key, values in named.items() for joint in values):
+        if joint not in robot.actuated:
+            raise GtauError(
+                f"{key} names '{joint}', which is no actuated joint of robot '{robot.name}'; choose from "
+                f"{', '.join(robot.actuated)}."
+            )
 
 
 def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) -> tuple[Robot, tuple[str, ...]]:
     """Take the limits of the design file, or a share of the robot's; say which are taken and which are missing."""
-    joints, free, weak, slow, near = [], [], [], [], []
-    for joint in robot.joints:
-        if not joint.actuated:
-            joints.append(joint)
-            continue
-        limits, position = joint.limits, joint.limits.position
-        if position is not None and entry.share < 1:
-            middle, half = (position[0] + position[1]) / 2, entry.share * (position[1] - position[0]) / 2
-            start = rest[joint.name] if position[0] <= rest[joint.name] <= position[1] else middle
-            near += [f"'{joint.name}'"] * bool(abs(start - middle) > half)
-            position = min(middle - half, start), max(middle + half, start)  # runs begin within the limits
-        limits = replace(
-            limits,
-            position=entry.position.get(joint.name, position),
-            velocity=entry.velocity.get(joint.name, entry.share * (limits.velocity or 0.0) or None),
-            acceleration=entry.acceleration.get(joint.name, entry.share * (limits.acceleration or 0.0) or None),
-            effort=entry.share * (limits.effort or 0.0) or None,
+    share, near = entry.share, list[str]()
+    limits: dict[str, Limits] = {}
+    for name in robot.actuated:
+        given = robot.joint(name).limits
+        position = given.position
+        if position is not None and share < 1:
+            middle, half = (position[0] + position[1]) / 2, share * (position[1] - position[0]) / 2
+            start = rest[name] if position[0] <= rest[name] <= position[1] else middle
+            near += [f"'{name}'"] * bool(abs(start - middle) > half)
+            # runs begin within the limits
+            position = min(middle - half, start), max(middle + half, start)
+        limits[name] = replace(
+            given,
+            position=entry.position.get(name, position),
+            velocity=entry.velocity.get(name, share * (given.velocity or 0.0) or None),
+            acceleration=entry.acceleration.get(name, share * (given.acceleration or 0.0) or None),
+            effort=share * (given.effort or 0.0) or None,
         )
-        free += [f"'{joint.name}'"] * (limits.position is None)
-        weak += [f"'{joint.name}'"] * (limits.effort is None and joint.name not in entry.current)
-        slow += [f"'{joint.name}'"] * (limits.acceleration is None)
-        joints.append(replace(joint, limits=limits))
+    joints = tuple(replace(joint, limits=limits.get(joint.name, joint.limits)) for joint in robot.joints)
     beyond = f" (but for {some_of(near, 4)} out to where it rests)" if near else ""
-    notes = [f"limits: {100 * entry.share:.3g} % of the robot file's{beyond}, in full where stated; state limits.share"]
-    if free:
+    notes = [f"limits: {100 * share:.3g} % of the robot file's{beyond}, in full where stated; state limits.share"]
+    if free := [f"'{name}'" for name, limit in limits.items() if limit.position is None]:
         notes.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
-    if weak:
-        notes.append(
-            f"torque: no limit in the file for {some_of(weak, 4)}; state its effort, or prior.gains and limits.current"
-        )
-    if slow:
+    efforts = {name: limit.effort or entry.current.get(name) for name, limit in limits.items()}
+    if weak := [f"'{name}'" for name, effort in efforts.items() if effort is None]:
+        state = "state its effort, or prior.gains and limits.current"
+        notes.append(f"torque: no limit in the file for {some_of(weak, 4)}; {state}")
+    if slow := [f"'{name}'" for name, limit in limits.items() if limit.acceleration is None]:
         reached = f"guessed for {some_of(slow, 4)}: the speed limit is reached in {RISE:g} s"
         notes.append(f"acceleration: {reached}; state limits.acceleration")
     if not entry.jerk:
         notes.append("jerk: not limited; state limits.jerk")
-    return replace(robot, joints=tuple(joints)), tuple(notes)
+    return replace(robot, joints=joints), tuple(notes)
 
 
 def _limits(entry: LimitsEntry, robot: Robot) -> MotionLimits:
@@ -297,12 +293,14 @@ def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics:
     """Make a series of the platform's coordinates relative to its home, over the workspace."""
     in_platform_space(robot)  # refuses a robot without a platform
     platform = robot.platforms[0]
-    dofs = [dof for dof in ("x", "y", "z", "rz", "ry", "rx") if dof in platform.dof]
-    center, half = np.zeros(len(dofs)), np.full(len(dofs), TURNING)
-    for k, dof in enumerate(dofs):
-        if len(dof) == 1:
+    center, half = [], []
+    for dof, home in zip(TRANSLATIONS, platform.home.xyz, strict=True):
+        if dof in platform.dof:
             if dof not in entry.workspace:
                 raise GtauError(f"a motion in platform space needs limits.workspace.{dof}, an interval in m; add it.")
             low, high = entry.workspace[dof]
-            center[k], half[k] = (low + high) / 2 - platform.home.xyz["xyz".index(dof)], (high - low) / 2
-    return FourierSeries(center, half, 1 / period, harmonics, in_platform_space=True)
+            center.append((low + high) / 2 - home)
+            half.append((high - low) / 2)
+    turns = len(platform.dof) - len(center)
+    center, half = center + [0.0] * turns, half + [TURNING] * turns
+    return FourierSeries(np.array(center), np.array(half), 1 / period, harmonics, in_platform_space=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -15,9 +17,9 @@ from gtau.estimation.regression.factors import modelled, reduce_run, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.excitation.constraints import ConstraintUsage, tool_speed, whole_run
 from gtau.excitation.design import Design, check
-from gtau.excitation.evaluation import PER_HARMONIC, Grid, along, design_grid, evaluate, information
 from gtau.excitation.information import root_covariance
-from gtau.excitation.task import DesignProblem, close
+from gtau.excitation.nlp import information
+from gtau.excitation.task import PER_HARMONIC, DesignProblem, Grid, along, close, design_grid, evaluate
 from gtau.model.program import single_threaded_blas
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 from gtau.robots.robot import Robot
@@ -87,28 +89,24 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     factors = [reduce_run(task.model, task.base.standard, run, preparation.decimator) for run in prepared]
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
     uncertain = dict.fromkeys(load.name for load in task.payloads if load is not None and load.mass_std)
-    problem, *heavier = (
-        plain_problem(task.model, task.base, factors, payloads, slowest)
-        for payloads in (task.payloads, *(_heavier(task.payloads, name) for name in uncertain))
-    )
+    heavier = (_heavier(task.payloads, name) for name in uncertain)
+    loads: list[Sequence[Payload | None]] = [task.payloads, *heavier]
+    problem, *shifted = (plain_problem(task.model, task.base, factors, load, slowest) for load in loads)
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
     theta = task.prior.values(problem.parameters, task.model.robot, task.payloads, prior)
     # a row is a mean over the filter, which divides the variance of white noise by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
-    std = np.sqrt(np.diag(ml_covariance(problem, theta, task.prior.gains, sigma, heavier)))
+    covariance = ml_covariance(problem, theta, task.prior.gains, sigma, shifted)
+    std = np.sqrt(np.diag(covariance)).tolist()
     joints, names = task.model.actuated, problem.parameters
     relative = std[problem.unknowns.gains]
-    expected: dict[str, float] = dict(zip(names, map(float, std[: len(names)]), strict=True))
+    expected: dict[str, float] = dict(zip(names, std, strict=False))
+    by_joint = zip(joints, task.prior.gains.tolist(), relative, strict=True)
+    gains = tuple(Expected(joint, gain, gain * share) for joint, gain, share in by_joint)
+    parameters = tuple(Expected(name, float(value), expected.get(name, np.nan)) for name, value in prior.items())
+    expected |= {Parameter("gain", joint): share for joint, share in zip(joints, relative, strict=True)}
     rows = sum(len(preparation.decimator.instants(len(run.time))) for run in prepared)
-    return Forecast(
-        tuple(
-            Expected(joint, float(gain), float(gain * share))
-            for joint, gain, share in zip(joints, task.prior.gains, relative, strict=True)
-        ),
-        tuple(Expected(name, float(value), expected.get(name, np.nan)) for name, value in prior.items()),
-        problem.total_rows / rows * np.ones(len(joints)),
-        expected | {Parameter("gain", joint): float(value) for joint, value in zip(joints, relative, strict=True)},
-    )
+    return Forecast(gains, parameters, np.full(len(joints), problem.total_rows / rows), expected)
 
 
 def _heavier(payloads: Sequence[Payload | None], name: str) -> list[Payload | None]:
@@ -177,18 +175,17 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
     weak = [k for k, share in relative.items() if share >= WEAK]
     if not weak:
         return ()
-    then = {
-        (joint, how): _relative(task, triangle(R, more))
-        for j, joint in enumerate(task.model.actuated)
-        for how, (span, speed) in SPANS.items()
-        for more in [_alone(task, middle, j, span, speed)]
-        if more is not None
-    }
-    advice = []
+    shares = {}
+    for (j, joint), (how, (span, speed)) in product(enumerate(task.model.actuated), SPANS.items()):
+        if (more := _alone(task, middle, j, span, speed)) is not None:
+            shares[joint, how] = _relative(task, triangle(R, more)) / before
+    advice = list[Weak]()
     for k in weak:
-        helpful = [(float(after[k] / before[k]), *way) for way, after in then.items() if after[k] < WORTH * before[k]]
-        part, joint, how = min(helpful) if helpful else (1.0, None, "")
-        advice.append(Weak(unknowns.names[k], float(relative[k]), joint, how, float(part * relative[k])))
+        helpful: list[tuple[float, str | None, str]]
+        helpful = [(float(share[k]), *way) for way, share in shares.items() if share[k] < WORTH]
+        least = min(helpful, default=(1.0, None, ""))
+        then = float(least[0] * relative[k])
+        advice.append(Weak(unknowns.names[k], float(relative[k]), *least[1:], then))
     return tuple(advice)
 
 
@@ -200,7 +197,9 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
     """Compute the information factor of joint j moving alone about the pose ``middle`` (n,); None if it cannot."""
     limits, (speed_limit, acceleration_limit, _) = task.limits, task.limits.rates[:, j]
     runs = tuple(range(len(task.payloads)))
-    low, high = limits.position[j] if np.isfinite(limits.position[j]).all() else middle[j] + np.array([-np.pi, np.pi])
+    low, high = limits.position[j]
+    if not np.isfinite(high - low):
+        low, high = middle[j] - np.pi, middle[j] + np.pi
     center, samples = (low + high) / 2, 8 * PER_HARMONIC
     angle = 2 * np.pi / samples * np.arange(samples)
     for _ in range(4):
@@ -210,14 +209,12 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
         joints = np.zeros((4, len(middle), samples))
         joints[0] = middle[:, None]
         joints[:3, j] = center + sine, omega * amplitude * np.cos(angle), -(omega**2) * sine
-        try:
+        with suppress(GtauError):  # not reachable
             alone = along(task, joints, period / samples, runs)
-        except GtauError:  # not reachable
-            alone = None
-        within = alone is not None and all(usage.excess <= 1 for usage in tool_speed(alone))
-        if alone is not None and within and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
-            # the rows of one cycle count for all cycles in the duration of a run
-            return information([alone]) * np.sqrt(task.series.period / period)
+            within = all(usage.excess <= 1 for usage in tool_speed(alone))
+            if within and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
+                # the rows of one cycle count for all cycles in the duration of a run
+                return information([alone]) * np.sqrt(task.series.period / period)
         span /= 2
         center = (center + middle[j]) / 2
     return None
@@ -259,10 +256,12 @@ class Outlook:
     @cached_property
     def tool(self) -> tuple[float, np.ndarray]:
         """Largest speed, m/s, and smallest and largest coordinates (2, 3), m, of the tool's frame in the base."""
-        places = [self.task.tool[0](close(self.task.model, joints).c) for _, joints in self.motions]
-        speeds = [np.gradient(place, time, axis=1) for (time, _), place in zip(self.motions, places, strict=True)]
-        path, largest = np.concatenate(places, axis=1), max(np.linalg.norm(speed, axis=0).max() for speed in speeds)
-        return float(largest), np.array([path.min(axis=1), path.max(axis=1)])
+        places, speeds = [], []
+        for time, joints in self.motions:
+            places.append(self.task.tool[0](close(self.task.model, joints).c))
+            speeds.append(np.linalg.norm(np.gradient(places[-1], time, axis=1), axis=0).max())
+        path = np.concatenate(places, axis=1)
+        return float(max(speeds)), np.array([path.min(axis=1), path.max(axis=1)])
 
     @cached_property
     def variants(self) -> tuple[Outlook, ...]:

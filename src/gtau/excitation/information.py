@@ -6,7 +6,7 @@ The rows are the equations of :mod:`gtau.estimation.estimators.maximum_likelihoo
 
 so the inverse of the information matrix is the expected covariance of (theta, log g, d). As in identification, it
 covers all runs with their payloads and friction, and drops rows near reversals. Criteria work on triangular factors,
-R^T R = M, because forming M would lose half the digits.
+R^T R = M, because forming M would lose half the digits. The derivatives are by hand: CasADi's take six times as long.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import partial
 
 import numpy as np
 
@@ -31,15 +32,14 @@ VAGUE = 1e3  # prior standard deviation of each unknown over its scale: wide eno
 
 def _scales(names: tuple[Parameter, ...], theta: np.ndarray, payloads: Sequence[Payload | None]) -> np.ndarray:
     """Estimate the typical size of each parameter from its prior value, or else from the values of its kind."""
-    kinds = [name.kind for name in names]
+    kinds = np.array([name.kind for name in names])
     mass = max((payload.mass or 1.0 for payload in payloads if payload is not None), default=1.0)
     # a load of this mass about 0.1 m from the axis
     usual = {"m": mass, "mx": 0.1 * mass, "my": 0.1 * mass, "mz": 0.1 * mass, "fv": 1.0, "fs": 1.0, "off": 1.0}
     sizes = np.abs(theta)
-    for k, kind in enumerate(kinds):
-        if sizes[k] == 0.0:
-            alike = [size for size in np.abs(theta[np.equal(kinds, kind)]) if size]
-            sizes[k] = float(np.median(alike)) if alike else usual.get(kind, 0.01 * mass)
+    for k in np.flatnonzero(sizes == 0.0):
+        alike = sizes[(kinds == kinds[k]) & (theta != 0.0)]
+        sizes[k] = np.median(alike) if alike.size else usual.get(kinds[k], 0.01 * mass)
     return sizes
 
 
@@ -104,39 +104,18 @@ def derivative(values: np.ndarray, step: float) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """The unknowns (theta, log g, d), and the information of rows about them.
+    """The unknowns (theta, log g, d), and the information of rows about them."""
 
-    Attributes
-    ----------
-    names, scale : (P,)
-        Parameters, then gains and delays; reference values of their relative standard deviations.
-    maps : (runs, n, n_b, P)
-        A row of W times this matrix is a row of the current's Jacobian, except for the delays.
-    load, smooth, cautious : (runs, n_b)
-        Prior values of the base columns with payload; without Coulomb friction; and the values used in torque limits.
-    gains, sigma : (n,)
-        Prior gains, and standard deviations of a current sample, A.
-    rate : float
-        Samples a second, times the repetitions.
-    earlier : (., P)
-        Factor of the information of earlier experiments.
-    """
-
-    names: tuple[Parameter, ...]
-    scale: np.ndarray
+    names: tuple[Parameter, ...]  # parameters, then gains and delays
+    scale: np.ndarray  # (P,) reference values of relative standard deviations
+    # (runs, n, n_b, P) from a row of W to a row of the current's Jacobian, except for the delays
     maps: np.ndarray
-    load: np.ndarray
-    smooth: np.ndarray
-    cautious: np.ndarray
-    gains: np.ndarray
-    sigma: np.ndarray
-    rate: float
-    earlier: np.ndarray
-
-    @property
-    def known(self) -> np.ndarray:
-        """Factor (., P) of the prior information: a vague prior and earlier experiments."""
-        return np.concatenate([np.diag(1 / (VAGUE * self.scale)), self.earlier])
+    load: np.ndarray  # (runs, n_b) prior values of the base columns with payload
+    smooth: np.ndarray  # (runs, n_b) the same without Coulomb friction
+    cautious: np.ndarray  # (runs, n_b) the values used in torque limits
+    gains: np.ndarray  # (n,) prior values
+    counts: np.ndarray  # (n,) information of a current, 1/(A2 s)
+    known: np.ndarray  # (., P) factor of the prior information: a vague prior and earlier experiments
 
     def jacobians(self, W: np.ndarray, run: int, step: float) -> np.ndarray:
         """Convert columns W (n, N, n_b) on a periodic grid into the Jacobian rows (n, N, P) of a run."""
@@ -153,20 +132,11 @@ class Information:
         by_W -= derivative(by_slope, step)[:, :, None] * self.smooth[run]
         return by_W
 
-    def counts(self, weights: np.ndarray, step: float) -> np.ndarray:
-        """Scale the ``weights`` (n, N) of rows to information weights, 1/A2."""
-        return weights * (self.rate * step / self.sigma**2)[:, None]
-
-    def factor(self, rows: list[np.ndarray], counts: np.ndarray) -> np.ndarray:
-        """Compute the triangular factor (P, P) of the information of runs with ``rows`` (n, N, P)."""
-        root = np.sqrt(counts)[:, :, None]
-        return triangle(*((A * root).reshape(-1, A.shape[2]) for A in rows))
-
 
 def information_of(
     model: InverseDynamics, base: BaseParameters, payloads: Sequence[Payload | None], prior: PriorModel, rate: float
 ) -> Information:
-    """Assemble the unknowns of an experiment at prior values."""
+    """Assemble the unknowns of an experiment at prior values; ``rate`` is samples a second times the repetitions."""
     n, n_b, runs, gains = len(model.actuated), base.count, len(payloads), prior.gains
     p = n_b + EXTRA
     # identity factors reveal the matrices by which identification combines its runs
@@ -185,9 +155,9 @@ def information_of(
         maps[:, j, :, names.theta] = -M[..., MODEL] / gains[j]
         maps[:, j, :, names.gains.start + j] = load / gains[j]
     scale = np.concatenate([_scales(problem.parameters, theta, payloads), np.ones(n), np.full(n, 1e-2)])
-    return Information(
-        names, scale, maps, load, smooth, modelled(M, heavy), gains, prior.sigma, rate, _earlier(names, prior)
-    )
+    known = np.concatenate([np.diag(1 / (VAGUE * scale)), _earlier(names, prior)])
+    cautious = modelled(M, heavy)
+    return Information(names, scale, maps, load, smooth, cautious, gains, rate / prior.sigma**2, known)
 
 
 def _earlier(names: Sequence[Parameter], prior: PriorModel) -> np.ndarray:
@@ -222,9 +192,9 @@ def criterion(name: str, unknowns: Information) -> Criterion:
     Raises GtauError if a name is neither a criterion nor an unknown.
     """
     if name == "condition":
-        return condition
+        return _condition
     if name == "logdet":
-        return lambda R: logdet(R, unknowns.known)
+        return partial(_logdet, unknowns.known)
     names = unknowns.names
     estimated = np.array([unknown.kind != "delay" and unknown.run is None for unknown in names])
     if name == "trace":
@@ -241,7 +211,7 @@ def criterion(name: str, unknowns: Information) -> Criterion:
             raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
         chosen = np.isin(names, wanted)
     weight = chosen / unknowns.scale**2 / chosen.sum()
-    return lambda R: weighted_trace(R, unknowns.known, weight)
+    return partial(_weighted_trace, unknowns.known, weight)
 
 
 def root_covariance(R: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -251,7 +221,7 @@ def root_covariance(R: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.inv(triangle(stacked / size)) / size[:, None])
 
 
-def weighted_trace(R: np.ndarray, known: np.ndarray, weight: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _weighted_trace(known: np.ndarray, weight: np.ndarray, R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Evaluate ``log sqrt(sum(weight * diag(C)))`` for the covariance C."""
     H = root_covariance(R, known)
     chosen = np.flatnonzero(weight)
@@ -259,14 +229,14 @@ def weighted_trace(R: np.ndarray, known: np.ndarray, weight: np.ndarray) -> tupl
     return np.log(mean) / 2, H @ H[chosen].T, -weight[chosen] / (2 * mean)
 
 
-def logdet(R: np.ndarray, known: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _logdet(known: np.ndarray, R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Evaluate ``log det(C)^(1 / 2P)`` for the covariance C."""
     H = root_covariance(R, known)
     P = known.shape[1]
     return float(np.linalg.slogdet(H)[1] / P), H, np.full(P, -1 / (2 * P))
 
 
-def condition(R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+def _condition(R: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Evaluate the logarithm of the condition number of R."""
     _, s, Vt = np.linalg.svd(R)
     s = np.maximum(s, 1e-300)

@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.regression.factors import triangle
 from gtau.excitation.constraints import WAY, ConstraintUsage, constraint_usages, usages_of_motion
-from gtau.excitation.evaluation import Grid, Point, design_grid, evaluate, evaluate_one, objective
-from gtau.excitation.information import criterion
-from gtau.excitation.task import DesignProblem, close
+from gtau.excitation.information import Criterion, criterion
+from gtau.excitation.task import DesignProblem, Grid, Point, close, design_grid, evaluate, evaluate_one
 from gtau.model.program import single_threaded_blas
 
 ITERATIONS = 100
@@ -32,6 +32,54 @@ IPOPT: Mapping[str, int | float | str] = {
     "mu_strategy": "adaptive",
     "mumps_pivot_order": 6,  # for dense columns: every number of a series acts on all instants
 }
+
+
+def information(points: Sequence[Point]) -> np.ndarray:
+    """Compute the triangular factor (P, P) of the information of all runs of all motions."""
+    weighted = [(_counts(point), rows) for point in points for rows in _jacobians(point)]
+    return triangle(*((np.sqrt(counts)[:, :, None] * A).reshape(-1, A.shape[2]) for counts, A in weighted))
+
+
+def _jacobians(point: Point) -> list[np.ndarray]:
+    """Compute the Jacobian rows (n, N, P) of every run of a motion."""
+    return [point.task.information.jacobians(point.W, run, point.grid.step) for run in point.runs]
+
+
+def _counts(point: Point) -> np.ndarray:
+    """Compute the information (n, N) of a motion's rows, 1/A2."""
+    step, task = point.grid.step, point.task
+    return task.window(step).weights(point.joints[1]) * (task.information.counts * step)[:, None]
+
+
+def objective(points: Sequence[Point], criterion: Criterion, on_regressor: bool) -> tuple[float, np.ndarray]:
+    """Compute the logarithm of a criterion of the information or the regressor, and its gradient (task.size,) by x."""
+    if on_regressor:
+        value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
+        by_joints = [_by_columns(point, 2 * (point.W @ F * f) @ F.T) for point in points]
+    else:
+        value, F, f = criterion(information(points))
+        by_joints = [_by_information(point, F, f) for point in points]
+    by_x = [point.to_rows(by).sum(axis=0) for point, by in zip(points, by_joints, strict=True)]
+    return value, np.concatenate(by_x)
+
+
+def _by_columns(point: Point, by_W: np.ndarray) -> np.ndarray:
+    task, motion = point.task, point.motion
+    return task.pullback(motion, task.regressor.slopes(motion, by_W))
+
+
+def _by_information(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
+    """Differentiate a criterion of the information by q, qd and qdd, (3, n, N)."""
+    info, step, counts = point.task.information, point.grid.step, _counts(point)
+    by_W, by_counts = np.zeros_like(point.W), np.zeros_like(counts)
+    for run, A in zip(point.runs, _jacobians(point), strict=True):
+        along = A @ F
+        by_W += info.back(2 * counts[:, :, None] * ((along * f) @ F.T), run, step)
+        by_counts += along**2 @ f
+    by_joints = _by_columns(point, by_W)
+    by_weights = by_counts * (info.counts * step)[:, None]
+    by_joints[1] += point.task.window(step).back(point.joints[1], by_weights)
+    return by_joints
 
 
 class Programme:
@@ -90,21 +138,17 @@ class Programme:
             return np.inf
         return max((usage.excess / self.tightness[usage.what] for usage in self.constraint_usages(x)), default=0.0)
 
-    def bounds(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Stack the lower and upper bounds of all values."""
-        low, high = [], []
-        for usage in self.constraint_usages(x):
-            allowed = self.tightness[usage.what]
-            low.append(np.full(len(usage.values), 1 / allowed if usage.least else -allowed))
-            high.append(np.full(len(usage.values), np.inf if usage.least else allowed))
-        return np.concatenate(low), np.concatenate(high)
-
 
 def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.ndarray:
     """Minimise from the start x, and return the last x; ``programme`` keeps the best feasible one."""
-    low, high = programme.bounds(x)
+    usages = programme.constraint_usages(x)
+    sizes = [len(usage.values) for usage in usages]
+    allowed = np.array([programme.tightness[usage.what] for usage in usages])
+    least = np.array([usage.least for usage in usages])
+    low = np.repeat(np.where(least, 1 / allowed, -allowed), sizes)
+    high = np.repeat(np.where(least, np.inf, allowed), sizes)
 
-    def constraints(x: np.ndarray) -> np.ndarray:
+    def limits(x: np.ndarray) -> np.ndarray:
         values = [usage.values for usage in programme.constraint_usages(x)]
         return np.concatenate(values or [np.full(len(low), np.nan)])
 
@@ -112,23 +156,27 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
         rows = [usage.rows() for usage in programme.constraint_usages(x)]
         return np.concatenate(rows or [np.full((len(low), len(x)), np.nan)])
 
-    symbol = ca.MX.sym("x", len(x))
     # the pattern of nonzeros, at a point without symmetry
-    rows, columns = np.nonzero(jacobian(x))
+    rows, columns = np.nonzero(jacobian(x).T)[::-1]
     pattern = ca.Sparsity.triplet(len(low), len(x), rows.tolist(), columns.tolist())
-    dense = ca.Sparsity.dense(1, len(x))
-    scalar, values = ca.Sparsity.scalar(), ca.Sparsity.dense(len(low), 1)
-    slope = dense, lambda x: programme.value(x)[1][None]
-    f = _Function("f", [len(x)], scalar, lambda x: programme.value(x)[0], slope)
-    g = _Function("g", [len(x)], values, constraints, (pattern, jacobian))
-    sizes = {"x": len(x), "f": 1, "g": len(low), "lam_x": len(x), "lam_g": len(low)}
-    results = [sizes.get(name, 0) for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))]
-    ended = _Function("stop", results, scalar, lambda *_: int(stop()))  # polled after every iteration
+    scalar, slope = ca.Sparsity.scalar(), ca.Sparsity.dense(len(x), 1)
+    values = ca.Sparsity.dense(len(low), 1)
+    results = {"x": len(x), "f": 1, "g": len(low), "lam_x": len(x), "lam_g": len(low)}
+    f = _Function([len(x)], [scalar], lambda x: [programme.value(x)[0]])
+    g = _Function([len(x)], [values], lambda x: [limits(x)])
+    f_slope = _Function([len(x), 0], [scalar, slope], lambda x, _: programme.value(x))
+    g_slopes = _Function([len(x), 0], [values, pattern], lambda x, _: [limits(x), jacobian(x)[rows, columns]])
+    polled = [results.get(name, 0) for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))]
+    ended = _Function(polled, [scalar], lambda *_: [int(stop())])  # after every iteration
+    symbol = ca.MX.sym("x", len(x))
     solver = ca.nlpsol(
         "design",
         "ipopt",
         {"x": symbol, "f": f(symbol), "g": g(symbol)},
         {
+            "no_nlp_grad": True,
+            "grad_f": f_slope,
+            "jac_g": g_slopes,
             "iteration_callback": ended,
             "print_time": False,
             "show_eval_warnings": False,
@@ -141,71 +189,51 @@ def solve(programme: Programme, x: np.ndarray, stop: Callable[[], bool]) -> np.n
 
 
 class _Function(ca.Callback):
-    """A NumPy function of vectors of some ``sizes`` as a CasADi function, with its Jacobian if given."""
+    """A NumPy function of vectors of some ``sizes`` as a CasADi function; its outputs are the nonzeros of patterns."""
 
-    def __init__(
-        self,
-        name: str,
-        sizes: Sequence[int],
-        pattern: ca.Sparsity,
-        function: Callable[..., Any],
-        jacobian: tuple[ca.Sparsity, Callable[[np.ndarray], np.ndarray]] | None = None,
-        options: Mapping[str, Any] | None = None,
-    ):
+    def __init__(self, sizes: Sequence[int], patterns: Sequence[ca.Sparsity], function: Callable[..., Sequence[Any]]):
         ca.Callback.__init__(self)
-        self._sizes, self._pattern, self._function, self._jacobian = sizes, pattern, function, jacobian
-        self._held: list[ca.Callback] = []
-        self.construct(name, dict(options or {}))
+        self._sizes, self._patterns, self._function = sizes, patterns, function
+        self.construct("function", {})
 
     def get_n_in(self) -> int:
         return len(self._sizes)
+
+    def get_n_out(self) -> int:
+        return len(self._patterns)
 
     def get_sparsity_in(self, k: int) -> ca.Sparsity:
         return ca.Sparsity.dense(self._sizes[k], 1)
 
     def get_sparsity_out(self, k: int) -> ca.Sparsity:
-        return self._pattern
+        return self._patterns[k]
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
-        return [self._function(*(np.array(argument).ravel() for argument in arguments))]
-
-    def has_jacobian(self) -> bool:
-        return self._jacobian is not None
-
-    def get_jacobian(
-        self, name: str, inames: Sequence[str], onames: Sequence[str], options: Mapping[str, Any]
-    ) -> ca.Function:
-        """Return a function of x and of the value, which it ignores."""
-        assert self._jacobian is not None
-        pattern, jacobian = self._jacobian
-        places = np.array(pattern.row()), np.repeat(np.arange(pattern.shape[1]), np.diff(pattern.colind()))
-        sizes = (*self._sizes, self._pattern.numel())
-        function = _Function(name, sizes, pattern, lambda x, _: ca.DM(pattern, jacobian(x)[places]), options=options)
-        self._held.append(function)
-        return function
+        values = self._function(*(np.array(argument).ravel() for argument in arguments))
+        return [ca.DM(pattern, value) for pattern, value in zip(self._patterns, values, strict=True)]
 
 
 TRIES = 40  # scales of a random motion
 CENTERS = 200  # random poses; the one with the most room is the center of a random motion
 SPREAD = 0.7  # share of the ranges in which centers are drawn
-DRAWS = 20  # random motions; the best is a start. One takes a hundredth of the time of the search that follows
+# random motions; the best is a start. One takes a hundredth of the time of the search that follows
+DRAWS = 20
 
 
 def promising_start(
-    task: DesignProblem, criterion: str, rng: np.random.Generator, part: float, stop: Callable[[], bool] = lambda: False
+    task: DesignProblem, criterion: str, rng: np.random.Generator, part: float, stop: Callable[[], bool]
 ) -> np.ndarray | None:
     """Draw random x that use a ``part`` of the limits, and return the best; None if none is reachable."""
-    values, drawn = list[float](), list[np.ndarray]()
+    best, least = None, np.inf
     for _ in range(DRAWS):
-        if drawn and stop():
+        if best is not None and stop():
             break
         if (x := random_start(task, rng, part)) is not None:
             # a new programme closes the loops from home, not from another motion
             value = Programme(task, criterion, {}).value(x)[0]
-            if np.isfinite(value):
-                values.append(value)
-                drawn.append(x)
-    return drawn[int(np.argmin(values))] if drawn else None
+            if value < least:
+                best, least = x, value
+    return best
 
 
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
@@ -229,18 +257,19 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
     """
     series, clearance = task.series, task.limits.clearance
     resting = np.zeros_like(x)
+    centers = resting.reshape(-1, series.free)[:, 0]
     if series.in_platform_space:
         return resting
-    if task.rest is not None and task.pullback is not None:
+    if task.rest is not None and task.model.loops is not None:
         q = task.rest[:, None] + np.outer(series.center - task.rest, WAY)
         try:
             close(task.model, np.stack([q, 0 * q, 0 * q]))
         except GtauError:
-            resting.reshape(-1, series.free)[:, 0] = (task.rest - series.center) / series.half
+            centers[:] = (task.rest - series.center) / series.half
     if clearance is None:
         return resting
-    centers = rng.uniform(-SPREAD, SPREAD, (len(series.center), CENTERS))
-    poses = series.center[:, None] + series.half[:, None] * centers
+    drawn = rng.uniform(-SPREAD, SPREAD, (len(series.center), CENTERS))
+    poses = series.center[:, None] + series.half[:, None] * drawn
     start = poses if task.rest is None else np.broadcast_to(task.rest[:, None], poses.shape)
     q = start[:, :, None] + (poses - start)[:, :, None] * WAY
     q = q.reshape(len(q), -1)
@@ -248,11 +277,12 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
         c = close(task.model, np.stack([q, 0 * q, 0 * q])).c
     except GtauError:  # not every pose is reachable
         return resting
-    room = np.min([near.distance for near in clearance.all_nearest(c, clearance.pairs)], axis=0).reshape(CENTERS, -1)
+    distances = [near.distance for near in clearance.all_nearest(c, clearance.pairs)]
+    room = np.min(distances, axis=0).reshape(CENTERS, -1)
     narrowest = room.min(axis=1)
     clear = narrowest >= clearance.least
     chosen = np.argmax(np.where(clear, room[:, -1], -np.inf) if clear.any() else narrowest)
-    resting.reshape(-1, series.free)[:, 0] = centers[:, chosen]
+    centers[:] = drawn[:, chosen]
     x.reshape(-1, series.free)[:, 0] = 0.0
     return resting
 
@@ -275,11 +305,11 @@ def _scaled(
     if resting is None:
         return None
     at_rest = {usage.what: usage.shortfall for usage in resting if usage.shortfall < 0}
-
     scale, low, high = 1.0, 0.0, np.inf
     for _ in range(TRIES):
         moving = used(resting_x + scale * x)
-        parts = (1 - usage.shortfall / at_rest[usage.what] for usage in moving or () if usage.what in at_rest)
+        counted = (usage for usage in moving or () if usage.what in at_rest)
+        parts = (1 - usage.shortfall / at_rest[usage.what] for usage in counted)
         most = np.inf if moving is None else max(parts, default=1.0)
         if 0.95 * part <= most <= part:
             return resting_x + scale * x

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -27,8 +27,10 @@ from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 FRICTION = 0.1  # guessed Coulomb friction, and viscous friction at the speed limit, over the rms torque
 MODERATE = 0.15  # guessed rms torque over the effort limit
 NOISE = 0.005  # guessed noise of a current sample over the effort limit
-ERROR = 1.25  # factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
-ARM = 0.05  # m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
+# factor on inertias of a robot's file: gravity torques of a real UR10e were 1.04 to 1.22 times its file's
+ERROR = 1.25
+# m along every axis, assumed centre of a payload: a centre on a joint's axis would not load the joint
+ARM = 0.05
 # Drives over the effort limits used, 80 % of the file's. A UR10e over its file: Coulomb friction 5 to 14 %,
 # viscous friction at the speed limit 8 to 41 %, rotors 0.009 to 0.010 kg m2 per N m.
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
@@ -104,12 +106,12 @@ class PriorModel:
         self, names: Sequence[Parameter], robot: Robot, payloads: Sequence[Payload | None], known: Mapping[str, float]
     ) -> np.ndarray:
         """Look up parameters by name: first moments of payloads, ``known`` base parameters, or zero."""
-        moments: dict[str, float] = {}
+        values = dict(known)
         for run, payload in enumerate(payloads):
             if payload is not None:  # its unknown parameters are labelled by the run
-                label = payload_label(robot, run)
-                moments |= {Parameter(k, label): m for k, m in zip(FIRST_MOMENTS, self.moments(payload), strict=True)}
-        return np.array([moments.get(name, known.get(name, 0.0)) for name in names])
+                moments = zip(FIRST_MOMENTS, self.moments(payload), strict=True)
+                values |= {Parameter(kind, payload_label(robot, run)): moment for kind, moment in moments}
+        return np.array([values.get(name, 0.0) for name in names])
 
     def moments(self, load: Payload) -> np.ndarray:
         """Return the first moments (3,) of a payload, kg m, from its known or assumed centre."""
@@ -122,21 +124,18 @@ def identified_gains(result: IdentifiedModel, file: Path) -> tuple[KnownGain, ..
     for joint in result.robot.actuated:
         gain = result.drive_gains.get(joint)
         outcome = Grade.NOT_IDENTIFIABLE if gain is None else gain.verdict.outcome
-        interval = None if gain is None or gain.value is None else gain.interval() or (gain.value, gain.value)
-        if outcome in (Grade.CONTRADICTORY, Grade.NOT_IDENTIFIABLE) or gain is None or interval is None:
-            raise _no_prior(joint, file, outcome.value)
-        if interval[0] * interval[1] <= 0:
-            raise _no_prior(joint, file, f"{gain}, which may be zero")
-        assert gain.value is not None
-        gains.append(KnownGain(gain.value, interval, outcome.value, gain.model_std or 0.0))
+        why = outcome.value
+        if gain is not None and gain.value is not None and outcome not in (Grade.CONTRADICTORY, Grade.NOT_IDENTIFIABLE):
+            low, high = gain.interval() or (gain.value, gain.value)
+            if low * high > 0:
+                gains.append(KnownGain(gain.value, (low, high), outcome.value, gain.model_std or 0.0))
+                continue
+            why = f"{gain}, which may be zero"
+        raise GtauError(
+            f"the gain of joint '{joint}' in {file} is {why}, so it cannot be a prior; identify it again, or give "
+            "prior.gains from the data sheets in place of prior.model."
+        )
     return tuple(gains)
-
-
-def _no_prior(joint: str, file: Path, why: str) -> GtauError:
-    return GtauError(
-        f"the gain of joint '{joint}' in {file} is {why}, so it cannot be a prior; identify it again, or give "
-        "prior.gains from the data sheets in place of prior.model."
-    )
 
 
 def identified_centers(result: IdentifiedModel) -> dict[str, np.ndarray]:
@@ -176,12 +175,13 @@ def rough_parameters(model: InverseDynamics, base: BaseParameters, payload: floa
         rod = RigidBody(1.0, end / 2, (end @ end * np.eye(3) - np.outer(end, end)) / 12 + 1e-3 * np.eye(3))
         chi |= {Parameter(kind, body): value for kind, value in inertial_parameters(rod).items()}
     torque = rms_torque(model, base, given_parameters(model, base, chi))  # of links of 1 kg
-    effort = np.array([robot.joint(joint).limits.effort or np.inf for joint in model.actuated])
+    limits = {joint: robot.joint(joint).limits for joint in model.actuated}
+    effort = np.array([limit.effort or np.inf for limit in limits.values()])
     mass = float(min(2 * payload, np.min(MODERATE * effort / np.maximum(torque, 1e-12))))
     chi = {name: mass * value for name, value in chi.items()}
-    for joint, size in zip(model.actuated, mass * torque, strict=True):
+    for (joint, limit), size in zip(limits.items(), mass * torque, strict=True):
         chi[Parameter("fs", joint)] = float(FRICTION * size)
-        chi[Parameter("fv", joint)] = float(FRICTION * size / (robot.joint(joint).limits.velocity or 1.0))
+        chi[Parameter("fv", joint)] = float(FRICTION * size / (limit.velocity or 1.0))
     return chi, mass
 
 
@@ -234,31 +234,33 @@ def prior_of(
 ) -> PriorModel:
     """Determine base parameters, gains and noise; add to ``assumed`` a sentence on every assumption."""
     if entry.model is not None:
-        result = load(entry.model)
-        if result.robot.actuated != model.actuated:
-            raise GtauError(f"{entry.model} is the model of another robot; give a model of '{model.robot.name}'.")
-        known = identified_gains(result, entry.model)
-        values = {name: parameter.value or 0.0 for name, parameter in result.parameters.items()}
-        chi = np.array([values.get(name, 0.0) for name in base.names])
-        rms = np.array([error.rms for error in result.residuals])
-        # white noise of the current samples that explains the residuals
-        sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
-        cautious, centers = chi, identified_centers(result)
+        prior = _identified(load(entry.model), entry.model, model, base)
     else:
-        centers = {}
         chi, cautious = _parameters(entry, model, base, payloads, assumed)
         missing = [joint for joint in model.actuated if joint not in entry.gains]
         if missing and entry.gains:
             raise GtauError(f"prior.gains has no gain for joint '{missing[0]}'; give one for every joint or for none.")
-        gains = [entry.gains.get(joint, 1.0) for joint in model.actuated]
-        known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
         if missing:
             assumed["gains"] = "gains: 1 N m/A or N per A in every joint; currents are then torques"
-        sigma = rough_noise(model, base, chi) / np.abs(gains)
-        if len(entry.noise) < len(gains):
+        if len(entry.noise) < len(model.actuated):
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
-    sigma = np.array([entry.noise.get(joint, rough) for joint, rough in zip(model.actuated, sigma, strict=True)])
-    return PriorModel(chi, known, sigma, cautious, centers)
+        gains = [entry.gains.get(joint, 1.0) for joint in model.actuated]
+        known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
+        prior = PriorModel(chi, known, rough_noise(model, base, chi) / np.abs(gains), cautious)
+    stated = [entry.noise.get(joint, rough) for joint, rough in zip(model.actuated, prior.sigma, strict=True)]
+    return replace(prior, sigma=np.array(stated))
+
+
+def _identified(result: IdentifiedModel, file: Path, model: InverseDynamics, base: BaseParameters) -> PriorModel:
+    if result.robot.actuated != model.actuated:
+        raise GtauError(f"{file} is the model of another robot; give a model of '{model.robot.name}'.")
+    known = identified_gains(result, file)
+    values = {name: parameter.value or 0.0 for name, parameter in result.parameters.items()}
+    chi = np.array([values.get(name, 0.0) for name in base.names])
+    rms = np.array([error.rms for error in result.residuals])
+    # white noise of the current samples that explains the residuals
+    sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
+    return PriorModel(chi, known, sigma, chi, identified_centers(result))
 
 
 def _parameters(
@@ -279,7 +281,8 @@ def _parameters(
             "give prior.parameters or prior.model for better predictions"
         )
         cautious = with_drives(model, file_parameters(model, rough, ERROR))
-        return given_parameters(model, base, file_parameters(model, rough)), given_parameters(model, base, cautious)
+        likely = file_parameters(model, rough)
+        return given_parameters(model, base, likely), given_parameters(model, base, cautious)
     if light := massless(model.robot, entry.parameters):
         assumed["massless"] = f"no mass and inertia of {', '.join(light)}: 'prior.parameters' lists none for them"
     given = given_parameters(model, base, entry.parameters)

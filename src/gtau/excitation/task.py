@@ -1,21 +1,27 @@
-"""The design problem: robot, motion, payloads, limits and prior knowledge."""
+"""The design problem (robot, motion, payloads, limits and prior knowledge), and its motions on a grid of instants."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import zip_longest
 
 import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Clearance
-from gtau.excitation.gradients import Pullback, SmoothRegressor, in_platform_space, pullback, smooth_regressor
-from gtau.excitation.guards import Guarded
-from gtau.excitation.information import Information, Window, information_of
+from gtau.excitation.information import Information, Window, derivative, information_of
 from gtau.excitation.prior import PriorModel
-from gtau.excitation.trajectory import FourierSeries, approach_duration
+from gtau.excitation.trajectory import (
+    FourierSeries,
+    Pullback,
+    SmoothRegressor,
+    approach_duration,
+    in_platform_space,
+    smooth_regressor,
+)
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames
@@ -28,46 +34,27 @@ from gtau.signals.reading.statements import Payload
 SPEED_FRACTION = Preparation.speed_fraction
 STILL = 1e-6  # m/s, smoothing of the tool's speed at rest
 SMOOTH = 0.02  # speed range of Coulomb friction's change of sign, as a share of the joint's speed
+PER_HARMONIC = 12  # instants of the design grid per period of the highest harmonic
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLimits:
     """Limits of the actuated joints and of the whole motion, inf where there is none.
 
-    Attributes
-    ----------
-    position : (n, 2)
-        Intervals, rad or m.
-    rates : (3, n)
-        Velocity, acceleration and jerk, rad or m and s.
-    current, torque : (n,)
-        A, and N m or N; a joint has one of the two.
-    workspace : mapping
-        Intervals of the tool frame's x, y and z, m.
-    condition : float
-        Largest condition number of the closures.
-    away : float
-        Smallest share of a joint's samples away from its reversals.
-    guarded : Guarded
-        Bodies to keep apart.
-    tool_speed : float
-        Speed of the tool's frame, m/s.
+    A joint has a limit of ``current``, A, or of ``torque``, N m or N. ``guards`` are sentences on what protects the
+    robot, what was guessed, and what is not checked.
     """
 
-    position: np.ndarray
-    rates: np.ndarray
-    current: np.ndarray
-    workspace: Mapping[str, tuple[float, float]]
-    condition: float
-    away: float
-    guarded: Guarded = field(default_factory=lambda: Guarded(None, ()))
-    torque: np.ndarray = field(default_factory=lambda: np.full(1, np.inf))
-    tool_speed: float = np.inf
-
-    @property
-    def clearance(self) -> Clearance | None:
-        """Bodies to keep apart."""
-        return self.guarded.clearance
+    position: np.ndarray  # (n, 2) intervals, rad or m
+    rates: np.ndarray  # (3, n) velocity, acceleration and jerk
+    current: np.ndarray  # (n,)
+    workspace: Mapping[str, tuple[float, float]]  # of the tool frame's x, y and z, m
+    condition: float  # largest condition number of the closures
+    away: float  # smallest share of a joint's samples away from its reversals
+    torque: np.ndarray = field(default_factory=lambda: np.full(1, np.inf))  # (n,)
+    tool_speed: float = np.inf  # m/s
+    clearance: Clearance | None = None
+    guards: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +106,7 @@ class DesignProblem:
     @property
     def guards(self) -> tuple[str, ...]:
         """Sentences on what protects the robot, what was guessed, and what is not checked."""
-        return self.limits.guarded.notes
+        return self.limits.guards
 
     @cached_property
     def information(self) -> Information:
@@ -140,48 +127,37 @@ class DesignProblem:
         """Upper bound (n,) on the rms speed that approach and return add to a run, rad/s or m/s."""
         if self.rest is None:
             return np.zeros(len(self.prior.sigma))
-        limits = self.limits
-        way = np.abs(limits.position - self.rest[:, None]).max(axis=1)
+        way = np.abs(self.limits.position - self.rest[:, None]).max(axis=1)
         way = np.where(np.isfinite(way), way, 0.0)
-        span = approach_duration(way, limits.rates)
+        span = approach_duration(way, self.limits.rates)
         duration = self.series.period * self.repetitions + 2 * span
         # the mean square speed of a quintic move by 1 in 1 s is 10 / 7
         return np.asarray(way * np.sqrt(2 * 10 / 7 / span / duration))
 
     @cached_property
-    def platform_model(self) -> InverseDynamics | None:
-        """Model of the robot driven by its platform, for a motion in platform space."""
-        return (
-            InverseDynamics(in_platform_space(self.model.robot), "inertial") if self.series.in_platform_space else None
-        )
-
-    @cached_property
     def regressor(self) -> SmoothRegressor:
         """Base columns with smooth Coulomb friction."""
-        joints = self.model.robot.joints
+        robot, actuated = self.model.robot, self.model.layout.actuated
         length = self.model.layout.length if self.model.loops else 1.0
+        units = np.array([1.0 if joint.turns else length for joint in robot.joints])
         speed = np.where(np.isfinite(self.limits.rates[0]), self.limits.rates[0], 1.0)
-        turn = float(np.median(speed)) / (1.0 if joints[self.model.layout.actuated[0]].turns else length)
-        width = np.array([SMOOTH * turn * (1.0 if joint.turns else length) for joint in joints])
-        width[self.model.layout.actuated] = SPEED_FRACTION * SMOOTH * speed  # slower rows are dropped
+        width = SMOOTH * float(np.median(speed)) / units[actuated[0]] * units
+        width[actuated] = SPEED_FRACTION * SMOOTH * speed  # slower rows are dropped
         return smooth_regressor(self.model, self.base.standard, width)
 
     @cached_property
-    def pullback(self) -> Pullback | None:
+    def pullback(self) -> Pullback:
         """Conversion of derivatives from the whole robot to its actuated joints."""
-        return pullback(self.model)
+        return Pullback(self.model)
 
     @cached_property
-    def platform_pullback(self) -> Pullback | None:
-        """Conversion of derivatives from the whole robot to its platform."""
-        return pullback(self.platform_model) if self.platform_model else None
-
-    @cached_property
-    def motors(self) -> list[int]:
-        """Indices of the motors among the joints of the robot driven by its platform."""
-        assert self.platform_model is not None
-        names = [joint.name for joint in self.platform_model.robot.joints]
-        return [names.index(name) for name in self.model.actuated]
+    def platform(self) -> tuple[InverseDynamics, Pullback, list[int]] | None:
+        """For a motion in platform space: model of the robot driven by its platform, pullback, and its motor joints."""
+        if not self.series.in_platform_space:
+            return None
+        driven = InverseDynamics(in_platform_space(self.model.robot), "inertial")
+        names = [joint.name for joint in driven.robot.joints]
+        return driven, Pullback(driven), [names.index(name) for name in self.model.actuated]
 
     @cached_property
     def tool(self) -> tuple[Program, Program]:
@@ -220,3 +196,87 @@ def close(model: InverseDynamics, joints: np.ndarray, near: np.ndarray | None = 
     if not reached.all():
         return model.motion(q, qd, qdd)  # its error names the place
     return differentiate(model.loops, c, qd, qdd)
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Instants ``step`` s apart, of one period or a whole run, with the series' basis (4, N, free) for a period."""
+
+    step: float
+    basis: np.ndarray = field(default_factory=lambda: np.empty((4, 0, 0)))
+
+
+def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
+    """Make the grid of a period on which motions are designed, or a grid ``finer`` times finer."""
+    samples = PER_HARMONIC * task.series.harmonics * finer
+    step = task.series.period / samples
+    return Grid(step, task.series.basis(step * np.arange(samples)))
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """The motion of some ``runs``: joints (4, n, N), the whole robot, and the base regressor W (n, N, n_b).
+
+    In platform space, ``platform`` is the motion of the robot driven by its platform.
+    """
+
+    task: DesignProblem
+    grid: Grid
+    runs: tuple[int, ...]
+    joints: np.ndarray
+    motion: Motion
+    platform: Motion | None
+    W: np.ndarray
+
+    def rows(self, slopes: np.ndarray, by_condition: float = 0.0) -> np.ndarray:
+        """Convert derivatives by the whole robot's motion, see :class:`Pullback`, into gradients (N, series.size)."""
+        return self.to_rows(self.task.pullback(self.motion, slopes, by_condition))
+
+    def to_rows(self, by: np.ndarray) -> np.ndarray:
+        """Convert derivatives by q, qd, qdd (3, n, N) into the gradient of every sample by x, (N, series.size)."""
+        series = self.task.series
+        if self.platform is not None and self.task.platform is not None:
+            driven, pullback, motors = self.task.platform
+            slopes = np.zeros((3, driven.layout.n_y, by.shape[2]))
+            slopes[:, motors] = by
+            by = pullback(self.platform, slopes.reshape(-1, by.shape[2]))
+        rows = by.transpose(2, 1, 0) @ self.grid.basis[:3].transpose(1, 0, 2) * series.half[:, None]
+        return np.asarray(rows.reshape(len(rows), series.size))
+
+    def rows_of(self, order: int, joint: int) -> np.ndarray:
+        """Compute the gradients (N, series.size) of a joint's position, velocity, acceleration or jerk."""
+        series, samples = self.task.series, self.joints.shape[2]
+        if order == 3 and self.platform is None:
+            rows = np.zeros((samples, len(series.center), series.free))
+            rows[:, joint] = self.grid.basis[3] * series.half[joint]
+            return rows.reshape(samples, series.size)
+        by = np.zeros((3, *self.joints.shape[1:]))
+        by[min(order, 2), joint] = 1.0
+        rows = self.to_rows(by)
+        return derivative(rows.T, self.grid.step).T if order == 3 else rows
+
+
+def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
+    """Evaluate all motions for x (task.size,), closing loops from the configurations of ``near`` if given."""
+    parts = zip_longest(np.split(x, len(task.motions)), task.motions, near)
+    return tuple(evaluate_one(task, part, grid, runs, closed) for part, runs, closed in parts)
+
+
+def evaluate_one(
+    task: DesignProblem, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None
+) -> Point:
+    """Evaluate the motion of some ``runs`` for x (series.size,); see :func:`evaluate`."""
+    joints, platform = task.series.along(x, grid.basis), None
+    if task.platform is not None:
+        driven, _, motors = task.platform
+        platform = close(driven, joints, None if near is None or near.platform is None else near.platform.c)
+        qdd = platform.ydd[motors]
+        joints = np.stack([platform.c[motors], platform.yd[motors], qdd, derivative(qdd, grid.step)])
+    motion = close(task.model, joints, None if near is None else near.motion.c)
+    return Point(task, grid, runs, joints, motion, platform, task.regressor(motion))
+
+
+def along(task: DesignProblem, joints: np.ndarray, step: float, runs: tuple[int, ...]) -> Point:
+    """Evaluate any motion of the joints (4, n, N), ``step`` s apart."""
+    motion = close(task.model, joints)
+    return Point(task, Grid(step), runs, joints, motion, None, task.regressor(motion))

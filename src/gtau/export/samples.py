@@ -127,23 +127,26 @@ class Draws:
 
     def results(self) -> Iterator[IdentifiedModel]:
         """Convert each draw to a result, the input of every export."""
-        result, consistency, joints = self.result, self.result.consistency, self.result.idm.actuated
+        result, consistency = self.result, self.result.consistency
         assert consistency is not None
-        for k, base_values in enumerate(self.base.tolist()):
-            gains, delays = (dict(zip(joints, drawn[k].tolist(), strict=True)) for drawn in (self.gains, self.delays))
-            standard = dict(zip(result.idm.parameter_names, self.standard[k].tolist(), strict=True))
+        names, joints = result.idm.parameter_names, result.idm.actuated
+        for k, base in enumerate(self.base):
+            gains = dict(zip(joints, self.gains[k].tolist(), strict=True))
+            standard = dict(zip(names, self.standard[k].tolist(), strict=True))
             exact = {joint: (gain, 0.0) for joint, gain in gains.items()}
+            friction = {name: values[k] for name, values in self.friction.items()}
             yield result.replaced(
                 consistency=replace(consistency, standard=standard, gains=exact),
-                drive_gains=_with(result.drive_gains, gains),
-                parameters=_with(result.parameters, dict(zip(result.base.names, base_values, strict=True))),
-                friction=_with(result.friction, {name: float(v[k]) for name, v in self.friction.items()}),
-                delays=_with(result.delays, delays),
+                drive_gains=_with(result.drive_gains, joints, self.gains[k]),
+                parameters=_with(result.parameters, result.base.names, base),
+                friction=_with(result.friction, friction, friction.values()),
+                delays=_with(result.delays, joints, self.delays[k]),
             )
 
 
-def _with(estimates: Mapping[Any, Estimate], values: Mapping[Any, float]) -> dict[Any, Estimate]:
-    return {name: replace(estimate, value=values.get(name, estimate.value)) for name, estimate in estimates.items()}
+def _with(estimates: Mapping[Any, Estimate], names: Iterable[Any], values: Iterable[float]) -> dict[Any, Estimate]:
+    drawn = {name: float(value) for name, value in zip(names, values, strict=True)}
+    return {name: replace(old, value=drawn.get(name, old.value)) for name, old in estimates.items()}
 
 
 def draw(result: IdentifiedModel, count: int, seed: int = 0) -> Draws:
@@ -163,8 +166,8 @@ def draw(result: IdentifiedModel, count: int, seed: int = 0) -> Draws:
     unchanged = np.zeros(count)
 
     def by_joint(kind: str, values: Iterable[float | None]) -> np.ndarray:
-        joints = zip(result.idm.actuated, values, strict=True)
-        return np.column_stack([(v or 0.0) + changes.get(Parameter(kind, joint), unchanged) for joint, v in joints])
+        drawn = [changes.get(Parameter(kind, joint), unchanged) for joint in result.idm.actuated]
+        return np.column_stack([(value or 0.0) + change for value, change in zip(values, drawn, strict=True)])
 
     for name, standard, values in zip(base.names, base.standard, (x @ base.matrix.T).T, strict=True):
         changes[standard] = values - (result.parameters[name].value or 0.0)
@@ -352,10 +355,10 @@ def _target_of(
     y = about.copy()
     for body, at in zip(bodies, places, strict=True):
         stated = np.array([dict(robot.inertias).get(Parameter(kind, body), 0.0) for kind in INERTIAL])
-        y[at] = (
-            _plausible(stated, THINNER * length) if stated[-1] > 0 else _plausible(y[at] * unit[at], SLENDER * length)
-        )
-        y[at] /= unit[at]
+        if stated[-1] > 0:
+            y[at] = _plausible(stated, THINNER * length) / unit[at]
+        else:
+            y[at] = _plausible(y[at] * unit[at], SLENDER * length) / unit[at]
     positive = np.flatnonzero([name.kind in DISSIPATING for name in names])
     y[positive] = np.maximum(y[positive], SMALL)
     basis = BASIS * unit[places][:, :, None, None]

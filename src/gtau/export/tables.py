@@ -193,10 +193,10 @@ def _line(name: str, estimate: Estimate) -> tuple[str, ...]:
 
 def _regroupings(result: IdentifiedModel, label: Mapping[str, str]) -> str:
     """Tabulate the sum that each regrouped base parameter stands for; LaTeX breaks the line before a sign."""
-    sums = {name: terms for name, terms in regrouped(result.base, result.idm.parameter_names).items() if len(terms) > 1}
-    if not sums:
+    sums = regrouped(result.base, result.idm.parameter_names).items()
+    lines = [(f"${symbol(name, label)}$", f"${_sum_of(terms, label)}$") for name, terms in sums if len(terms) > 1]
+    if not lines:
         return ""
-    lines = [(f"${symbol(name, label)}$", f"${_sum_of(terms, label)}$") for name, terms in sums.items()]
     caption = f"Standard parameters regrouped in base parameters of {in_latex(result.robot.name)}."
     return _table(r"lp{0.6\textwidth}", ("Par.", "Sum"), lines, caption)
 

@@ -78,9 +78,10 @@ def export_thresholds(
 def residual_of(result: IdentifiedModel, run: Run, speed: np.ndarray, observer: float | None) -> Residual:
     """Compute the residual of a run, whose ``speed`` (N, n) is in shares of the largest."""
     prediction = predict_under_load(result, run).in_band
-    external, at = prediction.predicted - prediction.measured, np.searchsorted(run.time, prediction.time)
-    at = np.minimum(at, len(run.time) - 1)
-    if observer is not None:
+    at = np.minimum(np.searchsorted(run.time, prediction.time), len(run.time) - 1)
+    if observer is None:
+        external = prediction.predicted - prediction.measured
+    else:
         external = momentum_observer(result, run, observer)[at]
     cell = np.where(prediction.valid, np.sum([speed[at] >= bound for bound in SPEEDS], axis=0), -1)
     return np.abs(external), cell, float(np.median(np.diff(prediction.time)))

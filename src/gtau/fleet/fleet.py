@@ -82,11 +82,7 @@ class FleetGain:
 
 @dataclass(frozen=True)
 class JointOfFleet:
-    """A joint over all robots of one model, in ``unit``: weighted ``median``, its standard deviation and ``spread``.
-
-    The spread is the standard deviation between the robots beyond the gains' own standard deviations; ``comparable``
-    says whether there are enough robots to find outliers.
-    """
+    """A joint over all robots of a model: weighted median, its standard deviation, and the spread between robots."""
 
     model: str
     joint: str
@@ -324,11 +320,7 @@ def _median_and_spread(values: np.ndarray, std: np.ndarray) -> tuple[float, floa
 
 
 def _outlier_limits(freedom: np.ndarray, spread: float, tests: int) -> np.ndarray:
-    """Compute the ``|z|`` (N,) beyond which values are outliers.
-
-    A t distribution exceeds the limit with a probability of 5 % in ``tests`` draws, one per value tested in the whole
-    fleet. ``freedom`` (N,) are the degrees of freedom of the standard deviations (inf: very many).
-    """
+    """Compute the ``|z|`` (N,) that Student's t exceeds with a probability of 5 % in ``tests`` draws."""
     from scipy.special import stdtrit
 
     spread_freedom = max(EFFICIENCY * (len(freedom) - 1), 1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -13,25 +13,20 @@ from gtau.estimation.results.estimate import write_distances
 from gtau.findings import Finding, Grade
 from gtau.findings.finding import by_severity, note_document
 from gtau.findings.words import counted
-from gtau.report import logs
 from gtau.report.chart import Chart
-from gtau.report.evidence import preparation_words
-from gtau.report.findings import findings_section, same_in_several
-from gtau.report.motion import distances_panels, geometry_section, joint_panels, singularities_section
-from gtau.report.page import (
-    Column,
-    Facts,
-    Kind,
-    Page,
-    Section,
-    Table,
-    Text,
-    joint_label,
-    page,
-    section,
-    table,
-    table_of,
+from gtau.report.evidence import findings_section, preparation_words, same_in_several
+from gtau.report.motion import (
+    distances_panels,
+    joint_panels,
+    payload_words,
+    preparation_chart,
+    seconds,
+    singularities_section,
+    speed_chart,
+    valid_share,
 )
+from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
+from gtau.report.robot import geometry_section
 from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 
@@ -63,7 +58,7 @@ def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
         "payload": None if run.payload is None else {"name": run.payload.name, "mass": run.payload.mass},
         "samples": len(run.time),
         "rate": run.rate,
-        "duration": logs.seconds(run),
+        "duration": seconds(run),
         "rows": log.rows,
         "joints": [
             {
@@ -91,29 +86,44 @@ def check_page(checked: ExperimentCheck) -> Page:
     """Show the contents of the logs, and whether an identification can use them."""
     robot, preparation = checked.robot, checked.preparation
     nearest = [pose for log in checked.logs for pose in log.nearest]
-    motions = [section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
-    prepared = [section(log.run.name, logs.preparation_chart(log), folded=True) for log in checked.logs]
-    speeds = logs.speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
-    return page(
+    motions = [Section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
+    prepared = [Section(log.run.name, preparation_chart(log), folded=True) for log in checked.logs]
+    logs = table_of(
+        checked.logs,
+        (Column("log"), "run.name"),
+        (Column("used for"), _purpose),
+        (Column("payload"), lambda log: payload_words(log.run).removeprefix("payload ")),
+        (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
+        (Column("rate, Hz", Kind.NUMBER, 5), "run.rate"),
+        (Column("duration, s", Kind.NUMBER), lambda log: seconds(log.run)),
+        (Column("rows a joint", Kind.NUMBER), "rows"),
+        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - valid_share(log.run)),
+    )
+    settings = None
+    if preparation is not None:
+        bandwidth, cutoff, decimation = preparation_words(preparation)
+        settings = Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
+    speeds = speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
+    return Page(
         f"Logs of {checked.robot.name}",
         _verdict(checked),
         findings_section(checked.notes),
-        section("Logs", _logs_table(checked), _preparation(checked), id="logs") if checked.logs else None,
-        section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
-        section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
+        Section("Logs", logs, settings, id="logs") if checked.logs else None,
+        Section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
+        Section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
-        section("Motion", *motions, id="motion"),
-        section("Preparation", *prepared, speeds, id="preparation"),
+        Section("Motion", *motions, id="motion"),
+        Section("Preparation", *prepared, speeds, id="preparation"),
     )
 
 
 def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
     style = {Grade.ERROR: "bad", Grade.WARNING: "weak", Grade.INFORMATION: "good"}[checked.worst]
-    time = sum(logs.seconds(log.run) for log in used)
+    time = sum(seconds(log.run) for log in used)
     runs = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
-    words = Text(expectation(checked.notes), (runs,) if used else (), style)  # type: ignore[arg-type]
-    return section("Verdict", words, id="verdict")
+    said = (runs,) if used else ()
+    return Section("Verdict", Text(expectation(checked.notes), said, style), id="verdict")  # type: ignore[arg-type]
 
 
 def expectation(notes: Sequence[Finding]) -> str:
@@ -128,69 +138,40 @@ def expectation(notes: Sequence[Finding]) -> str:
     return f"{command} can use these logs as they are."
 
 
-def _preparation(checked: ExperimentCheck) -> Facts | None:
-    if checked.preparation is None:
-        return None
-    bandwidth, cutoff, decimation = preparation_words(checked.preparation)
-    return Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
-
-
-def _logs_table(checked: ExperimentCheck) -> Table:
-    return table_of(
-        checked.logs,
-        (Column("log"), "run.name"),
-        (Column("used for"), _purpose),
-        (Column("payload"), lambda log: logs.payload_words(log.run).removeprefix("payload ")),
-        (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
-        (Column("rate, Hz", Kind.NUMBER, 5), "run.rate"),
-        (Column("duration, s", Kind.NUMBER), lambda log: logs.seconds(log.run)),
-        (Column("rows a joint", Kind.NUMBER), "rows"),
-        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - logs.valid_share(log.run)),
-    )
-
-
 def _purpose(log: LogCheck) -> str:
     return "validation" if log.validation else "identification"
 
 
 def _joints(log: LogCheck, robot: Robot) -> Section:
-    kind = {"A": "current", "N": "force"}.get(command_unit(robot, log.joints[-1].joint, log.run.kind), "torque")
-    speeds = [f"{position_unit(robot, joint.joint)}/s" for joint in log.joints]
-    commands = [command_unit(robot, joint.joint, log.run.kind) for joint in log.joints]
-    positions = "position" if len(set(speeds)) > 1 else f"position, {speeds[0].removesuffix('/s')}"
-    columns = (
-        Column("joint"),
-        Column(positions, Kind.INTERVAL),
-        *_unit_columns("speed", speeds, wide=True),
-        Column("bandwidth, Hz", Kind.NUMBER, 3, missing="at rest"),
-        *_unit_columns(kind, commands),
-        Column("rows used, %", Kind.SHARE, decimals=0),
+    units = {joint.joint: position_unit(robot, joint.joint) for joint in log.joints}
+    speeds = {joint: f"{unit}/s" for joint, unit in units.items()}
+    commands = {joint: command_unit(robot, joint, log.run.kind) for joint in units}
+    kind = {"A": "current", "N": "force"}.get(commands[log.joints[-1].joint], "torque")
+    listed = table_of(
+        log.joints,
+        (Column("joint"), lambda joint: joint_label(joint.joint)),
+        (Column(f"position{_shared(units)}", Kind.INTERVAL), "position"),
+        (Column(f"speed rms{_shared(speeds)}", Kind.NUMBER, 3), "speed_rms"),
+        (Column(f"max{_shared(speeds)}", Kind.NUMBER, 3, wide=True), "speed_max"),
+        *_unit_column(speeds),
+        (Column("bandwidth, Hz", Kind.NUMBER, 3, missing="at rest"), "bandwidth"),
+        (Column(f"{kind} rms{_shared(commands)}", Kind.NUMBER, 3), "command_rms"),
+        (Column(f"max{_shared(commands)}", Kind.NUMBER, 3), "command_max"),
+        *_unit_column(commands),
+        (Column("rows used, %", Kind.SHARE, decimals=0), "usable"),
     )
-    rows = [
-        (
-            joint_label(joint.joint),
-            joint.position,
-            *(joint.speed_rms, joint.speed_max, *_unit_cell(speeds, k)),
-            joint.bandwidth,
-            *(joint.command_rms, joint.command_max, *_unit_cell(commands, k)),
-            joint.usable,
-        )
-        for k, joint in enumerate(log.joints)
-    ]
-    title = f"{log.run.name} ({_purpose(log)}, {logs.payload_words(log.run)})"
-    return section(title, table(columns, rows), _wrenches(log) if log.wrenches else None, folded=False)
+    title = f"{log.run.name} ({_purpose(log)}, {payload_words(log.run)})"
+    return Section(title, listed, _wrenches(log) if log.wrenches else None, folded=False)
 
 
-def _unit_columns(what: str, units: Sequence[str], wide: bool = False) -> list[Column]:
-    """Make the columns of a quantity; the titles hold its unit if the joints share it."""
-    unit = f", {units[0]}" if len(set(units)) == 1 else ""
-    columns = [Column(f"{what} rms{unit}", Kind.NUMBER, 3), Column(f"max{unit}", Kind.NUMBER, 3, wide=wide)]
-    return columns if unit else [*columns, Column("unit")]
+def _shared(units: Mapping[str, str]) -> str:
+    """Return the unit for the title of a column, if the joints share one."""
+    return f", {next(iter(units.values()))}" if len(set(units.values())) == 1 else ""
 
 
-def _unit_cell(units: Sequence[str], k: int) -> tuple[str, ...]:
-    """Return the cell of the unit if the units of the joints differ."""
-    return (units[k],) if len(set(units)) > 1 else ()
+def _unit_column(units: Mapping[str, str]) -> list[ColumnOf]:
+    """Return the column of units, if they differ."""
+    return [] if _shared(units) else [(Column("unit"), lambda joint: units[joint.joint])]
 
 
 def _wrenches(log: LogCheck) -> Table:
@@ -213,10 +194,10 @@ def motion_chart(log: LogCheck, robot: Robot) -> Chart:
 
 def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
     """Write the distances of all logs to singular poses as ``singularities.parquet``; raises GtauError."""
-    if not checked.logs:
-        return []
-    write_distances(((log.run.name, log.distances) for log in checked.logs), folder / "singularities.parquet")
-    return [folder / "singularities.parquet"]
+    path = folder / "singularities.parquet"
+    if checked.logs:
+        write_distances(((log.run.name, log.distances) for log in checked.logs), path)
+    return [path] if checked.logs else []
 
 
 def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
@@ -226,7 +207,7 @@ def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
     names = unique_names([log.run.name for log in checked.logs])
     written = [folder / f"{name}-preparation.png" for name in names]
     for path, log in zip(written, checked.logs, strict=True):
-        save_figure(figure_of(logs.preparation_chart(log)), path)
+        save_figure(figure_of(preparation_chart(log)), path)
     return written
 
 

@@ -16,20 +16,7 @@ from gtau.excitation.forecast import Expected, Outlook, Weak, sampled_motions
 from gtau.excitation.task import DesignProblem
 from gtau.report.chart import Chart
 from gtau.report.motion import joint_panels
-from gtau.report.page import (
-    Column,
-    Facts,
-    Kind,
-    Page,
-    Section,
-    Table,
-    Text,
-    joint_label,
-    page,
-    section,
-    table,
-    table_of,
-)
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload
 
@@ -148,13 +135,15 @@ def _helps(weak: Weak) -> bool:
 
 
 def design_page(outlook: Outlook) -> Page:
-    """Show the predictions of a design."""
+    """Show the predictions of a design, its motion and the robot."""
     design, task, expected = outlook.design, outlook.task, outlook.forecast
     assumed = "parameters" in outlook.assumed
     gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
-    words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
-    unknown = Text(words, style="soft") if any(_meaningless(value, assumed) for value in expected.parameters) else None
     parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
+    hidden = None
+    if any(_meaningless(value, assumed) for value in expected.parameters):
+        words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
+        hidden = Text(words, style="soft")
     facts = {
         "period": f"{task.series.period:.4g} s",
         "repetitions": task.repetitions,
@@ -169,28 +158,22 @@ def design_page(outlook: Outlook) -> Page:
         (Column("used, %", Kind.SHARE, decimals=1), "excess"),
     )
     assumptions = Text("", tuple(outlook.assumed.values())) if outlook.assumed else Text("Nothing was assumed.")
-    return page(
+    return Page(
         f"Exciting motion for {outlook.robot.name}",
-        section("Verdict", _verdict(outlook), Facts(facts), id="verdict"),
-        section("Drive gains to expect", gains, id="gains"),
-        section("Parameters to expect", parameters, unknown, id="parameters", folded=True),
-        section("Limits", limits, id="limits"),
+        Section("Verdict", _verdict(outlook), Facts(facts), id="verdict"),
+        Section("Drive gains to expect", gains, id="gains"),
+        Section("Motion", *(Section(title, chart) for title, chart in motion_charts(outlook)), id="motion"),
+        Section("Robot", outlook.robot, id="robot"),
+        Section("Parameters to expect", parameters, hidden, id="parameters", folded=True),
+        Section("Limits", limits, id="limits"),
         _masses(outlook),
-        section("Assumptions", assumptions, id="assumed"),
+        Section("Assumptions", assumptions, id="assumed"),
         lead=[
             f"The tool moves at up to {outlook.tool[0]:.2g} m/s (frame of '{outlook.robot.tool}').",
             *(f"{guard[0].upper()}{guard[1:]}." for guard in task.guards),
             f"Criterion: {design.criterion}. Runs: {', '.join(map(_load, task.payloads))}.",
         ],
     )
-
-
-def design_report(outlook: Outlook) -> Page:
-    """Show the predictions of a design with its motion and the robot."""
-    short = design_page(outlook)
-    motions = (section(title, chart) for title, chart in motion_charts(outlook))
-    drawn = (section("Motion", *motions, id="motion"), section("Robot", outlook.robot, id="robot"))
-    return replace(short, sections=(*short.sections[:2], *drawn, *short.sections[2:]))
 
 
 def _load(payload: Payload | None) -> str:
@@ -274,7 +257,7 @@ def _masses(outlook: Outlook) -> Section | None:
         for label, case in zip(labels[1:], cases[1:], strict=True)
         if case.exceeded
     ]
-    return section("Other payload masses", table(columns, rows), Text("", tuple(exceeded)), id="masses")
+    return Section("Other payload masses", Table(columns, rows), Text("", tuple(exceeded)), id="masses")
 
 
 def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:

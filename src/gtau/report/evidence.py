@@ -1,9 +1,10 @@
-"""Compare runs with the predictions of a model."""
+"""What pages rest on: findings, and runs compared with the predictions of a model."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,47 +12,83 @@ from gtau.errors import GtauError, quoted
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
+from gtau.findings.finding import by_severity
+from gtau.findings.words import moment
 from gtau.progress import Progress, silent
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label
 from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.formats import reading
 from gtau.signals.run import Run
 from gtau.uses.prediction import Prediction, predict, torque_errors
 from gtau.uses.weigh import undeclared_load
 
+APART = 4  # most findings of one kind on different logs that are listed one by one
 LONGEST = 300_000  # samples; of longer runs only the beginning is predicted
+
+
+def findings_section(notes: Sequence[Finding], most: int | None = None) -> Section:
+    """List findings, the worst first, at most ``most`` of them."""
+    nothing = Text("Nothing was repaired, left out or flagged.")
+    return Section("Findings", findings_table(notes, most) if notes else nothing, id="notes")
+
+
+def findings_table(notes: Sequence[Finding], most: int | None = None) -> Table:
+    """Tabulate findings, the worst first, at most ``most`` of them."""
+    rows = [
+        (grade.value, note.source, _where(note), note.what, note.advice)
+        for grade, members in by_severity(same_in_several(notes)).items()
+        for note in members
+    ]
+    columns = (
+        Column("grade", Kind.BADGE),
+        Column("log or robot"),
+        Column("where", wide=True),
+        Column("what was found", Kind.SENTENCE),
+        Column("what to do", Kind.SENTENCE),
+    )
+    return Table(columns, rows[:most], listed=True)
+
+
+def _where(note: Finding) -> str:
+    """Describe joint, time and share of samples of a finding, as far as known."""
+    share = None if note.share is None else f"{100 * note.share:.2g} % of the samples"
+    time = None if note.time is None else moment(note.time, 4)
+    return ", ".join(part for part in (note.joint and joint_label(note.joint), time, share) if part)
+
+
+def same_in_several(notes: Sequence[Finding]) -> list[Finding]:
+    """Merge equal findings on several logs, and findings of one kind on many logs into the worst, without time."""
+    alike: dict[tuple[str, str], list[Finding]] = {}
+    for note in notes:
+        alike.setdefault((note.what, note.advice), []).append(note)
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    for same in alike.values():
+        sources = ", ".join(dict.fromkeys(note.source for note in same if note.source))
+        note = replace(same[0], source=sources, time=None) if len(same) > 1 else same[0]
+        groups.setdefault((note.kind, note.joint, note.advice), []).append(note)
+    merged = []
+    for group in groups.values():
+        on_logs = [note for note in group if note.source]
+        if len(on_logs) > APART:
+            worst = max(on_logs, key=lambda note: note.share or 0.0)
+            merged.append(replace(worst, source=f"{worst.source} and {len(on_logs) - 1} more", time=None))
+            group = [note for note in group if not note.source]
+        merged += group
+    return merged
 
 
 @dataclass(frozen=True, eq=False)
 class RunEvidence:
-    """A run and its prediction.
-
-    Attributes
-    ----------
-    run : Run
-        The run.
-    used : bool
-        Whether the model was identified from it.
-    prediction, samples : Prediction, optional
-        Prediction at the rows of the identification, behind its low-pass filter; and the raw prediction at every
-        sample if asked for.
-    errors : tuple of TorqueError
-        Torque error of each joint over all samples.
-    refusal : str
-        Reason for a missing prediction.
-    cut : bool
-        Whether only the beginning of the run is shown.
-    notes : tuple of Finding
-        Undeclared load at the tool, and assumptions of the prediction.
-    """
+    """A run that the model was identified from (``used``) or not, and its prediction, or the reason for having none."""
 
     run: Run
     used: bool
-    prediction: Prediction | None = None
-    samples: Prediction | None = None
-    errors: tuple[TorqueError, ...] = ()
+    prediction: Prediction | None = None  # at the rows of the identification, behind its low-pass filter
+    samples: Prediction | None = None  # at every sample, raw, if asked for
+    errors: tuple[TorqueError, ...] = ()  # of each joint over all samples
     refusal: str = ""
-    cut: bool = False
-    notes: tuple[Finding, ...] = ()
+    cut: bool = False  # only the beginning of the run is shown
+    notes: tuple[Finding, ...] = ()  # undeclared load at the tool, and assumptions of the prediction
 
     @property
     def time(self) -> np.ndarray:
@@ -69,10 +106,7 @@ class RunEvidence:
 def gather(
     result: IdentifiedModel, runs: Iterable[Run], validation: Iterable[Run] = (), progress: Progress = silent
 ) -> tuple[RunEvidence, ...]:
-    """Predict the runs of an identification and of its validation.
-
-    A run that the model cannot predict gets the reason as its ``refusal``.
-    """
+    """Predict the runs of an identification and of its validation; one that cannot be predicted gets a ``refusal``."""
     listed = [(run, True) for run in runs] + [(run, False) for run in validation]
     gathered = []
     for k, (run, used) in enumerate(listed):
@@ -86,23 +120,22 @@ def gather(
 
 
 def predicted(
-    result: IdentifiedModel, run: Run, used: bool = False, longest: int | None = LONGEST, progress: Progress = silent
+    result: IdentifiedModel, run: Run, used: bool = False, whole: bool = False, progress: Progress = silent
 ) -> RunEvidence:
-    """Predict a run, or its beginning, and look for an undeclared load; raises GtauError if the run does not fit."""
-    cut = longest is not None and len(run.time) > longest
-    prediction = predict(result, _beginning(run, longest or 0) if cut else run)
+    """Predict a run, or its beginning unless ``whole``, and look for an undeclared load; raises GtauError."""
+    cut = not whole and len(run.time) > LONGEST
+    prediction = predict(result, _beginning(run, LONGEST) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
-    all_samples = prediction if longest is None else None
     load = None if used or cut else undeclared_load(result, run, errors, progress)
     notes = (*((load,) if load else ()), *_unknown_payload(result, run))
-    return RunEvidence(run, used, prediction.rows, all_samples, errors, cut=cut, notes=notes)
+    return RunEvidence(run, used, prediction.rows, prediction if whole else None, errors, cut=cut, notes=notes)
 
 
 def _beginning(run: Run, count: int) -> Run:
-    time, position, command, valid = (
-        np.asarray(samples[:count]) for samples in (run.time, run.position, run.command, run.valid)
-    )
-    return replace(run, time=time, position=position, command=command, valid=valid)
+    columns: dict[str, Any] = {
+        name: np.asarray(getattr(run, name)[:count]) for name in ("time", "position", "command", "valid")
+    }
+    return replace(run, **columns)
 
 
 def _unknown_payload(result: IdentifiedModel, run: Run) -> Iterator[Finding]:
@@ -121,23 +154,24 @@ def _unknown_payload(result: IdentifiedModel, run: Run) -> Iterator[Finding]:
 def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:
     """Describe bandwidth of the motion, position filter and decimation."""
     bandwidth, cutoff, decimator = preparation.bandwidth, preparation.cutoff, preparation.decimator
-    low_pass = "none" if cutoff is None else f"{cutoff:.{digits}g} Hz"
-    return f"{bandwidth:.{digits}g} Hz", low_pass, f"{decimator.factor} ({decimator.kind})"
+    return f"{bandwidth:.{digits}g} Hz", _low_pass(cutoff, digits), f"{decimator.factor} ({decimator.kind})"
+
+
+def _low_pass(cutoff: float | None, digits: int = 4) -> str:
+    return "none" if cutoff is None else f"{cutoff:.{digits}g} Hz"
 
 
 def settings_of(result: IdentifiedModel) -> dict[str, str]:
     """List the settings of an identification by name."""
-    bandwidth, low_pass, decimation = preparation_words(result.preparation, 4)
+    preparation = result.preparation
+    bandwidth, low_pass, decimation = preparation_words(preparation, 4)
     return {
         "estimator": result.method,
         "bandwidth of the motion": bandwidth,
         "position filter": low_pass,
-        "position filter of predictions": ", ".join(
-            "none" if cutoff is None else f"{cutoff:.4g} Hz" for cutoff in result.preparation.prediction_cutoffs
-        )
-        or low_pass,
+        "position filter of predictions": ", ".join(map(_low_pass, preparation.prediction_cutoffs)) or low_pass,
         "decimation": decimation,
-        "rows masked below": f"{100 * result.preparation.speed_fraction:g} % of the rms speed",
+        "rows masked below": f"{100 * preparation.speed_fraction:g} % of the rms speed",
         **{name.replace("_", " "): f"{value:.4g}" for name, value in result.statistics.items()},
     }
 

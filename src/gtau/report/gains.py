@@ -15,7 +15,7 @@ from gtau.findings import Grade
 from gtau.findings.words import percent_text, to_width
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
-from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, section, table, table_of
+from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, table_of
 
 GOOD_OUTCOMES = (Grade.GOOD, Grade.GIVEN)
 LEAST = 0.01  # smallest share of a source of the scale that is mentioned
@@ -26,22 +26,25 @@ def gains_section(
     result: IdentifiedModel, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
 ) -> Section:
     """Show drive gains with 95 % intervals, prior gains, reasons of verdicts, and the sources of the scale."""
-    from_torques, prior = result.kind == "torque", prior or {}
-    words = "±: half the 95 % interval; random, model: standard deviations; % of the "
-    words += "scale, true over reported torque" if from_torques else "gain"
-    return section(
-        "Torque scale" if from_torques else "Drive gains",
-        gains_table(result, prior),
-        Text(words, style="soft") if _estimated(result) else None,
-        reasons_table(result, charts),
-        _scale_text(result, short) if _estimated(result) else None,
-        whole_mass_text(result),
-        gains_chart(result.drive_gains, prior) if charts else None,
+    prior, gains = prior or {}, result.drive_gains
+    title, what = "Drive gains", "gain"
+    if result.kind == "torque":
+        title, what = "Torque scale", "scale, true over reported torque"
+    words = f"±: half the 95 % interval; random, model: standard deviations; % of the {what}"
+    estimated = any(gain.std is not None for gain in gains.values())
+    return Section(
+        title,
+        _gains_table(result, prior, estimated),
+        Text(words, style="soft") if estimated else None,
+        _reasons_table(result, charts),
+        _scale_text(result, short) if estimated else None,
+        _whole_mass(result),
+        gains_chart(gains, prior) if charts else None,
         id="gains",
     )
 
 
-def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
+def _gains_table(result: IdentifiedModel, prior: Mapping[str, float], estimated: bool) -> Table:
     """Tabulate drive gains: verdict, value, interval and its two parts, delay, and prior gain."""
     gains = result.drive_gains
     accuracy = 100 * result.statistics.get("accuracy", ACCURACY)
@@ -56,7 +59,7 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
         (Column("scale" if result.kind == "torque" else "gain", Kind.NUMBER, 5), lambda joint: gains[joint].value),
         (Column("unit"), lambda joint: gains[joint].unit),
     ]
-    if _estimated(result):
+    if estimated:
         part = partial(Column, kind=Kind.NUMBER, digits=2, most=LARGEST)
         columns += [
             (Column("±95 %", Kind.NUMBER), half),
@@ -72,11 +75,7 @@ def gains_table(result: IdentifiedModel, prior: Mapping[str, float]) -> Table:
     return table_of(gains, *columns)
 
 
-def _estimated(result: IdentifiedModel) -> bool:
-    return any(gain.std is not None for gain in result.drive_gains.values())
-
-
-def reasons_table(result: IdentifiedModel, beside_actions: bool = False) -> Table | None:
+def _reasons_table(result: IdentifiedModel, beside_actions: bool = False) -> Table | None:
     """Tabulate why gains are not good, with the remedies unless shown beside; None if all are good."""
     columns: list[ColumnOf] = [
         (Column("joint"), lambda reason: ", ".join(map(joint_label, reason.joints))),
@@ -85,8 +84,8 @@ def reasons_table(result: IdentifiedModel, beside_actions: bool = False) -> Tabl
     ]
     if not beside_actions:
         columns.append((Column("action", Kind.SENTENCE), "advice"))
-    listed = table_of(reasons(result), *columns, listed=True)
-    return listed if listed.rows else None
+    listed = reasons(result)
+    return table_of(listed, *columns, listed=True) if listed else None
 
 
 def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Chart | None:
@@ -102,7 +101,7 @@ def gains_chart(gains: Mapping[str, Estimate], prior: Mapping[str, float]) -> Ch
 
 
 def _random_half(gain: Estimate) -> float | None:
-    """Half-width of the random part of the interval, per cent; None if the model part is unknown."""
+    """Return the half-width of the random part of the interval, per cent; None if the model part is unknown."""
     if not gain.model_std or not gain.std or gain.half_width is None:
         return None
     return gain.half_width * (gain.random_std or 0.0) / gain.std
@@ -122,14 +121,13 @@ def _delay(delay: Estimate | None) -> tuple[float, float] | None:
     return 1e3 * delay.value, 1e3 * (delay.half_interval() or 0.0)
 
 
-def whole_mass_text(result: IdentifiedModel) -> Text | None:
+def _whole_mass(result: IdentifiedModel) -> Text | None:
     """Give the mass of a floating robot, which users can check on a scale."""
     if not result.robot.floating:
         return None
     name = whole_mass(result.base, result.idm.parameter_names)
-    mass = None if name is None else result.parameters.get(name)
-    half = None if mass is None else mass.half_interval()
-    if mass is None or mass.value is None or half is None:
+    mass = result.parameters.get(name) if name else None
+    if mass is None or mass.value is None or (half := mass.half_interval()) is None:
         return None
     return Text(f"mass of the whole robot ({mass.name}): {mass.value:.4g} ± {half:.2g} kg")
 
@@ -147,19 +145,19 @@ def _scale_text(result: IdentifiedModel, short: bool) -> Text | None:
     names |= {
         f"payload '{name}'": f"payload '{name}' ({mass:g} kg)" for name, mass in known.items() if mass is not None
     }
-    words = {joint: _sources(shares, names) for joint, shares in result.scale.items() if shares}
+    words = {}
+    for joint, shares in result.scale.items():
+        large = {source: share for source, share in shares.items() if abs(share) >= LEAST}
+        ranked = sorted(large, key=lambda source: -large[source])
+        named = [names.get(source, source) for source in ranked]
+        if len(named) > 1:
+            named = [f"{name} ({100 * large[source]:.0f} %)" for name, source in zip(named, ranked, strict=True)]
+        if shares:
+            words[joint] = ", ".join(named)
     if len(set(words.values())) == 1:
         return Text(f"The scale of all gains comes from {next(iter(words.values()))}.")
     lines = [f"The scale of '{joint}' comes from {sources}." for joint, sources in words.items()]
     return Text("", tuple(lines)) if lines else None
-
-
-def _sources(scale: Mapping[str, float], names: Mapping[str, str]) -> str:
-    """Name the source of a scale, or several with their shares, largest first."""
-    listed = sorted((item for item in scale.items() if abs(item[1]) >= LEAST), key=lambda item: -item[1])
-    if len(listed) == 1:
-        return names.get(listed[0][0], listed[0][0])
-    return ", ".join(f"{names.get(source, source)} ({100 * share:.0f} %)" for source, share in listed)
 
 
 def all_sources(result: IdentifiedModel) -> str:
@@ -185,14 +183,14 @@ def all_sources(result: IdentifiedModel) -> str:
 def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads") -> Section | None:
     """Show inertial parameters of payloads, in the frame of the body that carries them; None without payloads."""
     parts = [
-        section(
+        Section(
             f"Payload '{payload.name}' of run {payload.run}",
             Text(f"{payload.verdict.sentence}.") if payload.verdict.why else None,
             estimates_table_of(payload.parameters, payload.known),
         )
         for payload in payloads
     ]
-    return section(title, *parts, id="payloads") if parts else None
+    return Section(title, *parts, id="payloads") if parts else None
 
 
 def unknown_payloads(result: IdentifiedModel) -> list[PayloadEstimate]:
@@ -207,7 +205,7 @@ def masses_table(payloads: Sequence[PayloadEstimate]) -> Table | None:
         for payload in payloads
         if "m" not in payload.known and (mass := payload.parameters.get("m")) and mass.value is not None
     ]
-    return table((Column("mass"), Column("value", Kind.SPREAD, 5), Column("unit")), rows) if rows else None
+    return Table((Column("mass"), Column("value", Kind.SPREAD, 5), Column("unit")), rows) if rows else None
 
 
 VALUE = (
@@ -233,4 +231,4 @@ def estimates_table_of(estimates: Mapping[str, Estimate], known: Iterable[str] =
     for name, estimate in estimates.items():
         role = "known" if name in known else "not identifiable" if estimate.value is None else estimate.regroups
         rows.append((name, *value_cells(estimate), estimate.interval(), role))
-    return table(columns, rows)
+    return Table(columns, rows)

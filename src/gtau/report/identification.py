@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Grade
 from gtau.findings.words import percent_text, percents
-from gtau.report.evidence import RunEvidence, preparation_words, worst_joint
-from gtau.report.findings import findings_section, same_in_several
+from gtau.report.evidence import RunEvidence, findings_section, preparation_words, same_in_several, worst_joint
 from gtau.report.gains import (
     GOOD_OUTCOMES,
     all_sources,
@@ -27,13 +25,12 @@ from gtau.report.gains import (
     payloads_section,
     unknown_payloads,
 )
-from gtau.report.logs import logs_section
-from gtau.report.motion import geometry_section, motion_section, singularities_section
-from gtau.report.page import Column, Facts, Kind, Page, Section, Text, page, section, table_of
+from gtau.report.motion import logs_section, motion_section, singularities_section
+from gtau.report.page import Column, Facts, Kind, Page, Section, Text, table_of
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
-from gtau.report.residuals import residuals_section
+from gtau.report.robot import geometry_section
 from gtau.report.torques import determination, fit_table, torques_section
-from gtau.report.uncertainty import PAPER, correlation_section, effects_section
+from gtau.report.uncertainty import PAPER, correlation_section, effects_section, residuals_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.drafting import DRAFT
 
@@ -47,22 +44,22 @@ def summary_page(result: IdentifiedModel) -> Page:
     notes = [note for note in findings(result) if note.kind != DRAFT]
     guessed = [note for note in result.notes if note.kind == DRAFT]
     assumed = tuple("; ".join(filter(None, (note.what, note.advice))) for note in guessed)
+    assumptions = Text(f"Correct any wrong entry in {guessed[0].source}:", assumed) if guessed else None
     more = len(same_in_several(notes)) - NOTES
     rest = "parameters and the fit of each joint: --verbose, or model.json."
-    return page(
+    rest = f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}"
+    return Page(
         "",
-        section("", Text(headline(result))),
+        Section("", Text(headline(result))),
         requirements_section(result),
         gains_section(result, charts=False, short=True),
-        section("", masses_table(result.payloads)),
-        section("Torque fit", *_fit_words(result)),
+        Section("", masses_table(result.payloads)),
+        _fit(result),
         inertias_section(result.audit, short=True),
         findings_section(notes, NOTES) if notes else None,
-        section("Assumptions from the logs", Text(f"Correct any wrong entry in {guessed[0].source}:", assumed))
-        if guessed
-        else None,
-        section("", Text(f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}")),
-        section("", Text("", tuple(next_steps(result)))),
+        Section("Assumptions from the logs", assumptions),
+        Section("", Text(rest)),
+        Section("", Text("", tuple(next_steps(result)))),
     )
 
 
@@ -71,9 +68,9 @@ def full_page(result: IdentifiedModel) -> Page:
     ratio = result.statistics.get("singular_ratio")
     words = f"ratio of the two smallest singular values of W_tot ({PAPER}, eq. 33): {ratio or 0.0:.2f}"
     nearest = singularities_section(result.singularities)
-    return page(
+    return Page(
         f"Identification of {result.robot.name}",
-        section("", Text(headline(result)), _settings(result)),
+        Section("", Text(headline(result)), _settings(result)),
         requirements_section(result),
         gains_section(result, charts=False),
         _sensors_section(result),
@@ -81,8 +78,8 @@ def full_page(result: IdentifiedModel) -> Page:
         parameters_section(result),
         friction_section(result),
         inertias_section(result.audit),
-        section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if ratio else None),
-        section("Singularities", *nearest.items) if nearest else None,
+        Section("Torque fit", fit_table(result.residuals, "joint"), Text(words) if ratio else None),
+        Section("Singularities", *nearest.items) if nearest else None,
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
         findings_section(findings(result)),
@@ -106,7 +103,9 @@ def report_page(result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Map
         logs_section([run.run for run in runs], result.robot, result.preparation),
         effects_section(result),
     )
-    return page(
+    for part in filter(None, details):
+        part.folded = True
+    return Page(
         f"Identification of {result.robot.name}",
         verdict_section(result, runs),
         requirements_section(result),
@@ -115,7 +114,7 @@ def report_page(result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Map
         findings_section(findings(result)),
         torques_section(result, runs),
         payloads_section(unknown_payloads(result)),
-        *(replace(part, folded=True) for part in details if part is not None),
+        *details,
         lead=[f"Estimator: {estimator_of(result.method).description}. Runs: {', '.join(result.runs)}."],
     )
 
@@ -131,19 +130,17 @@ def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -
     head = (headline(result),) if style == "bad" else ()
     said = (*head, *decisive, *actions(result), *next_steps(result, runs))
     words = headline(result) if style == "good" else counts(result)
-    return section("Verdict", Text(words, said, style), _tiles(result, runs), id="verdict")  # type: ignore[arg-type]
+    return Section("Verdict", Text(words, said, style), _tiles(result, runs), id="verdict")  # type: ignore[arg-type]
 
 
 def actions(result: IdentifiedModel) -> list[str]:
     """List remedies for gains that are not good, the worst first."""
     accuracy = 100 * result.statistics.get("accuracy", 0.0)
-
-    def named(joint: str) -> str:
-        half = result.drive_gains[joint].half_width
-        return f"{joint} (+-{percent_text(half, accuracy)} %)" if half else joint
-
-    listed = reasons(result)
-    return [f"{', '.join(map(named, r.joints))}, {r.outcome.value}: {r.advice}" for r in listed]
+    named = {
+        joint: f"{joint} (+-{percent_text(gain.half_width, accuracy)} %)" if gain.half_width else joint
+        for joint, gain in result.drive_gains.items()
+    }
+    return [f"{', '.join(named[joint] for joint in r.joints)}, {r.outcome.value}: {r.advice}" for r in reasons(result)]
 
 
 def next_steps(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> list[str]:
@@ -212,19 +209,19 @@ def _settings(result: IdentifiedModel) -> Facts:
     )
 
 
-def _fit_words(result: IdentifiedModel) -> list[Text]:
+def _fit(result: IdentifiedModel) -> Section | None:
     worst = worst_joint(result.residuals)
     if worst is None:
-        return []
+        return None
     errors = [residual.relative_all for residual in result.residuals if residual.relative_all is not None]
     more = f"; of all samples: {percents(errors)}" if errors else ""
     where = f", the largest at '{worst.joint}'" if len(result.residuals) > 1 else ""
     used = percents(residual.relative for residual in result.residuals)
     said = [f"Torque residuals of the rows used: {used} rms{where}{more}."]
     if result.consistency is not None:
-        cost = _growth(_overall(result.consistency))
+        cost = _growth(*result.consistency.loss.values())
         said.append(f"Physically consistent parameters: torque residuals {cost}.")
-    return list(map(Text, said))
+    return Section("Torque fit", *map(Text, said))
 
 
 def _sensors_section(result: IdentifiedModel) -> Section | None:
@@ -240,7 +237,7 @@ def _sensors_section(result: IdentifiedModel) -> Section | None:
         (Column("verdict", Kind.BADGE), "ratio.verdict.outcome.value"),
     )
     words = "ratio: torque according to all other data, over the reading of the sensor"
-    return section(
+    return Section(
         " and ".join(dict.fromkeys(sensor.kind.group for sensor in result.sensors)).capitalize(),
         *((listed, Text(words, style="soft")) if ratios else ()),
         fit_table([sensor.residual for sensor in result.sensors], "sensor of"),
@@ -261,7 +258,7 @@ def requirements_section(result: IdentifiedModel) -> Section | None:
         (Column("found, %", Kind.NUMBER, decimals=2), "found"),
         (Column("worst joint"), lambda requirement: requirement.joint or None),
     )
-    return section("Requirements", listed, id="requirements")
+    return Section("Requirements", listed, id="requirements")
 
 
 def _consistency_section(consistency: Consistency | None) -> Section | None:
@@ -282,17 +279,13 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
     joint = max(consistency.loss, key=lambda name: consistency.loss[name])
     words = (
         f"{len(moved)} of {len(consistency.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
-        f"{_growth(_overall(consistency))}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
+        f"{_growth(*consistency.loss.values())}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
         "model.json has every standard parameter under 'standard'; values that the data do not determine were chosen."
     )
-    return section("Physically consistent parameters", listed, Text(words), id="consistency")
+    return Section("Physically consistent parameters", listed, Text(words), id="consistency")
 
 
-def _overall(consistency: Consistency) -> float:
-    """Compute the growth of the residuals of all joints together, per cent."""
-    return float(100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in consistency.loss.values()])) - 1))
-
-
-def _growth(loss: float) -> str:
-    """Describe the growth of torque residuals by ``loss`` per cent."""
+def _growth(*losses: float) -> str:
+    """Describe the growth of torque residuals, of several joints together, by losses in per cent."""
+    loss = 100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in losses])) - 1)
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"

@@ -1,25 +1,29 @@
-"""Show the robot, its path, distances to singular poses, and logged poses."""
+"""Show the robot, its motion, and the logs: path, distances to singular poses, clock, repairs, spectra, preparation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.geometry import GeometryTest, percent
 from gtau.estimation.results.conclusions import NEAR_SINGULAR
 from gtau.estimation.results.estimate import NearestPose
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.report.chart import Axis, Chart, Panel, Series, colour
+from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour
 from gtau.report.evidence import RunEvidence
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table_of
+from gtau.report.page import Column, Kind, Section, Text, joint_label, table_of
 from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
+from gtau.signals.preparation.bandwidth import spectra
+from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.logs import logged_instants
 from gtau.signals.run import Run
-from gtau.signals.storage import rows_at
+from gtau.signals.storage import block, rows_at, spans
 
-POSE_DELAY_STD = 0.02  # s; pose delays with a larger standard deviation are not shown
+if TYPE_CHECKING:
+    from gtau.estimation.check_logs import LogCheck
 
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 """Names of the types of singularities."""
@@ -28,14 +32,8 @@ PATHS = 8  # most paths in a chart
 FLAT = 1e-6  # of the longest side; a path shorter than this along an axis is planar
 POSES = 1500  # most poses in the path of a run
 TIME = Axis("time from the start of the run, s")
-STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
-LISTED = 12  # most constants in the table
-ROUNDING = 1e-3  # of the rms; a smaller bias is shown as zero
-ESTIMATED = {
-    "controller": "Besides the constants, only the delay of the poses was estimated.",
-    "tool": "The position of the tool on the body was estimated too.",
-    "tracker": "The positions of the tracker (in each run) and its marker were estimated beside the constants.",
-}
+LOWEST = 1e-9  # of the peak of a spectrum; lower values are rounding errors
+FREQUENCY = Axis("frequency, Hz", log=True)
 
 
 def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
@@ -47,12 +45,12 @@ def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sect
     starts = {run.run.name: float(run.run.time[0]) for run in runs}
     along = zip(result.runs, result.distances, strict=False)  # empty for a loaded result
     distances = distances_panels((name, starts.get(name, 0.0), run) for name, run in along) if used else []
-    return section(
+    return Section(
         "Robot and motion",
         result.robot,
-        section(title, paths_chart(paths)) if paths else None,
+        Section(title, paths_chart(paths)) if paths else None,
         singularities_section(result.singularities) if used else None,
-        *(section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
+        *(Section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
         id="robot",
     )
 
@@ -65,8 +63,8 @@ def joint_panels(
     for j, joint in enumerate(joints):
         line = Series(joint_label(joint), time, values[:, j], colour(j))
         lines[position_unit(robot, joint)].append(line)
-    axes = {unit: Axis(f"{what}, {unit}{per}") for unit in lines}
-    return [Panel(TIME, axes[unit], tuple(series), height=height) for unit, series in lines.items() if series]
+    drawn = [(Axis(f"{what}, {unit}{per}"), tuple(series)) for unit, series in lines.items() if series]
+    return [Panel(TIME, axis, series, height=height) for axis, series in drawn]
 
 
 def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
@@ -79,13 +77,14 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         (Column("singularity"), lambda pose: TYPES[pose.type]),
         (Column("nearest", Kind.NUMBER, 3), "distance"),
         (Column("at, s", Kind.NUMBER), "time"),
-        (
-            Column("pose, rad or m", wide=True),
-            lambda pose: ", ".join(f"{j} {round(q, 3) + 0.0:.3g}" for j, q in pose.pose.items()),
-        ),
+        (Column("pose, rad or m", wide=True), _pose),
     )
     words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."
-    return section("Distance to singular poses", listed, Text(words, style="soft"))
+    return Section("Distance to singular poses", listed, Text(words, style="soft"))
+
+
+def _pose(nearest: NearestPose) -> str:
+    return ", ".join(f"{joint} {round(q, 3) + 0.0:.3g}" for joint, q in nearest.pose.items())
 
 
 def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Panel]:
@@ -134,68 +133,126 @@ def body_path(result: IdentifiedModel, run: Run) -> np.ndarray:
     return np.asarray(place(c)).T
 
 
-# Logged poses and the geometry
+# Logs
 
 
-def geometry_section(test: GeometryTest | None) -> Section | None:
-    """Show residuals of the logged pose, and the constants that would explain them."""
-    if test is None:
+def payload_words(run: Run) -> str:
+    """Describe the payload of a run."""
+    if run.payload is None:
+        return "no payload"
+    mass = "of unknown mass" if run.payload.mass is None else f"of {run.payload.mass:g} kg"
+    return f"payload '{run.payload.name}' {mass}"
+
+
+def seconds(run: Run) -> float:
+    """Return the duration of a run, s."""
+    return float(run.time[-1] - run.time[0])
+
+
+def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) -> Section | None:
+    """Show clock, repairs and spectra of logs."""
+    if not runs:
         return None
-    points = [ESTIMATED[test.source]]
-    delay, std = test.delay
-    if std < POSE_DELAY_STD:
-        points.append(f"the poses lag {1e3 * delay:.1f} ± {1.96e3 * std:.1g} ms behind the positions")
-    runs = dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
-    return section(
-        "Logged pose and geometry",
-        Text(str(test.note), tuple(points), STYLES[test.outcome]),  # type: ignore[arg-type]
-        *(section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(runs)),
-        section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
-        section(
-            "Constants one at a time, sorted by the share of the residual variance they explain",
-            _constants(test),
-            Text(f"{len(test.tried) - LISTED} more explain less; model.json and --json list them.")
-            if len(test.tried) > LISTED
-            else None,
-            Text(f"Not identifiable by this pose: {', '.join(test.unseen)}.") if test.unseen else None,
-            folded=False,
-        ),
-        id="geometry",
+    listed = table_of(
+        runs,
+        (Column("log"), "name"),
+        (Column("samples", Kind.NUMBER, 8), lambda run: len(run.time)),
+        (Column("rate, Hz", Kind.NUMBER, 5), "rate"),
+        (Column("duration, s", Kind.NUMBER), seconds),
+        (Column("repaired, %", Kind.SHARE, 2), lambda run: 1 - valid_share(run)),
+        (Column("clock and repairs"), lambda run: "; ".join(map(str, run.notes)) or "uniform clock, no repairs"),
     )
+    return Section("Clock and spectra of the logs", listed, speed_chart(runs[0], robot, preparation), id="logs")
 
 
-def _traces(test: GeometryTest, run: str) -> Chart:
-    components = [residual for residual in test.residuals if residual.run == run]
-    shown = {"logged less computed": "before"} | ({"with the change": "after"} if test.explained_by else {})
-    lines: dict[str, list[Series]] = {f"{words}, m{unit}": [] for words in shown for unit in ("m", "rad")}
-    for words, which in shown.items():
-        for j, component in enumerate(components):
-            values, name = 1e3 * getattr(component, which), f"{component.name}, {words}"
-            lines[f"{words}, m{component.unit}"].append(Series(name, component.time, values, colour(j)))
-    panels = [Panel(TIME, Axis(label), tuple(series), height=2) for label, series in lines.items() if series]
-    return Chart(tuple(panels), run, live=True)
-
-
-def _residuals(test: GeometryTest) -> Table:
-    after = (Column("rms with the changes", Kind.NUMBER, 3), lambda residual: 1e3 * residual.rms_after)
-    return table_of(
-        test.residuals,
-        (Column("run"), "run"),
-        (Column("component"), "name"),
-        (Column("rms", Kind.NUMBER, 3), lambda residual: 1e3 * residual.rms),
-        (Column("bias", Kind.NUMBER, 2), lambda pose: 1e3 * pose.bias * (abs(pose.bias) > ROUNDING * pose.rms)),
-        *([after] if test.explained_by else []),
-        (Column("unit"), lambda residual: f"m{residual.unit}"),
+def speed_chart(run: Run, robot: Robot, preparation: Preparation) -> Chart | None:
+    """Draw amplitude spectral densities of the speeds in a run, in a panel per unit."""
+    rules = [Rule(x=preparation.bandwidth, label=f"bandwidth {preparation.bandwidth:.3g} Hz")]
+    rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
+    lines: dict[str, list[Series]] = {}
+    for j, (joint, spectrum) in enumerate(zip(run.joints, spectra(run), strict=True)):
+        unit, shown = f"speed, {position_unit(robot, joint)}/s/√Hz", spectrum.speed > LOWEST * spectrum.speed.max()
+        shown &= spectrum.frequency > 0
+        drawn = (spectrum.frequency[shown], np.sqrt(spectrum.speed[shown]), colour(j))
+        lines.setdefault(unit, []).extend([Series(joint_label(joint), *drawn)] if shown.any() else [])
+    panels = [
+        Panel(FREQUENCY, Axis(label, log=True), tuple(drawn), label.split(",")[0].capitalize(), tuple(rules), height=2)
+        for label, drawn in lines.items()
+        if drawn
+    ]
+    words = (
+        f"Amplitude spectral densities of {run.name}: speeds, differentiated from the logged positions, in thirds of "
+        "an octave. Dashed lines mark the bandwidth of the motion and the cut-off of the position filter."
     )
+    return Chart(tuple(panels), columns=2, caption=words) if panels else None
 
 
-def _constants(test: GeometryTest) -> Table:
-    return table_of(
-        test.tried[:LISTED],
-        (Column("length or encoder zero"), "name"),
-        (Column("in the robot file", Kind.NUMBER, 5), lambda constant: 1e3 * constant.value or None),
-        (Column("change", Kind.NUMBER, 3), lambda constant: 1e3 * constant.change),
-        (Column("std", Kind.NUMBER, 2), lambda constant: 1e3 * constant.std),
-        (Column("unit"), lambda constant: f"m{constant.unit}"),
-        (Column("explains", Kind.NUMBER), lambda constant: percent(constant.share)),
+def valid_share(run: Run) -> float:
+    """Compute the share of samples, over all joints, that were not repaired."""
+    return float(np.sum([np.sum(block(run.valid, *span)) for span in spans(len(run.valid))])) / run.valid.size
+
+
+# Preparation
+
+
+def preparation_chart(log: LogCheck) -> Chart:
+    """Draw the spectra of the joints in a log, the steps of its clock, and the rows used."""
+    preparation = log.preparation
+    marks = {
+        "bandwidth": preparation.bandwidth,
+        "position filter": preparation.cutoff,
+        "Nyquist of the rows": log.run.rate / preparation.decimator.factor / 2,
+    }
+    rules = tuple(Rule(x=mark, label=f"{name} {mark:.3g} Hz") for name, mark in marks.items() if mark is not None)
+    titles = {"speed": "Power of the velocities", "acceleration": "Power of the accelerations; dots: noise dominates"}
+    share = Axis("share of the peak", log=True)
+    panels = [Panel(FREQUENCY, share, _shares(log, kind), title, rules, height=2.3) for kind, title in titles.items()]
+    return Chart((*panels, *([_steps(log.run)] if log.run.log.paths else []), _used(log)), log.run.name)
+
+
+def _shares(log: LogCheck, kind: str) -> tuple[Series, ...]:
+    """Draw the power spectrum of each joint, with a dot where noise starts to dominate the acceleration."""
+    series: list[Series] = []
+    for j, joint in enumerate(log.joints):
+        spectrum = joint.spectrum
+        density, frequency = getattr(spectrum, kind), spectrum.frequency
+        shown = density > LOWEST * density.max()
+        if not shown.any():
+            continue
+        share = density / density.max()
+        series.append(Series(joint_label(joint.joint), frequency[shown], share[shown], colour(j)))
+        if spectrum.moves and kind == "acceleration":
+            k = int(np.argmin(np.abs(frequency - spectrum.end)))
+            series.append(Series("", frequency[k : k + 1], share[k : k + 1], colour(j), "points", width=3.0))
+    return tuple(series)
+
+
+def _steps(run: Run) -> Panel:
+    """Draw the steps of the time column over time, in sampling periods."""
+    log = run.log
+    assert log.signals is not None and log.units is not None  # noqa: PT018 (it has files)
+    stamps = logged_instants(log.paths[0], log.signals, log.units.scale(log.signals)[2])
+    begin, end, period = float(run.time[0]), float(run.time[-1]), 1 / run.rate
+    stamps = stamps[(stamps >= begin - period) & (stamps <= end + period)]  # drops NaN, too
+    time, steps = stamps[1:], np.diff(stamps) / period
+    top = max(2.0, 1.1 * float(steps.max(initial=0.0)))
+    series = Series("", time - begin, steps, "soft", width=0.6)
+    return Panel(TIME, Axis("step, samples", limits=(0.0, top)), (series,), "Steps of the time column", height=1.2)
+
+
+def _used(log: LogCheck) -> Panel:
+    """Draw the decimated rows used of each joint as bars, with gaps at reversals, rests and masked samples."""
+    time, series = log.distances["time"] - float(log.run.time[0]), []
+    for j in range(len(log.run.joints)):
+        edges = np.flatnonzero(np.diff(np.r_[False, log.used[:, j], False]))
+        ends = np.column_stack([time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]])
+        series.append(Series("", ends, np.array([float(j)]), colour(j), "spans"))
+    count = len(log.run.joints)
+    names = {float(j): joint_label(joint) for j, joint in enumerate(log.run.joints)}
+    return Panel(
+        Axis(TIME.label, limits=(0.0, seconds(log.run))),
+        Axis("", limits=(count - 0.5, -0.5), names=names),
+        tuple(series),
+        "Rows used, without reversals, rests, gaps and clipped commands",
+        height=0.6 + 0.16 * count,
     )

@@ -102,22 +102,20 @@ def number(value: float, digits: int = 5) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """A table of rows of cells.
 
     In HTML, readers can sort and search a table with a ``name``. Rows in ``faint`` are dimmed. Terminals show a
     ``listed`` table as a list, grouped by badge.
     """
 
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Any, ...], ...]
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Any]]
     name: str = ""
     faint: frozenset[int] = frozenset()
     listed: bool = False
 
-
-def table(columns: Iterable[Column], rows: Iterable[Sequence[Any]], **more: Any) -> Table:
-    """Make a table from columns and rows of cells."""
-    return Table(tuple(columns), tuple(map(tuple, rows)), **more)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(map(tuple, self.rows)))
 
 
 ColumnOf = tuple[Column, str | Callable[[Any], Any]]
@@ -127,7 +125,7 @@ ColumnOf = tuple[Column, str | Callable[[Any], Any]]
 def table_of(items: Iterable[Any], *columns: ColumnOf, **more: Any) -> Table:
     """Make a table with one row per item."""
     cells = [attrgetter(cell) if isinstance(cell, str) else cell for _, cell in columns]
-    return table([column for column, _ in columns], [[cell(item) for cell in cells] for item in items], **more)
+    return Table([column for column, _ in columns], [[cell(item) for cell in cells] for item in items], **more)
 
 
 @dataclass(frozen=True)
@@ -150,37 +148,27 @@ class Facts:
         object.__setattr__(self, "pairs", known)
 
 
-@dataclass(frozen=True, eq=False)
 class Section:
-    """A titled part of a page, foldable unless ``folded`` is None; True folds it at first."""
+    """A titled part of a page with the items that are not None.
 
-    title: str
-    items: tuple[Item, ...]
-    id: str = ""
-    folded: bool | None = None
+    It is foldable unless ``folded`` is None; True folds it at first.
+    """
+
+    def __init__(self, title: str, *items: Item | None, id: str = "", folded: bool | None = None) -> None:
+        self.title, self.id, self.folded = title, id, folded
+        self.items: list[Item] = [item for item in items if item is not None]
 
 
 Item = Table | Text | Facts | Chart | Robot | Section
 """Items of a section; a robot is drawn in its home pose."""
 
 
-@dataclass(frozen=True, eq=False)
 class Page:
-    """The output of a command: title, lines below it, and sections."""
+    """The output of a command: title, lines below it (``lead``), and the sections that have items."""
 
-    title: str
-    sections: tuple[Section, ...]
-    lead: tuple[str, ...] = ()
-
-
-def section(title: str, *items: Item | None, id: str = "", folded: bool | None = None) -> Section:
-    """Make a section of the items that are not None."""
-    return Section(title, tuple(item for item in items if item is not None), id, folded)
-
-
-def page(title: str, *sections: Section | None, lead: Iterable[str] = ()) -> Page:
-    """Make a page of the sections that have items."""
-    return Page(title, tuple(part for part in sections if part is not None and part.items), tuple(lead))
+    def __init__(self, title: str, *sections: Section | None, lead: Iterable[str] = ()) -> None:
+        self.title, self.lead = title, tuple(lead)
+        self.sections = [section for section in sections if section is not None and section.items]
 
 
 def joint_label(joint: str) -> str:

@@ -15,7 +15,7 @@ from gtau.estimation.results.result import IdentifiedModel, estimates_table
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, value_cells
-from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, section, table, table_of
+from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, position_unit, torque_unit
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
@@ -41,19 +41,14 @@ def parameters_section(result: IdentifiedModel) -> Section:
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
     rows = [(value.name, *value_cells(value), _role(value, group), value.regroups) for group, value in listed]
     faint = frozenset(k for k, (_, value) in enumerate(listed) if value.essential is False)
+    shown = Table(columns, rows, name="parameter-table", faint=faint)
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
         f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {loss:.2g} %. A value "
         f"with a standard deviation above 100 % means nothing alone: only its sum with other parameters is known."
     )
-    return section(
-        "Parameters",
-        Text(words),
-        table(columns, rows, name="parameter-table", faint=faint),
-        reference_text(result),
-        id="parameters",
-    )
+    return Section("Parameters", Text(words), shown, _reference(result), id="parameters")
 
 
 def _role(estimate: Estimate, group: str) -> str:
@@ -64,17 +59,17 @@ def _role(estimate: Estimate, group: str) -> str:
     return "essential" if estimate.essential else "not essential"
 
 
-def reference_text(result: IdentifiedModel) -> Text | None:
+def _reference(result: IdentifiedModel) -> Text | None:
     """Name the reference temperatures of friction; None if friction does not depend on temperature."""
     temperatures = result.temperatures
     if temperatures is None or not any(name.kind in TEMPERATURE_TERMS for name in result.friction):
         return None
-    values = {joint: f"{value:.4g}" for joint, value in temperatures.of_joint.items()}
-    listed = ", ".join(f"'{joint}' {value}" for joint, value in values.items())
-    at = next(iter(values.values())) if len(set(temperatures.of_joint.values())) == 1 else listed
-    return Text(
-        f"fvt, fst: viscous and Coulomb friction per {temperatures.per} above the mean, {at} {temperatures.unit}"
-    )
+    values = temperatures.of_joint
+    at = ", ".join(f"'{joint}' {value:.4g}" for joint, value in values.items())
+    if len(set(values.values())) == 1:
+        at = f"{next(iter(values.values())):.4g}"
+    per = f"per {temperatures.per} above the mean, {at} {temperatures.unit}"
+    return Text(f"fvt, fst: viscous and Coulomb friction {per}")
 
 
 # Friction
@@ -86,11 +81,6 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
         return None
     panels = _curves(result, [run for run in runs if run.used])
     drawn = (Text(CURVES, style="soft"), Chart(tuple(panels), columns=2)) if panels else ()
-    return section("Friction on all samples", Text(FRICTION), curves_table(result), *drawn, id="friction")
-
-
-def curves_table(result: IdentifiedModel) -> Table:
-    """Tabulate the friction of each joint in SI units, with half-widths of 95 % intervals."""
     friction = {**result.friction, **result.friction_parameters}
 
     def value(kind: str, curve: FrictionCurve) -> tuple[float, float] | None:
@@ -102,7 +92,7 @@ def curves_table(result: IdentifiedModel) -> Table:
     def evidence(curve: FrictionCurve) -> str:
         return ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items())
 
-    return table_of(
+    listed = table_of(
         result.curves.values(),
         (Column("joint"), lambda curve: joint_label(curve.joint)),
         *((Column(kind.heading or kind.symbol, Kind.SPREAD), partial(value, kind.symbol)) for kind in LAW),
@@ -110,6 +100,7 @@ def curves_table(result: IdentifiedModel) -> Table:
         (Column("error, %", Kind.NUMBER, decimals=1), "error"),
         (Column("plain law, %", Kind.NUMBER, decimals=1), "plain_error"),
     )
+    return Section("Friction on all samples", Text(FRICTION), listed, *drawn, id="friction")
 
 
 def _curves(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]:
@@ -157,12 +148,21 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
             f" They are priors with a standard deviation of {100 * audit.prior:.3g} %, which the intervals include; if "
             "something else gives the scale, the comparison below uses the data without them."
         )
-    return section(
-        "Inertias of the robot file",
-        Text(words, tuple(_audit_points(audit, short))),
-        _audit_table(audit, short) if audit.of("contradicted") or not short else None,
-        id="inertias",
+    ranked = sorted(audit.parameters, key=lambda parameter: (ORDER.index(parameter.standing), -abs(parameter.z or 0.0)))
+    if short:
+        ranked = [parameter for parameter in ranked if parameter.standing == "contradicted"][:CONTRADICTED]
+    listed = table_of(
+        ranked,
+        (Column("base parameter", Kind.NAME), "name"),
+        (Column("link"), "link"),
+        (Column("in the file", Kind.NUMBER, 4), "stated"),
+        (Column("95 % interval", Kind.INTERVAL), "interval"),
+        (Column("unit"), "unit"),
+        (Column("z", Kind.NUMBER, decimals=1), "z"),
+        (Column("data", Kind.BADGE), "standing"),
     )
+    said = Text(words, tuple(_audit_points(audit, short)))
+    return Section("Inertias of the robot file", said, listed if ranked or not short else None, id="inertias")
 
 
 def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
@@ -178,24 +178,11 @@ def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
         points.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
     if unknown := audit.of("not identifiable"):
         several = len(unknown) > 1
-        listed = f"; --verbose lists {'them' if several else 'it'}"
-        listed = listed if short else f": {', '.join(parameter.name for parameter in unknown)}"
+        listed = f": {', '.join(parameter.name for parameter in unknown)}"
+        if short:
+            listed = f"; --verbose lists {'them' if several else 'it'}"
         points.append(
             f"{len(unknown)} base parameter{'s are' if several else ' is'} not identifiable from these motions to "
             f"better than +-100 % of the link{listed}"
         )
     return points
-
-
-def _audit_table(audit: InertiaAudit, short: bool) -> Table:
-    ranked = sorted(audit.parameters, key=lambda parameter: (ORDER.index(parameter.standing), -abs(parameter.z or 0.0)))
-    return table_of(
-        [parameter for parameter in ranked if parameter.standing == "contradicted"][:CONTRADICTED] if short else ranked,
-        (Column("base parameter", Kind.NAME), "name"),
-        (Column("link"), "link"),
-        (Column("in the file", Kind.NUMBER, 4), "stated"),
-        (Column("95 % interval", Kind.INTERVAL), "interval"),
-        (Column("unit"), "unit"),
-        (Column("z", Kind.NUMBER, decimals=1), "z"),
-        (Column("data", Kind.BADGE), "standing"),
-    )

@@ -1,30 +1,91 @@
-"""Figures of a result: ``result.plot.torques("elbow_joint")``."""
+"""Show results in notebooks: pages, and figures such as ``result.plot.torques("elbow_joint")``."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
+from gtau.estimation.check_logs import ExperimentCheck
+from gtau.estimation.compare import EstimatorComparison
+from gtau.estimation.results.estimate import Named
+from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series
-from gtau.report.evidence import RunEvidence
-from gtau.report.gains import gains_chart
-from gtau.report.logs import seconds
-from gtau.report.motion import TIME, distances_panels
-from gtau.report.render.charts import figure_of
-from gtau.report.residuals import residual_panels
+from gtau.report.check import check_page
+from gtau.report.evidence import RunEvidence, gather, settings_of
+from gtau.report.fleet import comparison_page
+from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_section, unknown_payloads, value_cells
+from gtau.report.identification import full_page, report_page, summary_page, verdict_section
+from gtau.report.motion import TIME, distances_panels, seconds
+from gtau.report.page import Column, Kind, Page, Section, Table, Text
+from gtau.report.render.charts import figure_of, robot_figure
+from gtau.report.render.html import frame
+from gtau.report.render.html import html as rendered
+from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
-from gtau.report.uncertainty import correlation_chart, correlation_of, effects_chart, singular_values_chart
+from gtau.report.uncertainty import (
+    correlation_chart,
+    correlation_of,
+    effects_chart,
+    residual_panels,
+    singular_values_chart,
+)
+from gtau.report.write import stamped
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
-from gtau.uses.prediction import predict
+from gtau.uses.prediction import Prediction, predict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
+
+
+def html(shown: object) -> str:
+    """Write the page of an object as a frame for a notebook."""
+    return frame(view(shown))
+
+
+def text(result: IdentifiedModel, verbose: bool) -> str:
+    """Write a result as text, in full or on one screen."""
+    return plain(full_page(result) if verbose else summary_page(result))
+
+
+def write(result: IdentifiedModel, path: Path) -> None:
+    """Write the report of a result and its runs to an HTML file."""
+    report = report_page(result, gather(result, result.data), {})
+    write_atomically(path, rendered(stamped(report, settings_of(result))))
+
+
+def view(shown: object) -> Page:
+    """Make the page of an object."""
+    match shown:
+        case IdentifiedModel():
+            payloads = payloads_section(unknown_payloads(shown))
+            return Page("", verdict_section(shown), gains_section(shown, charts=False), payloads)
+        case EstimatorComparison():
+            return Page("", *comparison_page(shown).sections[:2])
+        case PayloadEstimate():
+            return Page("", payloads_section([shown]))
+        case Named():
+            ends = (Column("95 % interval", Kind.INTERVAL), Column("verdict", Kind.BADGE))
+            rows = [
+                (name, *value_cells(value), value.interval(), value.verdict.outcome.value)
+                for name, value in shown.items()
+            ]
+            return Page("", Section("", Table((Column("name", Kind.NAME), *VALUE, *ends), rows)))
+        case Prediction():
+            units, time = ["N m or N"] * len(shown.joints), shown.time - shown.time[0]
+            return Page("", Section("", torques_chart(shown, units, "", time)))
+        case ExperimentCheck():
+            return Page("", *(part for part in check_page(shown).sections if part.id in SECTIONS))
+    return Page("", Section("", Text(repr(shown), style="command")))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,8 +168,6 @@ class Plots:
 
     def robot(self) -> Figure:
         """Draw the robot in its home pose."""
-        from gtau.report.robot_figure import robot_figure
-
         return robot_figure(self.result.robot)
 
     def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, tuple[str, ...]]:

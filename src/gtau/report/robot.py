@@ -1,4 +1,4 @@
-"""Show a robot as page and JSON document: joints, loops, singular poses and base parameters."""
+"""Show a robot as page and JSON document, and the test of its geometry by logged poses."""
 
 from __future__ import annotations
 
@@ -7,25 +7,31 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.diagnostics.geometry import GeometryTest, percent
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import TYPES, singular_distances
-from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, page, section, table, table_of
+from gtau.report.chart import Axis, Chart, Panel, Series, colour
+from gtau.report.motion import TIME
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, table_of
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import Parameter, position_unit, unit_of
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Joint, Robot
 
+POSE_DELAY_STD = 0.02  # s; pose delays with a larger standard deviation are not shown
+STYLES = {"confirmed": "good", "other constants": "bad", "unexplained": "weak"}
+LISTED = 12  # most constants in the table
+ROUNDING = 1e-3  # of the rms; a smaller bias is shown as zero
+ESTIMATED = {
+    "controller": "Besides the constants, only the delay of the poses was estimated.",
+    "tool": "The position of the tool on the body was estimated too.",
+    "tracker": "The positions of the tracker (in each run) and its marker were estimated beside the constants.",
+}
 TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 
 def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, Any]:
-    """Describe a robot as a JSON document in SI units; unknown limits are null.
-
-    Raises
-    ------
-    GtauError
-        If the loops do not close, or gtau does not support the actuation.
-    """
+    """Describe a robot as a JSON document in SI units; raises GtauError if its loops do not close."""
     robot, distances = model.robot, zip(TYPES, _distances_at_home(model), strict=True)
     return {
         "robot": robot.name,
@@ -106,14 +112,18 @@ def robot_page(model: InverseDynamics, base: BaseParameters, verbose: bool = Fal
         f"{spring.name}: {spring.a.body} - {spring.b.body} ({', '.join(TERMS[kind] for kind in spring.parameters)})"
         for spring in robot.springs
     ]
-    hint = Text("Names, units and regroupings: --verbose.", style="soft")
-    return page(
+    listed: Table | Text = Text("Names, units and regroupings: --verbose.", style="soft")
+    if verbose:
+        formulas = {name: formula if formula != name else "" for name, formula in base.regroupings.items()}
+        rows = [(name, unit, formulas[name]) for name, unit in _units(base, robot).items()]
+        listed = Table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)
+    return Page(
         f"{robot.name}: {len(model.actuated)} degrees of freedom, {len(robot.joints)} joints{source}",
-        section("Joints", _joints(model), *platforms, _facts(model), id="joints"),
+        Section("Joints", _joints(model), *platforms, _facts(model), id="joints"),
         _loops(model),
-        section("Springs between two points, with the terms of their force", Text("", tuple(terms))) if terms else None,
-        section("Notes", Text("", tuple(notes))) if notes else None,
-        section("Base parameters", Text(count), _base_table(base, robot) if verbose else hint, id="parameters"),
+        Section("Springs between two points, with the terms of their force", Text("", tuple(terms))) if terms else None,
+        Section("Notes", Text("", tuple(notes))) if notes else None,
+        Section("Base parameters", Text(count), listed, id="parameters"),
     )
 
 
@@ -171,10 +181,71 @@ def _loops(model: InverseDynamics) -> Section | None:
         terms += [f"{coupling.offset:+.6g}"] if coupling.offset else []
         equations.append(f"{coupling.joint} = {' '.join(terms).removeprefix('+')}")
     words = f"{' and '.join(counted)}, {loops.rows} equations of rank {len(loops.layout.passive)}:"
-    return section("Loops", Text(words, tuple(equations)), id="loops")
+    return Section("Loops", Text(words, tuple(equations)), id="loops")
 
 
-def _base_table(base: BaseParameters, robot: Robot) -> Table:
-    formulas = {name: formula if formula != name else "" for name, formula in base.regroupings.items()}
-    rows = [(name, unit, formulas[name]) for name, unit in _units(base, robot).items()]
-    return table((Column("parameter", Kind.NAME), Column("unit"), Column("regroups")), rows)
+# Logged poses and the geometry
+
+
+def geometry_section(test: GeometryTest | None) -> Section | None:
+    """Show residuals of the logged pose, and the constants that would explain them."""
+    if test is None:
+        return None
+    points = [ESTIMATED[test.source]]
+    delay, std = test.delay
+    if std < POSE_DELAY_STD:
+        points.append(f"the poses lag {1e3 * delay:.1f} ± {1.96e3 * std:.1g} ms behind the positions")
+    runs = dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
+    return Section(
+        "Logged pose and geometry",
+        Text(str(test.note), tuple(points), STYLES[test.outcome]),  # type: ignore[arg-type]
+        *(Section(run, _traces(test, run), folded=k > 0) for k, run in enumerate(runs)),
+        Section(f"Residuals of the pose of '{test.body}': logged less computed", _residuals(test), folded=False),
+        Section(
+            "Constants one at a time, sorted by the share of the residual variance they explain",
+            _constants(test),
+            Text(f"{len(test.tried) - LISTED} more explain less; model.json and --json list them.")
+            if len(test.tried) > LISTED
+            else None,
+            Text(f"Not identifiable by this pose: {', '.join(test.unseen)}.") if test.unseen else None,
+            folded=False,
+        ),
+        id="geometry",
+    )
+
+
+def _traces(test: GeometryTest, run: str) -> Chart:
+    components = [residual for residual in test.residuals if residual.run == run]
+    shown = {"logged less computed": "before"} | ({"with the change": "after"} if test.explained_by else {})
+    lines: dict[str, list[Series]] = {f"{words}, m{unit}": [] for words in shown for unit in ("m", "rad")}
+    for words, which in shown.items():
+        for j, component in enumerate(components):
+            values, name = 1e3 * getattr(component, which), f"{component.name}, {words}"
+            lines[f"{words}, m{component.unit}"].append(Series(name, component.time, values, colour(j)))
+    panels = [Panel(TIME, Axis(label), tuple(series), height=2) for label, series in lines.items() if series]
+    return Chart(tuple(panels), run, live=True)
+
+
+def _residuals(test: GeometryTest) -> Table:
+    after = (Column("rms with the changes", Kind.NUMBER, 3), lambda residual: 1e3 * residual.rms_after)
+    return table_of(
+        test.residuals,
+        (Column("run"), "run"),
+        (Column("component"), "name"),
+        (Column("rms", Kind.NUMBER, 3), lambda residual: 1e3 * residual.rms),
+        (Column("bias", Kind.NUMBER, 2), lambda pose: 1e3 * pose.bias * (abs(pose.bias) > ROUNDING * pose.rms)),
+        *([after] if test.explained_by else []),
+        (Column("unit"), lambda residual: f"m{residual.unit}"),
+    )
+
+
+def _constants(test: GeometryTest) -> Table:
+    return table_of(
+        test.tried[:LISTED],
+        (Column("length or encoder zero"), "name"),
+        (Column("in the robot file", Kind.NUMBER, 5), lambda constant: 1e3 * constant.value or None),
+        (Column("change", Kind.NUMBER, 3), lambda constant: 1e3 * constant.change),
+        (Column("std", Kind.NUMBER, 2), lambda constant: 1e3 * constant.std),
+        (Column("unit"), lambda constant: f"m{constant.unit}"),
+        (Column("explains", Kind.NUMBER), lambda constant: percent(constant.share)),
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import cos, floor, log10, sin
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from gtau.model.kinematics import Coordinates, poses
 from gtau.report.chart import Shape, Sketch, Word
 from gtau.robots.geometry import Frame, attached
 from gtau.robots.robot import GROUND, Joint, Robot
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
 WIDTH, TALLEST = 240.0, 240.0  # points: width of the sheet, height of the robot; a phone shows words at 10 pixels
@@ -32,13 +29,6 @@ OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0
 COILS = 8  # turns of a spring
 PARALLEL = 1e-6  # tolerance of a cosine
 FLAT = 0.05  # share of its size below which a robot is drawn from the front
-
-
-def robot_figure(robot: Robot) -> Figure:
-    """Draw a robot at home; see :func:`sketch_of`."""
-    from gtau.report.render.charts import figure_of_sketch
-
-    return figure_of_sketch(sketch_of(robot))
 
 
 def sketch_of(robot: Robot) -> Sketch:
@@ -254,11 +244,15 @@ def scene_of(robot: Robot) -> Scene:
     shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
     joints = [joint for joint in robot.joints if joint.name not in shafts.union(robot.base)]
     lines = link_lines(robot, joints, frames)
-    rails = [(joint, rail_of(joint, frames)) for joint in joints if joint.kind == "prismatic"]
+    rails = []
+    for joint in (joint for joint in joints if joint.kind == "prismatic"):
+        R, p = frames[joint.name]
+        ends = joint.limits.position or (joint.home, joint.home)
+        rails.append((joint, np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in ends])))
     feet = [foot_of(joint, frames) for joint in joints if joint.antecedent == GROUND]
-    ends = [attached(end, frames)[1] for end in robot.ends]
+    attachments = [attached(end, frames)[1] for end in robot.ends]
     drawn = (*(line for _, line in lines), *(rail for _, rail in rails))
-    points = np.vstack([*drawn, *feet, *ends, *(frame[1] for frame in frames.values())])
+    points = np.vstack([*drawn, *feet, *attachments, *(frame[1] for frame in frames.values())])
     view = view_plane(np.ptp(points, axis=0), normal_of(joints, frames))
     span = np.maximum(np.ptp(points @ view.T, axis=0), 1e-9)
     size = float(span.max()) if span.max() > 1e-9 else 1.0
@@ -277,10 +271,7 @@ def upright_rotation(gravity: np.ndarray) -> np.ndarray:
 
 
 def view_plane(extent: np.ndarray, normal: np.ndarray | None = None) -> np.ndarray:
-    """Choose the directions right and up on the page, (2, 3), for a robot of the given extent (3,).
-
-    A planar robot with the ``normal`` (3,) is drawn in its plane.
-    """
+    """Choose right and up on the page, (2, 3), for a robot of some extent (3,), or a planar one with a normal (3,)."""
     if normal is not None:
         level = np.cross([0.0, 0.0, 1.0], normal)
         right = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-6 else np.array([1.0, 0.0, 0.0])
@@ -335,10 +326,3 @@ def foot_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
     R, p = frames[joint.antecedent]
     foot: np.ndarray = p + R @ joint.placement.position
     return foot
-
-
-def rail_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:
-    """Return the travel of a prismatic joint within its limits, (2, 3)."""
-    R, p = frames[joint.name]
-    low, high = joint.limits.position or (joint.home, joint.home)
-    return np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in (low, high)])

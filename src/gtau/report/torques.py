@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,22 +12,8 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Series
 from gtau.report.evidence import RunEvidence
-from gtau.report.logs import payload_words
-from gtau.report.motion import TIME
-from gtau.report.page import (
-    Column,
-    ColumnOf,
-    Kind,
-    Page,
-    Section,
-    Table,
-    Text,
-    joint_label,
-    page,
-    section,
-    table,
-    table_of,
-)
+from gtau.report.motion import TIME, payload_words
+from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
 from gtau.uses.prediction import Prediction
 
@@ -72,7 +57,7 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
     )
 
 
-def bands_section(errors: Sequence[TorqueError]) -> Section | None:
+def bands_section(errors: Sequence[TorqueError], folded: bool | None = None) -> Section | None:
     """Tabulate raw torque errors and torques of each joint by frequency, over all runs; None without runs."""
     bands = sorted({(band.low, band.high) for error in errors for band in error.bands})
     if not bands:
@@ -81,20 +66,21 @@ def bands_section(errors: Sequence[TorqueError]) -> Section | None:
     shares, torques = [], []
     for joint in dict.fromkeys(error.joint for error in errors):
         joint_errors = [error for error in errors if error.joint == joint]
-        pairs = np.zeros((len(bands), 2))
+        squares = np.zeros((len(bands), 2))
         for band in (band for error in joint_errors for band in error.bands):
-            pairs[bands.index((band.low, band.high))] += band.rms**2, band.signal**2
-        rms, signal = np.sqrt(pairs.T / len(joint_errors))
+            squares[bands.index((band.low, band.high))] += band.rms**2, band.signal**2
+        rms, signal = np.sqrt(squares.T / len(joint_errors))
         shares.append((joint_label(joint), *(100 * rms / np.maximum(signal, np.finfo(float).tiny)).tolist()))
         torques.append((joint_label(joint), *signal.tolist(), joint_errors[0].unit))
     percent = [Column(edge, Kind.NUMBER, decimals=1, most=999) for edge in edges]
     columns = [Column("measured torque, rms"), *(Column(edge, Kind.NUMBER, 2) for edge in edges), Column("unit")]
-    return section(
+    return Section(
         "Torque errors by frequency",
-        table([Column("error, % of the torque in the band"), *percent], shares),
-        table(columns, torques),
+        Table([Column("error, % of the torque in the band"), *percent], shares),
+        Table(columns, torques),
         Text(BANDS, style="soft"),
-        id="bands",
+        id="" if folded else "bands",
+        folded=folded,
     )
 
 
@@ -114,26 +100,22 @@ def fit_table(residuals: Sequence[TorqueError], title: str) -> Table:
 
 def external_page(torques: TorquesAlongLog) -> Page:
     """Show external torques along a log, the external wrench if asked for, and torque errors by frequency."""
-    joint_columns = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
-    sections = [section("External torque", _external(torques.joints, "joint", *joint_columns), Text(EXTERNAL))]
-    if (wrench := torques.wrench) is not None:
-        wrench_columns = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
-        words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval (median). {SEEN}"
-        sections.append(section("External wrench", _external(wrench.components, "name", *wrench_columns), Text(words)))
-    return page("", *sections, bands_section(torques.errors))
-
-
-def _external(rows: Iterable[Any], name: str, *more: ColumnOf) -> Table:
-    return table_of(
-        rows,
-        (Column(""), name),
-        (Column("rms", Kind.NUMBER), "rms"),
-        *more,
+    rms = (Column("rms", Kind.NUMBER), "rms")
+    more: list[ColumnOf] = [
         (Column("largest", Kind.NUMBER), "largest"),
         (Column("at, s", Kind.NUMBER), "time"),
         (Column("beyond 4, %", Kind.SHARE, decimals=2), "share"),
         (Column("unit"), "unit"),
-    )
+    ]
+    joint = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
+    listed = table_of(torques.joints, (Column(""), "joint"), rms, *joint, *more)
+    sections = [Section("External torque", listed, Text(EXTERNAL))]
+    if (wrench := torques.wrench) is not None:
+        component = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
+        listed = table_of(wrench.components, (Column(""), "name"), rms, *component, *more)
+        words = f"At {wrench.frame}, in its axes. ±: half the 95 % interval (median). {SEEN}"
+        sections.append(Section("External wrench", listed, Text(words)))
+    return Page("", *sections, bands_section(torques.errors))
 
 
 def determination(runs: Sequence[RunEvidence]) -> dict[str, float]:
@@ -157,27 +139,25 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
     for run in runs:
         title = f"{run.run.name} ({'used' if run.used else 'validation, not used'}; {payload_words(run.run)})"
         if run.prediction is None:
-            parts.append(section(title, Text(f"Not predicted: {run.refusal}"), folded=True))
+            parts.append(Section(title, Text(f"Not predicted: {run.refusal}"), folded=True))
             continue
         cut = Text(f"Only the first {run.time[-1]:.4g} s of this long run are shown.", style="soft")
         units = [torque_unit(result.robot, joint) for joint in run.prediction.joints]
         chart = torques_chart(run.prediction, units, run.run.kind, run.time, run.errors)
-        parts.append(section(title, cut if run.cut else None, chart, folded=run is not unfolded))
+        parts.append(Section(title, cut if run.cut else None, chart, folded=run is not unfolded))
     words = (
         "A small residual says nothing about the gains, which scale measured and predicted torque alike. In the shaded "
         "intervals friction changes its sign or samples are missing; the identification of gains and inertia excludes "
         "them."
     )
     judged = [run for run in runs if not run.used and run.errors] or runs
-    by_band = bands_section([error for run in runs for error in run.errors])
-    bands = () if by_band is None else (replace(by_band, folded=True, id=""),)
-    return section(
+    return Section(
         "Torques",
         Text(words),
         errors_table(judged),
         Text(REVERSALS, style="soft"),
-        section("Torque errors of every run", errors_table(runs), folded=True) if len(judged) < len(runs) else None,
-        *bands,
+        Section("Torque errors of every run", errors_table(runs), folded=True) if len(judged) < len(runs) else None,
+        bands_section([error for run in runs for error in run.errors], folded=True),
         *parts,
         id="torques",
     )
@@ -219,7 +199,7 @@ def stretches(time: np.ndarray, masked: np.ndarray) -> np.ndarray:
     shortest = SHORTEST * float(time[-1] - time[0])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], masked, [False]]).astype(np.int8)))
     starts, stops = time[edges[::2]], time[np.minimum(edges[1::2], len(time) - 1)]
-    apart = np.concatenate([[True], starts[1:] - stops[:-1] >= shortest]) if len(starts) else np.zeros(0, bool)
-    first = np.flatnonzero(apart)
-    ends = stops[np.append(first[1:] - 1, len(stops) - 1)] if len(stops) else stops
-    return np.column_stack([starts[first], ends]).reshape(-1).astype(float)
+    apart = starts[1:] - stops[:-1] >= shortest
+    if len(starts):
+        starts, stops = starts[np.r_[True, apart]], stops[np.r_[apart, True]]
+    return np.column_stack([starts, stops]).reshape(-1).astype(float)

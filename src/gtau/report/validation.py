@@ -16,9 +16,8 @@ from gtau.findings.words import percents, to_width
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_section, payloads_section
-from gtau.report.logs import logs_section
-from gtau.report.motion import motion_section
-from gtau.report.page import Column, Kind, Page, Section, Text, page, section, table_of
+from gtau.report.motion import logs_section, motion_section
+from gtau.report.page import Column, Kind, Page, Section, Text, table_of
 from gtau.report.torques import REVERSALS, bands_section, errors_table, torques_section
 from gtau.uses.weigh import FRICTION_CHANGE, GAIN_CHANGE
 
@@ -30,24 +29,23 @@ CAUTION = (
 
 def validation_document(runs: Sequence[RunEvidence]) -> dict[str, Any]:
     """Describe torque errors as JSON: ``rms`` and ``signal`` in ``unit``, ``relative`` in per cent, ``bands`` in Hz."""
-    return {
-        "runs": [
-            {"log": run.run.name, "joints": list(map(torque_error, run.errors)), "notes": list(map(str, run.notes))}
-            for run in runs
-        ]
-    }
+    documents = [
+        {"log": run.run.name, "joints": list(map(torque_error, run.errors)), "notes": list(map(str, run.notes))}
+        for run in runs
+    ]
+    return {"runs": documents}
 
 
 def validation_page(result: IdentifiedModel, runs: Sequence[RunEvidence], notes: Sequence[Finding] = ()) -> Page:
     """Show the torque errors of each run; ``notes`` hold assumptions of all predictions."""
-    noted = [(run.run.name, note, note.decisive) for run in runs for note in run.notes]
-    said = [str(note) if decisive else f"run '{name}': {note}" for name, note, decisive in noted]
-    doubted = any(decisive for *_, decisive in noted)
-    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), "bad" if doubted else "neutral")
-    return page(
+    noted = [(run.run.name, note) for run in runs for note in run.notes]
+    said = [str(note) if note.decisive else f"run '{name}': {note}" for name, note in noted]
+    style: Any = "bad" if any(note.decisive for _, note in noted) else "neutral"
+    verdict = Text(headline(result, runs), (*said, *map(str, notes), CAUTION), style)
+    return Page(
         f"Validation of {result.robot.name}",
-        section("Verdict", verdict, id="verdict"),
-        section("Torque errors", errors_table(runs), Text(REVERSALS), id="errors"),
+        Section("Verdict", verdict, id="verdict"),
+        Section("Torque errors", errors_table(runs), Text(REVERSALS), id="errors"),
         bands_section([error for run in runs for error in run.errors]),
         lead=[f"Model identified from {', '.join(result.runs)}; validated on {', '.join(r.run.name for r in runs)}."],
     )
@@ -58,7 +56,7 @@ def validation_report(
 ) -> Page:
     """Show verdict, torques, gains, motion and logs."""
     short = validation_page(result, runs, notes)
-    return page(
+    return Page(
         short.title,
         short.sections[0],
         torques_section(result, runs),
@@ -89,12 +87,12 @@ def headline(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> str:
 
 def write_torques(runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
     """Write a table with all samples of each run; raises GtauError if a file cannot be written."""
-    names = unique_names([run.run.name for run in runs])
-    named = [(folder / f"torques_{name}.parquet", run.samples) for name, run in zip(names, runs, strict=True)]
-    for path, samples in named:
-        if samples is not None:
-            write_table(samples.table(), path)
-    return [path for path, samples in named if samples is not None]
+    written = []
+    for name, run in zip(unique_names([run.run.name for run in runs]), runs, strict=True):
+        if run.samples is not None:
+            written.append(folder / f"torques_{name}.parquet")
+            write_table(run.samples.table(), written[-1])
+    return written
 
 
 # Payloads
@@ -132,12 +130,12 @@ def weighing_page(
         )
     given = "the logged torques taken as true, whose scale was not tested" if torques else "these gains assumed exact"
     words = masses_words(payloads, f"with {given}, " if exact else "")
-    return page(
+    return Page(
         f"Payloads of {result.robot.name}",
-        section("Verdict", Text(words, tuple(said), "neutral"), id="verdict"),
+        Section("Verdict", Text(words, tuple(said), "neutral"), id="verdict"),
         bodies_section(bodies),
         payloads_section(payloads, "Inertial parameters"),
-        *(() if prior is None else (gains_section(result, prior), section("Robot", result.robot, id="robot"))),
+        *(() if prior is None else (gains_section(result, prior), Section("Robot", result.robot, id="robot"))),
     )
 
 
@@ -153,8 +151,8 @@ def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
         )
         lost = f"The motion does not show {', '.join(body.unseen)}." if body.unseen else ""
         what = Text(f"In {body.frame}; inertia about the centre of mass, +- half a 95 % interval. {lost}".strip())
-        parts.append(section(f"Payload '{body.name}' of run {body.run}", what, shown if shown.rows else None))
-    return section("For a controller", *parts, id="controller") if parts else None
+        parts.append(Section(f"Payload '{body.name}' of run {body.run}", what, shown if shown.rows else None))
+    return Section("For a controller", *parts, id="controller") if parts else None
 
 
 def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.documents.files import in_order
 from gtau.errors import GtauError, tidy
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series
-from gtau.report.page import Column, Kind, Page, Table, Text, page, section, table
+from gtau.report.page import Column, Kind, Page, Section, Table, Text
 from gtau.watch.alarms import FEWEST_OF_WEEK, beyond, power, visible_changes, week_of
 from gtau.watch.history import HISTORY, Alarm, Event, History
 from gtau.watch.statistics import SHOWN, Quantity, unseen_zeros
@@ -88,10 +88,10 @@ def verdict_text(watch: Watch) -> Text:
 def watch_page(watch: Watch) -> Page:
     """Show the verdict after the last log, and each quantity against its tolerance."""
     begun = len(watch.view.values) > 0
-    return page(
+    return Page(
         f"Watching {watch.model.robot.name}",
-        section("Verdict", verdict_text(watch), id="verdict"),
-        section("Quantities", *_quantities(watch), id="quantities") if begun else None,
+        Section("Verdict", verdict_text(watch), id="verdict"),
+        Section("Quantities", *_quantities(watch), id="quantities") if begun else None,
         lead=[f"Last log {watch.status.log} of {watch.status.date}."] if begun else [],
     )
 
@@ -121,7 +121,7 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
     )
     first, others = np.flatnonzero(shown & far), np.flatnonzero(shown & ~far)
     faint = frozenset(range(len(first), len(first) + len(others)))
-    yield table(columns, map(row, [*first, *others]), name="quantities-table", faint=faint)
+    yield Table(columns, [row(k) for k in (*first, *others)], name="quantities-table", faint=faint)
     yield Text(
         "Changes since the identification, or since they were acknowledged: mean of the last week ± half its 95 % "
         "interval. Beyond tolerance: the whole interval is outside. Visible: the smallest sudden change that would be "
@@ -132,11 +132,8 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
 
 def _hidden(watch: Watch) -> Iterator[Text]:
     """List the quantities that this motion does not show, and the encoder zeros that no motion shows."""
-    hidden = [
-        quantity
-        for quantity, values in zip(watch.view.quantities, watch.view.values.T, strict=True)
-        if not np.isfinite(values).any()
-    ]
+    unknown = ~np.isfinite(watch.view.values).any(axis=0)
+    hidden = [watch.view.quantities[k] for k in np.flatnonzero(unknown)]
     unseen = unseen_zeros(watch.model) if hidden else ()
     never = [quantity for quantity in hidden if quantity.kind == "zero" and quantity.joint in unseen]
     if names := ", ".join(_shown(quantity)[0] for quantity in hidden if quantity not in never):
@@ -160,14 +157,14 @@ def power_rows(watch: Watch) -> list[dict[str, object]]:
 def power_page(watch: Watch) -> Page:
     """Show how large faults must be for watching with this motion to find them."""
     rows = [[*row.values()] for row in power_rows(watch)]
-    sizes = table((Column("quantity"), Column("unit"), *VISIBLE), rows, name="power-table")
+    sizes = Table((Column("quantity"), Column("unit"), *VISIBLE), rows, name="power-table")
     note = Text(
         "The smallest change of each quantity that is found in nine of ten cases: a sudden one within a week and a "
         "month of logs of this motion, and one that grows slowly. Logs are assumed to scatter by the covariance of "
         "this log alone; real ones scatter more (temperature, load, wear), and then more is needed."
     )
-    shown = section("Power", sizes, note, *_hidden(watch), id="power")
-    return page(f"What watching {watch.model.robot.name} finds", shown)
+    shown = Section("Power", sizes, note, *_hidden(watch), id="power")
+    return Page(f"What watching {watch.model.robot.name} finds", shown)
 
 
 def watch_report(watch: Watch) -> Page:
@@ -178,15 +175,14 @@ def watch_report(watch: Watch) -> Page:
         words = f"{event.kind}: {event.note}" if event.note else event.kind
         events.append((event.date, event.subject, words + " (undone)" * event.undone))
     columns = (Column("date"), Column("log", Kind.NAME), Column("event"))
-    sections = [section("Events", table(columns, sorted(events)), id="events")] if events else []
+    sections = [Section("Events", Table(columns, sorted(events)), id="events")] if events else []
     panels = defaultdict[str, list[Panel]](list)
     for k in np.flatnonzero(np.isfinite(view.values).any(axis=0)).tolist():
         panels[view.quantities[k].joint].append(_history(watch, k))
     for joint, shown in panels.items():
-        sections.append(
-            section(f"Joint {joint}" if joint else "Load", Chart(tuple(shown), columns=2), id=f"of-{joint or 'load'}")
-        )
-    return Page(short.title, (*short.sections, *sections), short.lead)
+        title, chart = f"Joint {joint}" if joint else "Load", Chart(tuple(shown), columns=2)
+        sections.append(Section(title, chart, id=f"of-{joint or 'load'}"))
+    return Page(short.title, *short.sections, *sections, lead=short.lead)
 
 
 def _history(watch: Watch, k: int) -> Panel:
@@ -245,6 +241,6 @@ def fleet_page(lines: Sequence[Mapping[str, str]]) -> Page:
     """List the robots of a fleet, the most urgent first."""
     waiting = sum(line["state"] in STATES[:2] for line in lines)
     words = f"{waiting} of {len(lines)} robots need attention." if waiting else f"All {len(lines)} robots are OK."
-    robots = table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots-table")
+    robots = Table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots-table")
     verdict = Text(words, (NO_SAFETY_FUNCTION,), "bad" if waiting else "good")
-    return page("Watching a fleet", section("Verdict", verdict, id="verdict"), section("Robots", robots, id="robots"))
+    return Page("Watching a fleet", Section("Verdict", verdict, id="verdict"), Section("Robots", robots, id="robots"))

@@ -8,7 +8,7 @@ import platform
 import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from contextlib import suppress
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -18,7 +18,7 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.progress import Progress, silent
 from gtau.report.evidence import gather, settings_of
 from gtau.report.identification import report_page
-from gtau.report.page import Column, Facts, Kind, Page, Text, section, table
+from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.render.html import html
 from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.run import Run
@@ -50,10 +50,7 @@ def write_identification(
     seconds: float,
     progress: Progress = silent,
 ) -> Path:
-    """Write the report of an identification that took ``seconds``, with predictions of its ``validation`` runs.
-
-    The ``experiment`` was read from ``path``.
-    """
+    """Write the report of an identification of the ``experiment`` in ``path``, with its ``validation`` runs."""
     page = report_page(result, gather(result, result.data, validation, progress), experiment.expected_gains)
     return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result))
 
@@ -72,46 +69,37 @@ def stamped(
     page: Page, settings: Mapping[str, str], command: str = "", inputs: Inputs = (), seconds: float | None = None
 ) -> Page:
     """Add date and version below the title of a page, and at its end the section on provenance."""
-    made, packages = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"), versions()
+    made = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    packages = {"gtau": version("gtau")}
+    packages["Python"] = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
+    for package in PACKAGES:
+        with suppress(PackageNotFoundError):
+            packages[package] = version(package)
     facts = {"made on": made, "time taken": None if seconds is None else f"{seconds:.1f} s", **packages}
-    files = table(
+    files = Table(
         (Column("input"), Column("file"), Column("size"), Column("SHA-256", Kind.NAME)),
-        [(what, str(path), *fingerprint(path)) for what, path in inputs],
+        [(what, str(path), *_fingerprint(path)) for what, path in inputs],
     )
     listed = f"Inputs: {len(inputs)} files with their hashes"
-    provenance = section(
+    provenance = Section(
         "Provenance",
-        section("The command that reproduces this report", Text(command, style="command")) if command else None,
+        Section("The command that reproduces this report", Text(command, style="command")) if command else None,
         Facts(facts),
-        section("Settings", Facts(settings)) if settings else None,
-        section(listed, files, folded=len(inputs) > LISTED) if inputs else None,
+        Section("Settings", Facts(settings)) if settings else None,
+        Section(listed, files, folded=len(inputs) > LISTED) if inputs else None,
         id="provenance",
         folded=True,
     )
     lead = (*page.lead, f"Made on {made} by gtau {packages['gtau']}.")
-    return replace(page, sections=(*page.sections, provenance), lead=lead)
+    return Page(page.title, *page.sections, provenance, lead=lead)
 
 
-def versions() -> dict[str, str]:
-    """List the versions of gtau, Python and the numerical packages."""
-    python = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
-    packages = {"gtau": version("gtau"), "Python": python}
-    for package in PACKAGES:
-        try:
-            packages[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return packages
-
-
-def fingerprint(path: Path) -> tuple[str, str]:
+def _fingerprint(path: Path) -> tuple[str, str]:
     """Return size and SHA-256 of a file or of the files in a folder."""
     if path.is_dir():
         parts = sorted(part for part in path.iterdir() if part.is_file())
         return f"{len(parts)} files", _digest(parts)
-    if not path.is_file():
-        return "–", "no longer exists"
-    return _size(path.stat().st_size), _digest([path])
+    return (_size(path.stat().st_size), _digest([path])) if path.is_file() else ("–", "no longer exists")
 
 
 def _digest(paths: Iterable[Path]) -> str:

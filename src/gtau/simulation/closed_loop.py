@@ -38,6 +38,12 @@ class Reference:
     qdd: np.ndarray
 
 
+def sample(trajectory: Trajectory, duration: float, rate: float) -> Reference:
+    """Sample a trajectory at ``rate`` Hz for ``duration`` s."""
+    time = np.arange(round(duration * rate) + 1) / rate
+    return Reference(time, *trajectory(time))
+
+
 @dataclass(frozen=True, eq=False)
 class Controller:
     """A control law along a reference: ``inertia`` (N, n, n), ``feedforward`` (N, n), drive ``gains`` (n,), rad/s."""
@@ -48,17 +54,6 @@ class Controller:
     gains: np.ndarray
     weight: float
     bandwidth: float
-
-    @property
-    def pid(self) -> tuple[float, float, float]:
-        """The gains kp, ki and kd."""
-        return 3 * self.bandwidth**2, self.bandwidth**3, 3 * self.bandwidth
-
-
-def sample(trajectory: Trajectory, duration: float, rate: float) -> Reference:
-    """Sample a trajectory at ``rate`` Hz for ``duration`` s."""
-    time = np.arange(round(duration * rate) + 1) / rate
-    return Reference(time, *trajectory(time))
 
 
 def pid(
@@ -111,6 +106,15 @@ class Hardware:
         """Compute forces (n,) from currents (n,) at positions ``q`` (n,), with the ripple's ``phase`` (n,), rad."""
         return self.gain * current + self.ripple * np.sin(2 * np.pi * q / self.ripple_period + phase)
 
+    def measured(self, history: Sequence[PlantState], period: float) -> np.ndarray:
+        """Compute the measured positions (n,) from the last states, newest first, ``period`` s apart."""
+        late = self.delay / period
+        periods, joints = late.astype(int), np.arange(len(late))
+        q, qd = (np.array([getattr(state, name) for state in history]) for name in ("q", "qd"))
+        past, speed, before = q[periods, joints], qd[periods, joints], qd[periods + 1, joints]
+        back = (late - periods) * period
+        return rounded(past - back * speed + back**2 / (2 * period) * (speed - before), self.position_quantum)
+
 
 def hardware(joints: Sequence[str], drives: Mapping[str, JointHardware]) -> Hardware:
     """Stack the drives and sensors of ``joints``, in this order."""
@@ -156,19 +160,19 @@ def close_loop(
     In every sample, positions are measured, and currents are computed, logged and held. ``rng`` draws the noise and the
     phase of the ripple. Raises GtauError if the robot reaches a singular pose or the control loop diverges.
     """
-    reference = controller.reference
+    reference, bandwidth = controller.reference, controller.bandwidth
     samples, n = reference.q.shape
     period = float(reference.time[1] - reference.time[0])
-    kp, ki, kd = controller.pid
-    blend = float(np.exp(-FILTER * controller.bandwidth * period))
+    kp, ki, kd = 3 * bandwidth**2, bandwidth**3, 3 * bandwidth
+    blend = float(np.exp(-FILTER * bandwidth * period))
     phase = rng.uniform(0.0, 2 * np.pi, (1, n))[0]
     state = engine.start(reference.q[0])
     history = [state] * (2 + int(np.ceil(hardware.delay.max() / period)))
     position, current, error = (np.empty((samples, n)) for _ in range(3))
     slope, integral = np.zeros(n), np.zeros(n)
-    behind = controller.weight * reference.q[0] - _measured(history, hardware, period)
+    behind = controller.weight * reference.q[0] - hardware.measured(history, period)
     for k in range(samples):
-        measured = _measured(history, hardware, period)
+        measured = hardware.measured(history, period)
         e, ahead = reference.q[k] - measured, controller.weight * reference.q[k] - measured
         slope = blend * slope + (1 - blend) * (ahead - behind) / period
         behind = ahead
@@ -195,13 +199,3 @@ def write_log(run: Run, path: str | Path) -> None:
     columns |= {log_column("q", joint): run.position[:, j] for j, joint in enumerate(run.joints)}
     columns |= {log_column("v", joint): run.command[:, j] for j, joint in enumerate(run.joints)}
     write_table(pl.DataFrame(columns), path)
-
-
-def _measured(history: list[PlantState], hardware: Hardware, period: float) -> np.ndarray:
-    """Compute the measured positions (n,) from the last states, newest first."""
-    late = hardware.delay / period
-    periods, joints = late.astype(int), np.arange(len(late))
-    q, qd = (np.array([getattr(state, name) for state in history]) for name in ("q", "qd"))
-    past, speed, before = q[periods, joints], qd[periods, joints], qd[periods + 1, joints]
-    back = (late - periods) * period
-    return rounded(past - back * speed + back**2 / (2 * period) * (speed - before), hardware.position_quantum)

@@ -43,32 +43,31 @@ class JointFriction:
     smoothing: Mapping[str, float]
 
     def __post_init__(self) -> None:
-        robot, actuated = self.law.model.robot, self.law.model.actuated
-        joints = [joint.name for joint in robot.joints]
-        shares = dict.fromkeys(actuated, 0.0)
-        for kind, joint in ((name.kind, name.body) for name in self.law.shapes):
+        law, robot = self.law, f"robot '{self.law.model.robot.name}'"
+        joints = [joint.name for joint in law.model.robot.joints]
+        shares = dict.fromkeys(law.model.actuated, 0.0)
+        for kind, joint in ((name.kind, name.body) for name in law.shapes):
             if joint not in joints:
-                raise GtauError(f"robot '{robot.name}' has no joint '{joint}', whose friction has a curve; correct it.")
-            if kind == "width" and not self.law.ratios[joints.index(joint)].any():
+                raise GtauError(f"{robot} has no joint '{joint}', whose friction has a curve; correct it.")
+            if kind == "width" and not law.ratios[joints.index(joint)].any():
                 raise GtauError(
-                    f"joint '{joint}' of robot '{robot.name}' moves at no constant ratio to the motors, so its "
-                    "presliding cannot be simulated; give a width to actuated joints only."
+                    f"joint '{joint}' of {robot} moves at no constant ratio to the motors, so its presliding cannot be "
+                    "simulated; give a width to actuated joints only."
                 )
         for name, value in self.values.items():
             parameter = parameter_of(name)
             kind, joint = parameter.kind, parameter.body
             if kind in STATED and joint not in joints:
-                raise GtauError(f"robot '{robot.name}' has no joint '{joint}' for the friction '{name}'; correct it.")
-            if kind == "fb" and value and Parameter("vs", joint) not in self.law.shapes:
+                raise GtauError(f"{robot} has no joint '{joint}' for the friction '{name}'; correct it.")
+            if kind == "fb" and value and Parameter("vs", joint) not in law.shapes:
                 raise GtauError(
                     f"friction '{name}' needs a speed over which it falls; give the 'speed' of joint '{joint}'."
                 )
             if kind in BY_LOAD and value:
-                motor = self.law.motor_of(joint)
-                if motor is None:
+                if (motor := law.motor_of(joint)) is None:
                     raise GtauError(
-                        f"friction '{name}' depends on the load of a joint that no single motor of robot "
-                        f"'{robot.name}' moves; give 'fl' of other joints."
+                        f"friction '{name}' depends on the load of a joint that no single motor of {robot} moves; give "
+                        "'fl' of other joints."
                     )
                 shares[motor] += abs(value)
         for motor, share in shares.items():
@@ -86,9 +85,9 @@ class JointFriction:
     @cached_property
     def propels(self) -> bool:
         """Whether a term of the law may propel and needs scaling down."""
-        at_rest = self._by_joint("fs") + self._by_joint("fb")
-        others = [self._by_joint(kind) for kind in FORMULAS if kind != "fb"]
-        return bool(np.min([at_rest, *others]) < 0)
+        forces = {kind: self._by_joint(kind) for kind in FORMULAS}
+        forces["fb"] += self._by_joint("fs")  # at rest
+        return bool(np.min([*forces.values()]) < 0)
 
     @cached_property
     def offsets(self) -> np.ndarray:

@@ -51,11 +51,10 @@ class MujocoPlant:
         except ImportError:
             engine = "the engine 'mujoco' (the engine 'gtau' needs nothing more)"
             raise missing_extra(engine, "mujoco", "mujoco") from None
-        robot = model.robot
+        robot, named = model.robot, f"robot '{model.robot.name}'"
         if robot.couplings:
             raise GtauError(
-                f"robot '{robot.name}' has couplings, which the engine 'mujoco' does not support; use the engine "
-                "'gtau'."
+                f"{named} has couplings, which the engine 'mujoco' does not support; use the engine 'gtau'."
             )
         chi = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         friction = friction or plain_friction(model, chi)
@@ -69,8 +68,8 @@ class MujocoPlant:
             self._model = robot_spec(mujoco, robot, chi).compile()
         except ValueError as error:
             raise GtauError(
-                f"robot '{robot.name}': MuJoCo does not accept its parameters ({str(error).splitlines()[0]}); give "
-                f"every body a physically possible mass and inertia, or use the engine 'gtau'."
+                f"{named}: MuJoCo does not accept its parameters ({str(error).splitlines()[0]}); give every body a "
+                "physically possible mass and inertia, or use the engine 'gtau'."
             ) from None
         self._mujoco, self.model = mujoco, model
         self._data = mujoco.MjData(self._model)
@@ -182,7 +181,8 @@ def link_name(robot: Robot, name: str) -> str:
 
 def _add_freedoms(mujoco: ModuleType, place: Any, platform: Platform) -> None:
     """Add the joints of a platform, relative to its home."""
-    home, hinge = platform.home.rotation, mujoco.mjtJoint.mjJNT_HINGE  # rows of home: base axes in the platform's frame
+    # rows of home: base axes in the platform's frame
+    home, hinge = platform.home.rotation, mujoco.mjtJoint.mjJNT_HINGE
     for axis, dof in enumerate(TRANSLATIONS):
         if dof in platform.dof:
             place.add_joint(name=f"{dof}_{platform.name}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=home[axis])

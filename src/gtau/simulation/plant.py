@@ -1,10 +1,10 @@
 """Plant of a simulation: integrated forward dynamics of any robot (paper, eq. 15 solved for qdd).
 
 The state is the configuration c of the virtual tree, the velocities qd of the actuated joints, and the states z of
-presliding friction, which follow the positions. The passive coordinates are integrated as well (``yd = J qd``) and
-projected onto the closures after every step.
+presliding friction, which follow the positions. The passive coordinates are integrated as well (``yd = J qd``), and
+the loops are closed after every step, in the same assembly mode.
 
-Time per 1 ms of constant force on the Orthoglide: 0.25 ms with the integrator below (tolerance 1e-6), 0.65 ms with
+Time per 1 ms of constant force on the Orthoglide: 0.35 ms with the integrator below (tolerance 1e-6), 0.65 ms with
 CVODES (Adams; BDF 3.3 ms), and 2 ms with SciPy's RK45, DOP853 and LSODA (1e-7). All of them restart at every change of
 the force.
 """
@@ -18,19 +18,20 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.linalg
 
 from gtau.errors import GtauError
-from gtau.model.closures import closure_expressions
+from gtau.model.closures import closure_expressions, solve
 from gtau.model.dynamics import torques
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.model.kinematics import configuration_rates, frames
-from gtau.model.loops import Loops, pose_words
+from gtau.model.kinematics import configuration_rates
+from gtau.model.loops import advance as follow
+from gtau.model.loops import pose_words
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 
 TOLERANCE = 1e-6  # error of the velocities in a step, rad/s or m/s
 SHORTEST = 1e-9  # s
+APART = 1e-5  # rad or m; integrated c further than this from the closed c is in another assembly mode
 
 # the pair of Dormand and Prince of orders 5 and 4: stages (the last is the solution) and error
 STAGES = (
@@ -42,31 +43,6 @@ STAGES = (
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
-
-
-def constraints(loops: Loops) -> tuple[ca.Function, ca.Function]:
-    """Select one independent closure equation ``phi(c) = 0`` per passive coordinate, by pivoted QR at home.
-
-    The equations are in the axes of the second body of a closure, where a linkage whose plane turns with the robot
-    keeps the same redundant rows. Returns functions from c to phi and the derivatives of phi' by the passive and the
-    actuated yd, and from c and yd to gamma of ``G ydd + gamma = 0``.
-    """
-    layout = loops.layout
-    c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    frame, blocks = frames(layout, c), []
-    for closure in layout.robot.closures:
-        blocks += [frame[closure.b.body].R_0.T] * (2 if closure.kind == "weld" else 1)
-    turned = ca.diagcat(*blocks, ca.SX.eye(len(layout.robot.couplings)))
-    phi, velocity, gamma = (turned @ expression for expression in closure_expressions(layout, c, yd))
-    G = ca.jacobian(velocity, yd)
-    passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
-    at_home = np.array(ca.Function("G", [c], [G[:, passive]])(loops.home))
-    _, _, order = scipy.linalg.qr(at_home.T, pivoting=True, mode="economic")
-    rows = np.sort(order[: len(passive)]).tolist()
-    return (
-        ca.Function("position", [c], [phi[rows], G[rows, passive], G[rows, actuated]]),
-        ca.Function("drift", [c, yd], [ca.densify(gamma[rows])]),
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,20 +70,12 @@ class Plant:
         self.chi: dict[str, float] = {name: float(chi.get(name, 0.0)) for name in model.parameter_names}
         self.friction = friction or plain_friction(model, self.chi)
         self._step = self._compiled_step()
-        self._side = self._mode(model.home)
         mass = self.mass_matrix(model.home)
         if np.linalg.eigvalsh((mass + mass.T) / 2).min() <= 1e-12 * np.abs(mass).max():
             raise GtauError(
                 f"robot '{model.robot.name}': its mass matrix at home is not positive definite; give every actuated "
                 "joint a mass, an inertia or a rotor ('ia')."
             )
-
-    def _mode(self, c: np.ndarray) -> float:
-        """Compute the sign of the determinant of the passive columns, which changes at singular poses."""
-        if self._passive is None:
-            return 1.0
-        (G,), n = self._passive(c), len(self.layout.passive)
-        return float(np.linalg.slogdet(G.reshape(n, n))[0])
 
     def start(self, q: np.ndarray) -> PlantState:
         """Return the state at rest at actuated positions ``q`` (n,); raises GtauError if they cannot be reached."""
@@ -129,13 +97,12 @@ class Plant:
                     continue
                 z = self.friction.moved(z, c_next[actuated] - c[actuated])
                 c, qd, remaining = c_next, qd_next, remaining - step
-            elif step < SHORTEST or not np.isfinite(size):
-                if step < SHORTEST:
-                    raise self._lost(c)
+            elif step < SHORTEST:
+                raise self._lost(c)
+            elif not np.isfinite(size):
                 size = 1e5
             step *= min(5.0, max(0.1, 0.9 * max(size, 1e-8) ** -0.2))
-        if self._mode(c) != self._side:
-            raise self._lost(c)
+        c = self._closed(state.c, c)
         return PlantState(c[actuated], qd, c, qd, z)
 
     def acceleration(self, state: PlantState, force: np.ndarray) -> np.ndarray:
@@ -146,41 +113,44 @@ class Plant:
         """Compute the mass matrix seen by the actuated joints (n, n)."""
         return np.array(self._inertia(c, np.zeros(len(self.layout.actuated)))[0])
 
-    @cached_property
-    def _constraints(self) -> tuple[ca.Function, ca.Function] | None:
-        return constraints(self.model.loops) if self.model.loops else None
+    def _closed(self, c: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Move from closed ``c`` (n_c,) to the closed configuration near ``moved`` in the same assembly mode."""
+        if self.model.loops is None:
+            return moved
+        closed, reached = follow(self.model.loops, c[:, None], moved[self.layout.actuated, None])
+        if not reached[0] or np.abs(closed[:, 0] - moved).max() > APART:
+            raise self._lost(c)
+        return closed[:, 0]
 
-    @cached_property
-    def _passive(self) -> Compiled | None:
-        if self._constraints is None:
-            return None
-        c = ca.SX.sym("c", self.layout.n_c)
-        return Compiled(ca.Function("passive", [c], [ca.densify(self._constraints[0](c)[1])]))
-
-    def _selection(self, rows: np.ndarray) -> ca.DM:
-        """Return the matrix that places a vector (len(rows),) in the ``rows`` of a vector (n_y,)."""
-        columns = list(range(len(rows)))
-        return ca.DM.triplet(rows.tolist(), columns, ca.DM.ones(len(rows)), self.layout.n_y, len(rows))
+    def _along_loops(self, c: ca.MX, qd: ca.MX) -> tuple[Any, Any, Any]:
+        """Express yd, ydd for zero qdd, and the passive rows of J (eqs. 5 to 8)."""
+        n = len(self.layout.actuated)
+        if self.model.loops is None:
+            return qd, ca.MX.zeros(n), ca.MX(0, n)
+        layout = self.layout
+        passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
+        pose, speeds, rates = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("qd", n)
+        _, velocity, gamma = closure_expressions(layout, pose, speeds)
+        G = ca.jacobian(velocity, speeds)
+        J, _ = solve(G[:, passive], -G[:, actuated], refine=False)
+        yd, ydd = ca.SX(layout.n_y, 1), ca.SX(layout.n_y, 1)
+        yd[actuated], yd[passive] = rates, J @ rates
+        ydd[passive], _ = solve(G[:, passive], -ca.substitute(gamma, speeds, yd), refine=False)
+        moved, drift, columns = ca.Function("loops", [pose, rates], [yd, ydd, J], {"cse": True})(c, qd)
+        return moved, drift, columns
 
     @cached_property
     def _inertia(self) -> ca.Function:
         """Compile (c, qd) to the mass matrix, torques at zero qdd without friction and offsets, yd, and passive J."""
-        layout, n, cse = self.layout, len(self.layout.actuated), {"cse": True}
         (pose, speeds, pushes, passive), columns = self.model.symbols
         names = [name for name in self.model.parameter_names if name.kind not in PLAIN_FRICTION]
         chi = {name: ca.SX(self.chi[name]) for name in names}
-        forces = torques(layout, pose, speeds, pushes, columns, chi)
+        forces = torques(self.layout, pose, speeds, pushes, columns, chi)
         mass = ca.jacobian(forces, pushes) @ columns
-        dynamics = ca.Function("dynamics", [pose, speeds, pushes, passive.T], [mass, forces], cse)
-        c, qd = ca.MX.sym("c", layout.n_c), ca.MX.sym("qd", n)
-        J, drift, yd = ca.MX(0, n), ca.MX(0, 1), self._selection(layout.actuated) @ qd
-        if self._constraints is not None:
-            _, G_passive, G_actuated = self._constraints[0](c)
-            J = -ca.solve(G_passive, G_actuated, "qr")
-            yd += self._selection(layout.passive) @ (J @ qd)
-            drift = -ca.solve(G_passive, self._constraints[1](c, yd), "qr")
-        M, tau = dynamics(c, yd, self._selection(layout.passive) @ drift, J)
-        return ca.Function("inertia", [c, qd], [M, tau, yd, J])
+        dynamics = ca.Function("dynamics", [pose, speeds, pushes, passive.T], [mass, forces], {"cse": True})
+        c, qd = ca.MX.sym("c", self.layout.n_c), ca.MX.sym("qd", len(self.layout.actuated))
+        yd, drift, J = self._along_loops(c, qd)
+        return ca.Function("inertia", [c, qd], [*dynamics(c, yd, drift, J), yd, J])
 
     @cached_property
     def _derivative(self) -> ca.Function:
@@ -198,7 +168,7 @@ class Plant:
         return ca.Function("derivative", [c, qd, force, z], [rates(c, yd), qdd])
 
     def _compiled_step(self) -> Compiled:
-        """Compile (c, qd, force, z, h) to c, on the closures, and qd after h s, and the error of qd."""
+        """Compile (c, qd, force, z, h) to c and qd after h s, and the error of qd."""
         layout, n, reach = self.layout, len(self.layout.actuated), self.friction.reach
         sizes = {"c": layout.n_c, "qd": n, "force": n, "z": len(reach), "h": 1}
         c, qd, force, z, h = symbols = [ca.MX.sym(name, size) for name, size in sizes.items()]
@@ -216,21 +186,7 @@ class Plant:
             x = ca.vertcat(c, qd) + h * ca.horzcat(*slopes) @ ca.DM(weights)
             slopes.append(slope(x))
         error = h * ca.horzcat(*(slope[layout.n_c :] for slope in slopes)) @ ca.DM(ERROR)
-        return Compiled(ca.Function("step", symbols, [self._closed(x[: layout.n_c]), x[layout.n_c :], error]))
-
-    def _closed(self, c: ca.MX) -> ca.MX:
-        """Project c onto the closures by one Newton step, and normalise quaternions."""
-        layout = self.layout
-        if self._constraints is None:
-            return c
-        symbol, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-        moved = symbol + configuration_rates(layout, symbol, yd)
-        for slots in layout.platforms:
-            if slots.quaternion is not None:
-                moved[slots.quaternion] /= ca.norm_2(moved[slots.quaternion])
-        move = ca.Function("move", [symbol, yd], [moved])
-        phi, G_passive, _ = self._constraints[0](c)
-        return move(c, -self._selection(layout.passive) @ ca.solve(G_passive, phi, "qr"))
+        return Compiled(ca.Function("step", symbols, [x[: layout.n_c], x[layout.n_c :], error]))
 
     def _lost(self, c: np.ndarray) -> GtauError:
         pose = pose_words(self.model.robot, c[self.layout.actuated])

@@ -6,7 +6,7 @@ ends at rest, and is constant outside its duration.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,6 +28,8 @@ REST = 0.05  # s, between two moves
 ROUNDED = 1.01  # tolerance factor on limits of speed and acceleration, for rounded samples
 PerJoint = dict[str, FiniteFloat]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
+Duration = Annotated[FiniteFloat, Field(ge=3, le=3600)]
+Share = Annotated[FiniteFloat, Field(gt=0, le=1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,17 +44,17 @@ class Envelope:
 
 def envelope(robot: Robot, share: float = 0.9) -> Envelope:
     """Take a share of the joints' limits; a missing acceleration limit is the speed limit over 0.1 s."""
-    limits = {name: robot.joint(name).limits for name in robot.actuated}
-    for name, limit in limits.items():
+    rows = []
+    for name in robot.actuated:
+        limit = robot.joint(name).limits
         if limit.position is None or limit.velocity is None:
             raise GtauError(
                 f"robot '{robot.name}': joint '{name}' has no {'position' if limit.position is None else 'velocity'} "
                 "limit to move within; add it to the robot file."
             )
-    low, high = np.array([limit.position for limit in limits.values()], dtype=float).T
-    velocity = np.array([limit.velocity for limit in limits.values()], dtype=float)
-    given = [limit.acceleration or 10.0 * speed for limit, speed in zip(limits.values(), velocity, strict=True)]
-    return Envelope((low + high) / 2, share * (high - low) / 2, share * velocity, share * np.array(given))
+        rows.append((*limit.position, limit.velocity, limit.acceleration or 10.0 * limit.velocity))
+    low, high, velocity, acceleration = np.array(rows, dtype=float).T
+    return Envelope((low + high) / 2, share * (high - low) / 2, share * velocity, share * acceleration)
 
 
 def _blend(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -79,10 +81,10 @@ class Sines:
         s = np.sum(self.amplitude * np.sin(angle), axis=2)
         sd = np.sum(self.amplitude * omega * np.cos(angle), axis=2)
         sdd = -np.sum(self.amplitude * omega**2 * np.sin(angle), axis=2)
-        rise, fall = _blend(t / RAMP), _blend((self.duration - t) / RAMP)
-        w = (rise[0] * fall[0])[:, None]
-        wd = ((rise[1] * fall[0] - rise[0] * fall[1]) / RAMP)[:, None]
-        wdd = ((rise[2] * fall[0] - 2 * rise[1] * fall[1] + rise[0] * fall[2]) / RAMP**2)[:, None]
+        rise, fall = _blend(t[:, None] / RAMP), _blend((self.duration - t[:, None]) / RAMP)
+        w = rise[0] * fall[0]
+        wd = (rise[1] * fall[0] - rise[0] * fall[1]) / RAMP
+        wdd = (rise[2] * fall[0] - 2 * rise[1] * fall[1] + rise[0] * fall[2]) / RAMP**2
         return self.center + w * s, wd * s + w * sd, wdd * s + 2 * wd * sd + w * sdd
 
 
@@ -117,7 +119,7 @@ class PointToPoint:
         """Evaluate positions, velocities and accelerations (N, n)."""
         k = np.clip(np.searchsorted(self.starts, time, side="right") - 1, 0, len(self.starts) - 1)
         span, start = self.spans[k][:, None], self.points[k]
-        s, sd, sdd = (part[:, None] for part in _blend((time - self.starts[k]) / self.spans[k]))
+        s, sd, sdd = _blend((time - self.starts[k])[:, None] / span)
         step = self.points[k + 1] - start
         return start + s * step, sd / span * step, sdd / span**2 * step
 
@@ -144,7 +146,6 @@ def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToP
 
 
 def _existing(path: Path, info: ValidationInfo) -> Path:
-    """Resolve a path relative to the simulation file; raises ValueError if there is no file."""
     path = path if info.context is None else beside(info.context, path)
     if not path.is_file():
         raise ValueError(f"there is no file '{path}'; paths are relative to the simulation file")
@@ -158,8 +159,8 @@ class RandomMotion(Keys):
     """Random trajectory within a share of the joints' limits."""
 
     seed: Annotated[int, Field(ge=0)] = 0
-    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)] = 20.0
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+    duration: Duration = 20.0
+    share: Share = 0.9
 
 
 class Points(Keys):
@@ -167,13 +168,13 @@ class Points(Keys):
 
     through: tuple[PerJoint, ...] = Field(min_length=2)
     rest: NotNegative = 0.05
-    share: Annotated[FiniteFloat, Field(gt=0, le=1)] = 0.9
+    share: Share = 0.9
 
 
 class Fourier(Keys):
     """The series ``center + sum amplitude sin(2 pi frequency t + phase)``, faded in and out; rad or m, Hz, rad, s."""
 
-    duration: Annotated[FiniteFloat, Field(ge=3, le=3600)]
+    duration: Duration
     frequency: tuple[Positive, ...] = Field(min_length=1)
     center: PerJoint
     amplitude: dict[str, tuple[FiniteFloat, ...]]
@@ -183,9 +184,10 @@ class Fourier(Keys):
     def _equal_lengths(self) -> Fourier:
         for what in ("amplitude", "phase"):
             for joint, numbers in getattr(self, what).items():
-                if len(numbers) != len(self.frequency):
+                given, frequencies = len(numbers), len(self.frequency)
+                if given != frequencies:
                     raise ValueError(
-                        f"joint '{joint}' has {len(numbers)} values of '{what}' for {len(self.frequency)} frequencies; "
+                        f"joint '{joint}' has {given} values of '{what}' for {frequencies} frequencies; "
                         "write one per frequency"
                     )
         return self
@@ -209,29 +211,29 @@ class MotionEntry(Keys):
 
 def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
     """Make the trajectory that a file describes, with its duration, s; ``where`` names the run in messages."""
-    trajectory: Trajectory
-    if (random := motion.sines or motion.moves) is not None:
-        kind, rng = sines if motion.sines else point_to_point, np.random.default_rng(random.seed)
-        trajectory, duration = kind(envelope(robot, random.share), random.duration, rng), random.duration
-    elif (described := motion.points) is not None:
-        points = np.array([_in_order(point, robot, where) for point in described.through])
-        trajectory = moves = moves_through(points, envelope(robot, described.share), described.rest)
-        duration = float(moves.starts[-1] + moves.spans[-1] + described.rest)
-    elif (series := motion.fourier) is not None:
-        duration, by_joint = series.duration, (series.center, series.amplitude, series.phase)
-        center, amplitude, phase = (np.array(_in_order(values, robot, where)) for values in by_joint)
-        trajectory = Sines(center, amplitude, phase, np.array(series.frequency), duration)
-    else:
-        assert motion.csv is not None
-        trajectory, duration = _from_csv(motion.csv, robot)
+    trajectory, duration = _unchecked(motion, robot, where)
     _check_limits(trajectory(np.arange(0.0, duration, 0.005)), robot, where)
     return trajectory, duration
 
 
-def _in_order(values: Mapping[str, Any], robot: Robot, where: str) -> Sequence[Any]:
-    """List values by joint in the order of the actuated joints."""
-    require_joints(values, robot, f"{where}, trajectory")
-    return [values[joint] for joint in robot.actuated]
+def _unchecked(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
+    def in_order(values: Mapping[str, Any]) -> np.ndarray:
+        require_joints(values, robot, f"{where}, trajectory")
+        return np.array([values[joint] for joint in robot.actuated])
+
+    if (random := motion.sines or motion.moves) is not None:
+        draw = sines if motion.sines else point_to_point
+        within, rng = envelope(robot, random.share), np.random.default_rng(random.seed)
+        return draw(within, random.duration, rng), random.duration
+    if (described := motion.points) is not None:
+        points = np.array([in_order(point) for point in described.through])
+        moves = moves_through(points, envelope(robot, described.share), described.rest)
+        return moves, float(moves.starts[-1] + moves.spans[-1] + described.rest)
+    if (series := motion.fourier) is not None:
+        center, amplitude, phase = in_order(series.center), in_order(series.amplitude), in_order(series.phase)
+        return Sines(center, amplitude, phase, np.array(series.frequency), series.duration), series.duration
+    assert motion.csv is not None
+    return _from_csv(motion.csv, robot)
 
 
 def require_joints(values: Mapping[str, Any], robot: Robot, where: str) -> None:

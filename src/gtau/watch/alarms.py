@@ -310,10 +310,7 @@ def visible_changes(view: View) -> np.ndarray:
 
 
 def power(view: View) -> np.ndarray:
-    """Compute :func:`visible_changes` for uncorrelated days, detected in the share ``FOUND`` of all cases.
-
-    The detector then depends only on the ratio of change to scatter, and is simulated once for all quantities.
-    """
+    """Compute :func:`visible_changes` for uncorrelated days, found in the share ``FOUND`` of simulated cases."""
     rows = view.there
     shown = np.isfinite(view.compared[rows]).any(axis=0)
     scale = np.full(len(shown), np.nan)

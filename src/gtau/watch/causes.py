@@ -225,11 +225,7 @@ def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Ite
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
-    """Estimate the covariance (k, k) between healthy logs (logs, k), positive definite for any number of logs.
-
-    Correlations are shrunk to the correlations within one log (``formula``). Half the standard deviation within a log
-    is the least scatter.
-    """
+    """Estimate the covariance (k, k) between healthy logs, with correlations shrunk to the formula's."""
     logs, k = values.shape
     deviations = values - (values.mean(axis=0) if logs else 0.0)
     S = deviations.T @ deviations / max(logs - 1, 1)
@@ -257,7 +253,8 @@ def signal_faults(
     model: IdentifiedModel, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
 ) -> tuple[Cause, ...]:
     """Name the fault that the samples of a log show, given charts, speeds and unevenness of healthy logs."""
-    run, parts = log.run.ordered(model.idm.actuated, link_side=False), list[tuple[np.ndarray, ...]]()
+    run = log.run.ordered(model.idm.actuated, link_side=False)
+    parts = list[tuple[np.ndarray, ...]]()
     friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
     usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
     single, all_free = _mean_squares(model, run, parts, friction, [*range(len(log.quantities))])

@@ -45,11 +45,7 @@ CREATE TABLE events (id INTEGER PRIMARY KEY, date TEXT, kind TEXT, subject TEXT,
 
 
 class WatchSettings(Keys):
-    """Settings of a history: its model and charts, the rate of false alarms, and the tolerances.
-
-    The first ``baseline`` logs define the normal state. The rate of false alarms counts all ``robots`` together, each
-    with ``logs_per_year``.
-    """
+    """Settings of a history: its model and charts, the rate of false alarms of all robots, and the tolerances."""
 
     model: str
     robot: str

@@ -1,4 +1,4 @@
-"""Statistics of a log: the size of each change since the identification, estimated with friction, and its deviation.
+"""Statistics of a log: the size of each change, estimated one at a time with friction, and its standard deviation.
 
 The residual of the identified model along a log, ``y = g v(t - d) - tau_model`` (eq. 16), is regressed on one column
 per quantity: the torque that one unit of its change adds. Filters, decimation and exclusion of reversals are the same
@@ -310,7 +310,8 @@ def normal_equations(
             block, values = blocks[part.outputs][kept], A[j, kept] / sigma[j]
             add_products(G[:, j], values, block)
             np.add.at(rows[:, j], block, 1)
-            q, qd = (states[idm.layout.actuated[j], kept] for states in (part.motion.c, part.motion.yd))
+            motor = idm.layout.actuated[j]
+            q, qd = part.motion.c[motor, kept], part.motion.yd[motor, kept]
             way[j] += float(np.sum(np.abs(qd)))
             if parts is not None:
                 parts.append((np.full(len(q), j), q, np.sign(qd), values))
@@ -371,7 +372,8 @@ def _motion_slopes(
     """Differentiate the torques (n, K) by each encoder zero (n, n, K), per degree or millimetre, and by the rate."""
     idm = model.idm
     regressor = idm.columns(model.base.standard)
-    q, qd, qdd = (np.ascontiguousarray(states[idm.layout.actuated]) for states in (motion.c, motion.yd, motion.ydd))
+    motors = idm.layout.actuated
+    q, qd, qdd = (np.ascontiguousarray(x[motors]) for x in (motion.c, motion.yd, motion.ydd))
     before = regressor.torques_along(idm.layout, motion, load)
 
     def change(c: np.ndarray, faster: float) -> np.ndarray:

@@ -27,14 +27,13 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Series, Sketch, Word
 from gtau.report.page import number
+from gtau.report.robot_figure import sketch_of
+from gtau.robots.robot import Robot
 
 ASSETS = files("gtau.report.render") / "assets"
 WIDTH = 7.2  # inches, width of a figure
-NARROW, WIDE, INCH = (
-    300.0,
-    360.0,
-    90.0,
-)  # points: width of panels of a page, side by side or alone; an inch of height
+NARROW, WIDE = 300.0, 360.0  # points, width of panels of a page, side by side or alone
+INCH = 90.0  # points, an inch of height
 NAMES, SMALLEST = 220.0, 5.5  # points: room for the names along an axis, and their smallest size
 LETTER = 0.56  # width of a letter over the size of its font
 LEVEL = 36  # letters of names that fit side by side below an axis
@@ -109,8 +108,9 @@ def figure_of(chart: Chart) -> Figure:
     return figure
 
 
-def figure_of_sketch(sketch: Sketch) -> Figure:
-    """Draw a sketch on axes that fill a figure of its size."""
+def robot_figure(robot: Robot) -> Figure:
+    """Draw a robot at home; see :func:`gtau.report.robot_figure.sketch_of`."""
+    sketch = sketch_of(robot)
     with styled(palette()):
         figure = ShownFigure(figsize=tuple(sketch.size / 72))
         _draw_sketch(figure, sketch, palette(), [withStroke(linewidth=HALO, foreground=palette()["page"])])
@@ -118,13 +118,7 @@ def figure_of_sketch(sketch: Sketch) -> Figure:
 
 
 def save_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG or PDF, atomically; the same figure gives the same bytes.
-
-    Raises
-    ------
-    GtauError
-        Where the file's name does not end in ``.png`` or ``.pdf``, or it cannot be written.
-    """
+    """Write a figure as PNG or PDF, atomically; the same figure gives the same bytes; raises GtauError."""
     kind = Path(path).suffix.lower().removeprefix(".")
     if kind not in ("png", "pdf"):
         raise GtauError(f"figures are written as PNG or PDF, so '{path}' would mislead; let its name end in .png.")
@@ -166,12 +160,13 @@ def _margins(panel: Panel, width: float, height: float) -> dict[str, float]:
     return {"left": min(left / width, 0.6), "right": 1 - 10 / width, "bottom": bottom / height, "top": 1 - top / height}
 
 
-def svg_of_sketch(sketch: Sketch, title: str) -> str:
-    """Draw a sketch as SVG; ``title`` describes it to screen readers."""
+def svg_of_robot(robot: Robot) -> str:
+    """Draw a robot at home as SVG."""
+    sketch = sketch_of(robot)
     with styled(page_palette()):
         figure = Figure(figsize=tuple(sketch.size / 72))
         _draw_sketch(figure, sketch, page_palette())
-        return _inline(figure, title)
+        return _inline(figure, f"robot {robot.name} at home")
 
 
 def _inline(figure: Figure, label: str) -> str:

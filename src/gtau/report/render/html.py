@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64encode
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from importlib.resources import files
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,6 @@ from markupsafe import Markup, escape
 
 from gtau.report.chart import MINUS, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section, Table
-from gtau.robots.robot import Robot
 
 BUCKETS = 2000  # intervals of a run, drawn by their extremes: more than the pixels of a wide screen
 BUDGET = 450_000  # numbers in all series of a page, packed to 2.4 MB
@@ -30,32 +30,31 @@ FIT = (
 
 def html(page: Page, embedded: bool = False) -> str:
     """Render a page as HTML; an ``embedded`` page goes into a frame of a notebook."""
+    from gtau.report.render.charts import svg_of, svg_of_robot  # imports Matplotlib
+
     arrays = arrays_for(page.sections)
     live = next(live_charts(page.sections), None) is not None
     scripts = [asset("uPlot.iife.min.js")] if live else []
     scripts += [asset("report.js")] if live or not embedded else []
     scripts += [FIT] if embedded else []
-    groups: list[str] = []
-
-    def group() -> str:
-        groups.append(f"g{len(groups)}")
-        return groups[-1]
-
-    return (
-        _environment()
-        .get_template("page.html.j2")
-        .render(
-            page=page,
-            embedded=embedded,
-            scripts=scripts,
-            policy=_policy(scripts),
-            style=(asset("uPlot.min.css") if live else "") + _style(),
-            licence=asset("uPlot.LICENSE.txt") if live else "",
-            arrays=arrays,
-            group=group,
-            spec=lambda panel, group, last: json.dumps(spec_of(panel, arrays, group, last)),
-        )
+    digests = (b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"  # only the scripts of the page run
+    groups = (f"g{k}" for k in count())
+    template = _environment().get_template("page.html.j2")
+    text: str = template.render(
+        page=page,
+        embedded=embedded,
+        scripts=scripts,
+        policy=f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}",
+        style=(asset("uPlot.min.css") if live else "") + _style(),
+        licence=asset("uPlot.LICENSE.txt") if live else "",
+        arrays=arrays,
+        group=lambda: next(groups),
+        spec=lambda panel, group, last: json.dumps(spec_of(panel, arrays, group, last)),
+        svg=svg_of,
+        robot=svg_of_robot,
     )
+    return text
 
 
 def frame(page: Page) -> str:
@@ -71,15 +70,13 @@ def asset(name: str) -> str:
 
 @cache
 def _environment() -> Any:
-    from jinja2 import Environment, FunctionLoader, StrictUndefined
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    def load(name: str) -> str:
-        return files("gtau.report.render").joinpath("templates", name).read_text(encoding="utf-8")
-
+    loader = PackageLoader("gtau.report.render")
     environment = Environment(
-        loader=FunctionLoader(load), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals.update(numeric=NUMERIC, badges=BADGES, svg=_panel, robot=_robot)
+    environment.globals.update(numeric=NUMERIC, badges=BADGES)
     environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, shown=_shown, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
@@ -105,19 +102,6 @@ def _shown(table: Table) -> list[int]:
     return [k for k in range(len(table.columns)) if not table.listed or any(row[k] for row in table.rows)]
 
 
-def _panel(panel: Panel, alone: bool, title: str) -> str:
-    from gtau.report.render.charts import svg_of  # imports Matplotlib, which pages without charts do not need
-
-    return svg_of(panel, alone, title)
-
-
-def _robot(robot: Robot) -> str:
-    from gtau.report.render.charts import svg_of_sketch
-    from gtau.report.robot_figure import sketch_of
-
-    return svg_of_sketch(sketch_of(robot), f"robot {robot.name} at home")
-
-
 def _style() -> str:
     """Write the style sheet: light colours, dark ones if the system or the button asks for them, light on paper."""
     light, dark = asset("light.css"), asset("dark.css")
@@ -130,13 +114,6 @@ def _style() -> str:
         f"{{ color-scheme: light; {light} }} }}\n"
         f"{asset('report.css')}"
     )
-
-
-def _policy(scripts: list[str]) -> str:
-    """Write the content security policy: only the scripts and styles of the page run."""
-    digests = (b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
-    allowed = " ".join(f"'sha256-{digest}'" for digest in digests) or "'none'"
-    return f"default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src {allowed}"
 
 
 def sentence(words: str) -> str:
@@ -168,13 +145,13 @@ class Arrays:
         return json.dumps({key: text for text, key in self.keys.items()}, separators=(",", ":"))
 
 
-def arrays_for(items: tuple[Item, ...]) -> Arrays:
+def arrays_for(items: Sequence[Item]) -> Arrays:
     """Divide the budget of a page equally among its series."""
     series = sum(len(panel.series) for chart in live_charts(items) for panel in chart.panels)
     return Arrays(int(np.clip(BUDGET // max(2 * series, 1), 100, BUCKETS)))
 
 
-def live_charts(items: tuple[Item, ...]) -> Iterator[Chart]:
+def live_charts(items: Sequence[Item]) -> Iterator[Chart]:
     """Yield the live charts of a page."""
     for item in items:
         if isinstance(item, Section):

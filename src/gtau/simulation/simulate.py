@@ -1,0 +1,313 @@
+"""Simulation files (robot, parameters, drives, sensors, runs), and the logs and experiment file made from them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from os.path import relpath
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, FiniteFloat, field_validator, model_validator
+
+from gtau.documents.files import SIMULATION, folder_of, refuse_other_kind, write_atomically
+from gtau.documents.validation import FUNCTION, PATH, Keys, Positive, expect, takes, validate
+from gtau.documents.yaml_document import Document, read_yaml, yaml_text
+from gtau.errors import GtauError
+from gtau.estimation.friction.law import FrictionLaw
+from gtau.estimation.results.model_file import load
+from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.progress import Progress, silent
+from gtau.robots.floating import refuse_floating
+from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.readers.native import native_text
+from gtau.robots.robot import DAMPING, Robot
+from gtau.signals.reading.experiment import RobotName
+from gtau.signals.reading.statements import Payload
+from gtau.simulation.closed_loop import (
+    BANDWIDTH,
+    Engine,
+    Hardware,
+    JointHardware,
+    Simulated,
+    close_loop,
+    hardware,
+    pid,
+    sample,
+    write_log,
+)
+from gtau.simulation.joint_friction import STATED, WIDTH, JointFriction, identified_friction
+from gtau.simulation.mujoco_plant import MujocoPlant
+from gtau.simulation.plant import Plant
+from gtau.simulation.trajectories import (
+    Existing,
+    MotionEntry,
+    PerJoint,
+    check_positions,
+    log_column,
+    make_trajectory,
+    require_joints,
+)
+
+HELD = 10  # samples after which the controller updates its inertia matrix
+NAME = r"\w[\w.-]*"
+
+
+class SimulatedRun(Keys):
+    """A run to simulate; with ``weigh: true``, the experiment file does not contain the mass of the payload."""
+
+    name: str
+    trajectory: MotionEntry
+    payload: Payload | None = None
+    weigh: bool = False
+
+    @field_validator("name")
+    @classmethod
+    def _file_name(cls, name: str) -> str:
+        if not re.fullmatch(NAME, name, re.ASCII):
+            raise ValueError(f"'{name}' names a log; write it with letters, digits, '.', '_' and '-'")
+        return name
+
+    @model_validator(mode="after")
+    def _payload_has_a_mass(self) -> SimulatedRun:
+        if self.payload is not None and self.payload.mass is None:
+            raise ValueError(f"the payload '{self.payload.name}' has no mass; a simulation needs it")
+        if self.weigh and self.payload is None:
+            raise ValueError("'weigh' is given without 'payload'; add a payload or remove it")
+        return self
+
+
+class Friction(Keys):
+    """Ranges of speed in which Coulomb friction changes its sign, m/s and rad/s."""
+
+    prismatic: Positive = WIDTH["prismatic"]
+    revolute: Positive = WIDTH["revolute"]
+
+
+class FrictionEntry(Keys):
+    """Shape of a joint's friction, see :class:`gtau.estimation.friction.law.Shape`; rad or m, rad/s or m/s."""
+
+    width: Positive | None = None
+    speed: Positive | None = None
+
+
+class Simulation(Keys):
+    """Content of a simulation file, whose paths are relative to the file.
+
+    The robot has the ``parameters`` and the friction of ``curves``, or an identified ``model``. ``control`` lists
+    trajectories for the comparison of control laws, without logs.
+    """
+
+    robot: RobotName
+    engine: Literal["gtau", "mujoco"] = "gtau"
+    model: Existing | None = None
+    parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
+    curves: dict[str, FrictionEntry] = Field(default_factory=dict)
+    drives: dict[str, JointHardware] = Field(min_length=1)
+    friction_width: Friction = Friction()
+    rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
+    bandwidth: Positive = Field(default_factory=lambda fields: min(BANDWIDTH, fields.get("rate", 1000.0) / 5))
+    seed: Annotated[int, Field(ge=0)] = 0
+    prior_gains: PerJoint = Field(default_factory=dict)
+    runs: tuple[SimulatedRun, ...] = Field(min_length=1)
+    validation: tuple[SimulatedRun, ...] = ()
+    control: tuple[SimulatedRun, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.robot!r}, runs: {', '.join(run.name for run in self.runs)})"
+
+    @field_validator("parameters")
+    @classmethod
+    def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
+        for name, value in parameters.items():
+            parameter = parameter_of(name)
+            kind, rest = parameter.kind, Parameter("fs", parameter.body)
+            if kind in ("fv", "fs", "fl", DAMPING) and value < 0:
+                raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
+            if kind == "fb" and parameters.get(rest, 0.0) + value < 0:
+                raise ValueError(
+                    f"the friction at rest, '{rest}' + '{name}', is negative, and would drive the robot; "
+                    "write 0 or more"
+                )
+        return parameters
+
+    @model_validator(mode="after")
+    def _model_or_parameters(self) -> Simulation:
+        if self.model is None and not self.parameters:
+            raise ValueError("the robot has no parameters; give 'parameters', or a 'model' of 'gtau identify'")
+        if self.model is not None and (self.parameters or self.curves):
+            raise ValueError(
+                "'model' states all parameters and friction; remove 'parameters' and 'curves', or the model"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _names_once(self) -> Simulation:
+        names = [run.name for run in (*self.runs, *self.validation, *self.control)]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(f"two runs are called '{twice}'; give every run a different name")
+        if self.bandwidth > self.rate / 5:
+            raise ValueError(
+                f"a bandwidth of {self.bandwidth:g} rad/s is impossible at a rate of {self.rate:g} Hz; write at most "
+                f"{self.rate / 5:g}"
+            )
+        return self
+
+
+def read_simulation(path: str | Path) -> Simulation:
+    """Read a simulation file."""
+    refuse_other_kind(path, SIMULATION)
+    return validate(Simulation, read_yaml(path), context=Path(path).parent)
+
+
+def as_simulation(source: str | Path | Simulation | Mapping[str, Any]) -> Simulation:
+    """Read a simulation file, or a mapping with its keys; raises GtauError."""
+    if isinstance(source, (str, Path)):
+        return read_simulation(source)
+    if isinstance(source, Simulation):
+        return source
+    expect("a simulation", source, ("the path of a simulation file, or a mapping with its keys", (Mapping,)))
+    return validate(Simulation, Document("simulation", source), context=Path())
+
+
+def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:
+    """Check that drives and prior gains belong to the robot's actuated joints; raises GtauError."""
+    require_joints(simulation.drives, robot, f"{path}, drives")
+    if simulation.prior_gains:
+        require_joints(simulation.prior_gains, robot, f"{path}, prior_gains")
+
+
+def _truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, float], JointFriction]:
+    """Return the standard parameters of the simulated robot, and its friction."""
+    smoothing = simulation.friction_width.model_dump()
+    if simulation.model is not None:
+        result = load(simulation.model)
+        if native_text(result.robot) != native_text(model.robot):
+            raise GtauError(
+                f"{simulation.model} was identified with another robot than '{simulation.robot}', or with a robot that "
+                "its experiment file corrected; name the same robot file."
+            )
+        return identified_friction(result, smoothing)
+    values, shapes = dict(simulation.parameters), dict[Parameter, float]()
+    for joint, curve in simulation.curves.items():
+        stated = {Parameter("width", joint): curve.width, Parameter("vs", joint): curve.speed}
+        shapes |= {name: value for name, value in stated.items() if value}
+    friction = JointFriction(FrictionLaw(model, {}, shapes), values, smoothing)
+    return {name: value for name, value in values.items() if parameter_of(name).kind not in STATED}, friction
+
+
+def apparatus(
+    simulation: Simulation, model: InverseDynamics, payload: Payload | None
+) -> tuple[Engine, Plant, Hardware]:
+    """Make the engine that moves the robot with its payload, gtau's plant, and the drives and sensors."""
+    parameters, friction = _truth(simulation, model)
+    chi = dict(parameters)
+    if payload is not None:
+        for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
+            name = Parameter(kind, model.robot.tool)
+            chi[name] = chi.get(name, 0.0) + value
+    plant = Plant(model, chi, friction)
+    engine = plant if simulation.engine == "gtau" else MujocoPlant(model, chi, friction)
+    return engine, plant, hardware(model.actuated, simulation.drives)
+
+
+def make_run(
+    simulation: Simulation,
+    model: InverseDynamics,
+    described: SimulatedRun,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Simulated:
+    """Simulate a run under PID with velocity feedforward and the robot's true inertia matrix."""
+    motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
+    reference = sample(motion, duration, simulation.rate)
+    engine, plant, parts = apparatus(simulation, model, described.payload)
+
+    def label(sample: int) -> str:
+        return f"{reference.time[sample]:.3f} s of run '{described.name}'"
+
+    c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, label).c
+    for row, joint in enumerate(model.robot.joints):  # passive joints too
+        check_positions(c[row], joint, f"run '{described.name}'")
+    inertia = np.stack([plant.mass_matrix(pose) for pose in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
+    controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
+    rng = np.random.default_rng([simulation.seed, *described.name.encode()])
+    simulated = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
+    return replace(simulated, run=replace(simulated.run, payload=described.payload))
+
+
+@takes(out=PATH, progress=FUNCTION)
+def simulate(
+    source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress = silent
+) -> tuple[Path, ...]:
+    """Simulate the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
+
+    Parameters
+    ----------
+    source : path, Simulation or mapping
+        Simulation file, its parsed content, or a mapping with its keys; paths in a mapping are relative to the working
+        directory.
+    out : path
+        Output folder, created if missing.
+    progress : callable, optional
+        Called as the work proceeds.
+
+    Returns
+    -------
+    tuple of Path
+        The files written, the experiment file last.
+
+    Raises
+    ------
+    GtauError
+        If the file is wrong, a run cannot be simulated, or a file cannot be written.
+    KeyboardInterrupt
+        If interrupted; the text lists the finished logs.
+    """
+    simulation, out = as_simulation(source), folder_of(out)
+    robot = load_robot(simulation.robot)
+    refuse_floating(robot, "simulation is")
+    check_joints(simulation, robot, source if isinstance(source, (str, Path)) else "simulation")
+    model = InverseDynamics(robot)
+    described = (*simulation.runs, *simulation.validation)
+    for run in described:  # report errors before the first simulation
+        make_trajectory(run.trajectory, robot, f"run '{run.name}'")
+    written: list[Path] = []
+    experiment = out / "experiment.yaml"
+    experiment.unlink(missing_ok=True)  # it would refer to a mix of new and old logs
+    try:
+        for run in described:
+            simulated, log = make_run(simulation, model, run, partial(progress, run.name)), out / f"{run.name}.csv"
+            write_log(simulated.run, log)
+            written.append(log)
+    except KeyboardInterrupt:
+        finished = ", ".join(log.name for log in written) or "none"
+        raise KeyboardInterrupt(
+            f"logs finished in {out}: {finished}, of {len(described)}; experiment.yaml has not been written"
+        ) from None
+    write_atomically(experiment, experiment_text(simulation, robot, out))
+    return (*written, experiment)
+
+
+def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
+    """Compose the experiment file of a simulation from the contents of its logs and the prior gains."""
+    file, joints = Path(simulation.robot), robot.actuated
+    position, current = ({joint: log_column(letter, joint) for joint in joints} for letter in "qv")
+    document: dict[str, Any] = {
+        "robot": relpath(file, out) if file.is_file() else simulation.robot,
+        "signals": {"time": "t", "position": position, "current": current},
+        "prior_gains": {joint: simulation.prior_gains[joint] for joint in joints if simulation.prior_gains},
+        "runs": [_listed(run) for run in simulation.runs],
+        "validation": [_listed(run) for run in simulation.validation],
+    }
+    text = yaml_text({key: value for key, value in document.items() if value})
+    return f"# Written by 'gtau simulate'. Paths are relative to this file.\n{text}"
+
+
+def _listed(run: SimulatedRun) -> dict[str, Any]:
+    stated = None if run.payload is None else run.payload.model_dump(exclude_defaults=True)
+    payload = {"name": stated["name"]} if stated and run.weigh else stated
+    return {"log": f"{run.name}.csv", **({"payload": payload} if payload else {})}
