@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
 
 import typer
 
-from gtau.cli import begin, exit_code, interrupted, report_ending
+from gtau.cli.interruption import begin, exit_code, interrupted, report_ending
 from gtau.documents.files import hold_folder
 from gtau.errors import GtauError, tidy
 from gtau.estimation.estimators.registry import NAMES

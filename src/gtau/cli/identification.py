@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli import stop_request
 from gtau.cli.console import (
     METHODS,
     ExperimentFile,
@@ -24,6 +23,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
+from gtau.cli.interruption import stop_request
 from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of, said_if_refused
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError

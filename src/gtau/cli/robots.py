@@ -8,7 +8,6 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli import stop_request
 from gtau.cli.console import (
     Json,
     answer,
@@ -20,6 +19,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
+from gtau.cli.interruption import stop_request
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
 
