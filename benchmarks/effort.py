@@ -27,10 +27,8 @@ from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import AS_STATED, effort_of
-from gtau.estimation.diagnostics.gain_units import BEYOND_GEARS
+from gtau.estimation.diagnostics.effort import effort_of
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.torques import GEARED
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
@@ -242,13 +240,8 @@ def measured(name: str, data: Path) -> dict[str, str]:
 
 def meaning(dataset: Dataset, slowest: float) -> str:
     """The likeliest description, and what the size says without a payload."""
-    effort, doubtful = effort_of(dataset, slowest), list(doubtful_commands(dataset.runs, dataset.robot))
-    share = 0.0 if effort.scale is None else sum(map(abs, np.multiply(effort.scale, (1, 2))))
-    if doubtful:
-        return str(doubtful[0].kind)
-    if effort.kind == AS_STATED and 1 / BEYOND_GEARS < share < 1 / GEARED and dataset.runs[0].kind == "torque":
-        return "torques of the motors"
-    return effort.kind
+    doubtful = list(doubtful_commands(dataset.runs, dataset.robot))
+    return str(doubtful[0].kind) if doubtful else effort_of(dataset, slowest)[0]
 
 
 def main() -> None:

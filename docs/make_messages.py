@@ -15,8 +15,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 from gtau.estimation.effects.registry import EFFECTS
-from gtau.findings import Finding, Grade
-from gtau.findings.grade import VERDICTS
+from gtau.findings import VERDICTS, Finding, Grade
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "gtau"

@@ -15,9 +15,9 @@ from orthoglide_logs import experiment
 import gtau.model.base_parameters
 from gtau.demo.run import DRIVE_GAINS
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.descriptions import TOOL_BODY
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
-from gtau.estimation.diagnostics.other_gravity import OTHER_GRAVITY
-from gtau.estimation.diagnostics.tool_bodies import TOOL_BODY
+from gtau.estimation.diagnostics.gravity import OTHER_GRAVITY
 from gtau.estimation.diagnostics.verdict import coupled, worst
 from gtau.estimation.results.conclusions import INFLATED
 from gtau.findings import Grade

@@ -18,8 +18,7 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_file import NoteEntry
-from gtau.findings import Finding, Grade
-from gtau.findings.finding import by_severity, note_document
+from gtau.findings import Finding, Grade, by_severity, note_document
 from gtau.report.check import expectation
 from gtau.report.evidence import findings_table
 from gtau.result import identify

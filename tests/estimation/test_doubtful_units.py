@@ -8,7 +8,7 @@ import pytest
 from five_bar_logs import STEEL, Plant
 
 from gtau.estimation.check_logs import check
-from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_gravity, doubtful_payloads
+from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravity, doubtful_payloads
 from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify

@@ -13,7 +13,7 @@ from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
-from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
+from gtau.estimation.diagnostics.gravity import WITHOUT_GRAVITY
 from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, identify

@@ -16,12 +16,12 @@ from gtau.estimation.diagnostics.effort import (
     MAGNITUDES,
     NONE,
     SWAPPED_CHANNELS,
-    Effort,
     effort_of,
 )
+from gtau.estimation.diagnostics.gravity import WITHOUT_GRAVITY
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
-from gtau.estimation.diagnostics.other_gravity import WITHOUT_GRAVITY
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.findings import Finding
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.robot import Robot
@@ -37,7 +37,7 @@ def torques() -> Run:
     return run
 
 
-def held(robot: Robot, run: Run) -> Effort:
+def held(robot: Robot, run: Run) -> tuple[str, tuple[Finding, ...], bool]:
     dataset = reduce_runs(robot, [run])
     return effort_of(dataset, dataset.system().problem.longest_delays.max())
 
@@ -55,20 +55,18 @@ SPOILT: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, tuple[int, ...]
 @pytest.mark.parametrize("spoil", SPOILT)
 def test_the_most_likely_meaning_is_the_true_one(spoil: str, torques: Run) -> None:
     alter, kind, joints = SPOILT[spoil]
-    effort = held(ROBOT, replace(torques, command=np.ascontiguousarray(alter(torques.command))))
-    assert effort.kind == kind
-    assert {finding.kind for finding in effort.findings} == ({kind} if joints else set())
-    assert {ROBOT.actuated[j] for j in joints} <= {joint for finding in effort.findings for joint in finding.joints}
+    spoilt = replace(torques, command=np.ascontiguousarray(alter(torques.command)))
+    meaning, findings, _ = held(ROBOT, spoilt)
+    assert meaning == kind
+    assert {finding.kind for finding in findings} == ({kind} if joints else set())
+    assert {ROBOT.actuated[j] for j in joints} <= {joint for finding in findings for joint in finding.joints}
 
 
-def test_gravity_is_missing_only_where_its_coefficient_is_zero(torques: Run) -> None:
-    effort = held(ROBOT, torques)
-    assert effort.gravity is not None
-    assert effort.gravity[0] > 0.5
-    (compensated,) = logged(ROBOT, FREE, currents=False)
-    effort = held(ROBOT, compensated)
-    assert effort.gravity is not None
-    assert (effort.kind, effort.gravity[0]) == (WITHOUT_GRAVITY, 0.0)
+@pytest.mark.parametrize(("share", "kind"), [(1.0, AS_STATED), (0.7, AS_STATED), (0.0, WITHOUT_GRAVITY)])
+def test_gravity_is_missing_only_where_its_coefficient_is_zero(share: float, kind: str) -> None:
+    (run,) = logged(ROBOT, (0.0, 0.0, share * DOWN[2]), currents=False)
+    meaning, _, as_well = held(ROBOT, run)
+    assert (meaning, as_well) == (kind, share == 0)
 
 
 @pytest.mark.slow

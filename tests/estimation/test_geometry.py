@@ -17,7 +17,7 @@ from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.geometry import GeometryTest, to_document
-from gtau.estimation.diagnostics.geometry_search import geometry_test
+from gtau.estimation.diagnostics.pose_fit import geometry_test
 from gtau.findings import Grade
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import frames

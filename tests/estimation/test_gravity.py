@@ -10,7 +10,7 @@ import pytest
 from floating_logs import AT_HOOK, FIXED, POSE, experiment, simulated
 from gravity_logs import Gravity, logged, scara
 
-from gtau.estimation.diagnostics.other_gravity import OTHER_GRAVITY, gravity_advice, likeliest_gravity
+from gtau.estimation.diagnostics.gravity import OTHER_GRAVITY, gravity_advice, likeliest_gravity
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gravity_logs import logged
 
-from gtau.estimation.diagnostics.other_columns import _with_parallelogram, angle_of_parallelogram
+from gtau.estimation.diagnostics.descriptions import _with_parallelogram, angle_of_parallelogram
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
 from gtau.progress import silent

@@ -10,14 +10,13 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter
 
-from gtau.estimation.diagnostics.other_gravity import log_with_gravity
-from gtau.estimation.diagnostics.refutations import explained_share, refuted, refuted_descriptions
+from gtau.estimation.diagnostics.gains import explained_share, refuted, refuted_descriptions
+from gtau.estimation.diagnostics.gravity import log_with_gravity
 from gtau.estimation.diagnostics.verdict import GOOD, WRENCHES, wrenches_first
 from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
 from gtau.estimation.effects.registry import EFFECTS
 from gtau.estimation.results.conclusions import not_separated
-from gtau.findings import Finding, Grade
-from gtau.findings.finding import finding_document
+from gtau.findings import Finding, Grade, finding_document
 from gtau.findings.words import listed, percent, percents
 
 ZERO = Finding("encoder zeros", ("left",), text="an error in the zero of encoder 'left'", advice="compare the zeros")
@@ -25,7 +24,7 @@ ZERO = Finding("encoder zeros", ("left",), text="an error in the zero of encoder
 
 def fit(**problem: Any) -> Any:
     parts = {"wrenches": (), "base": ()} | problem
-    return SimpleNamespace(system=SimpleNamespace(problem=SimpleNamespace(**parts), payloads=()))
+    return SimpleNamespace(free_gains=True, problem=SimpleNamespace(**parts), system=SimpleNamespace(payloads=()))
 
 
 def effect(size: float, unit: str, move: float) -> EstimatedEffect:
@@ -47,7 +46,7 @@ def test_a_description_is_refuted_with_its_size(size: float, unit: str, sized: s
 def test_what_a_description_does_to_a_gain(move: float, own: str) -> None:
     examined, gain = SimpleNamespace(contradicting=(effect(1.2, "deg", move),)), SimpleNamespace(joint="left")
     gain.random_half = 0.1
-    (finding,) = refuted_descriptions(fit(), examined, [gain], 0.03)  # type: ignore[arg-type,list-item]
+    (finding,) = refuted_descriptions(fit(), examined, [gain], (), 0.03)  # type: ignore[arg-type,list-item]
     assert finding.what.endswith(f"and move the gain by {own}")
     assert (finding.causes, finding.outcome) == (("encoder zeros",), Grade.CONTRADICTORY)
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import _late
-from gtau.estimation.diagnostics.effort_rows import JointRows
+from gtau.estimation.diagnostics.effort import JointRows, _late, unexplained
 from gtau.estimation.diagnostics.log_checks import require_motion
 from gtau.robots.parameter import Parameter
 
@@ -23,7 +22,7 @@ def test_no_lag_without_acceleration_that_shows_it(rng: np.random.Generator, ine
     columns, nothing = np.column_stack([acceleration, friction]), np.zeros((400, 2))
     effort = np.column_stack([logged, shifted])
     joint = JointRows(columns, nothing, columns * [0.0, 1.0], np.array([0, 1]), effort, -0.25)
-    assert bool(list(_late([joint], joint.shares_of(effort)[None]))) == late
+    assert bool(list(_late([joint], unexplained(joint.basis, effort)[None]))) == late
 
 
 @pytest.mark.parametrize(("share", "value", "refused"), [(7.0, 0.1, True), (0.3, 0.1, False), (7.0, 9.0, False)])
@@ -47,7 +46,7 @@ def test_logs_that_determine_nothing_are_refused(share: float, value: float, ref
     )
     solution = SimpleNamespace(theta=np.array([value, 5.0]), sigma=np.array([share]))
     dataset = SimpleNamespace(prepared=[Prepared()], runs=[run])
-    fit = SimpleNamespace(system=SimpleNamespace(problem=problem), dataset=dataset, solution=solution)
+    fit = SimpleNamespace(problem=problem, kind="torque", dataset=dataset, solution=solution)
     estimates = SimpleNamespace(values=np.array([value, 5.0]), covariance=np.eye(2))
     if refused:
         with pytest.raises(GtauError, match=r"2.91 s of motion determine none of the 1 inertial"):

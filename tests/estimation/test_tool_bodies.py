@@ -9,7 +9,7 @@ import pytest
 from five_bar_logs import STEEL, Plant
 from stated_arm import plant, robot
 
-from gtau.estimation.diagnostics.tool_bodies import PAYLOAD_BODY, TOOL_BODY, other_loads
+from gtau.estimation.diagnostics.descriptions import PAYLOAD_BODY, TOOL_BODY, other_loads
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs

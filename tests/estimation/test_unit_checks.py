@@ -151,6 +151,13 @@ def test_torques_in_another_unit_give_inertias_out_of_scale_with_the_file(factor
     assert float(finding.what.partition("are ")[2].split()[0]) == pytest.approx(factor, rel=0.05)
 
 
+def test_torques_that_are_all_reversed_contradict_the_inertias_of_the_file(tmp_path: Path) -> None:
+    """They fit as well with negative masses: the file alone knows their sign."""
+    arm = stated_arm.robot(tmp_path)
+    run = stated_arm.torque_run(stated_arm.plant(arm), 1)
+    assert kinds(identify(arm, scaled([run], [-1.0] * 4))) == dict.fromkeys(arm.actuated, "reversed channels")
+
+
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1.0])
 def test_torques_in_another_unit_give_an_arm_of_no_weight_that_arms_have(factor: float, tmp_path: Path) -> None:
     """Where the robot's file states neither inertias nor limits."""

@@ -13,9 +13,8 @@ import scipy.stats
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant, five_bar, pair
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.diagnose import diagnose
-from gtau.estimation.diagnostics.examine import Examination, estimates_of
-from gtau.estimation.diagnostics.torques import BASE_MISFIT, base_misfit
+from gtau.estimation.diagnostics.diagnose import Examination, diagnose, estimates_of
+from gtau.estimation.diagnostics.gains import BASE_MISFIT, base_misfit
 from gtau.estimation.diagnostics.verdict import (
     GOOD,
     LONGER,
@@ -33,8 +32,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.results.conclusions import INFLATED, headline, reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.findings import Finding, Grade
-from gtau.findings.finding import by_severity
+from gtau.findings import Finding, Grade, by_severity
 from gtau.findings.words import percent_text
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
@@ -319,7 +317,7 @@ def test_moments_of_a_base_that_hangs_still_are_no_misfit(left: float, unexplain
         largest_terms=lambda theta: np.array([2.0, 2.0, 100.0, 3.0, 3.0, 3.0]),
     )
     solution = SimpleNamespace(theta=np.zeros(1), sigma=np.array([0.5, 0.5, 0.5, left, left, left]))
-    shares = base_misfit(SimpleNamespace(system=SimpleNamespace(problem=problem), solution=solution))
+    shares = base_misfit(SimpleNamespace(problem=problem, solution=solution))
     assert shares["forces"] < 0.01
     assert (shares["moments"] > BASE_MISFIT) == unexplained
 
@@ -338,7 +336,7 @@ def test_a_gain_that_is_noise_refutes_nothing(factor: float, refuted: bool) -> N
     tilt = Finding("gravity", text="gravity tilted towards (1, 0, 0)")
     moves = dict.fromkeys(("left", "right"), 40.0)
     effect = EstimatedEffect("gravity", tilt, 4.0, 0.1, "deg", 100.0, 0.6, moves, description=True)
-    findings = diagnose(fit, Examination(refits=(effect,)), estimates, {}, {}, 0.03)
+    findings = diagnose(fit, Examination(contradicting=(effect,)), estimates, {}, {}, (), 0.03)
     verdicts = decide(("left", "right"), findings)
     outcome = Grade.CONTRADICTORY if refuted else Grade.NOT_IDENTIFIABLE
     assert {verdict.outcome for verdict in verdicts.values()} == {outcome}

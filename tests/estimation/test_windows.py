@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from five_bar_logs import STEEL, Plant
 
-from gtau.estimation.diagnostics.examine import FEW_ROWS, examine
-from gtau.estimation.diagnostics.position_noise import FEWEST_FOR_TESTS
+from gtau.estimation.diagnostics.diagnose import FEW_ROWS, FEWEST_FOR_TESTS, examine
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, block_edges, block_of, usable_rows

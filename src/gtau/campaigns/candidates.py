@@ -12,7 +12,7 @@ import numpy as np
 from gtau.campaigns.folder import Round
 from gtau.campaigns.rehearsal import CSV
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.examine import Examination, estimates_of
+from gtau.estimation.diagnostics.diagnose import Examination, estimates_of
 from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.registry import estimator_of

@@ -13,15 +13,14 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.examine import Examination, estimates_of
-from gtau.estimation.diagnostics.gain_units import units_and_signs
+from gtau.estimation.diagnostics.diagnose import Examination, estimates_of
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
     doubtful_commands,
     require_payload_excitation,
     smoothed_commands,
 )
-from gtau.estimation.diagnostics.unit_checks import doubtful_currents, doubtful_gravity, doubtful_payloads
+from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravity, doubtful_payloads, units_and_signs
 from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -33,8 +32,7 @@ from gtau.estimation.regression.plausibility import prepare_runs, sensors_of
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
 from gtau.estimation.results.estimate import NearestPose, distances_along, nearest_poses
-from gtau.findings import Finding, Grade
-from gtau.findings.finding import by_severity
+from gtau.findings import Finding, Grade, by_severity
 from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.program import single_threaded_blas

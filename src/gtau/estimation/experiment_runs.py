@@ -202,7 +202,7 @@ def geometry_of(
     signals = experiment.signals
     if signals.pose is None:
         return None
-    from gtau.estimation.diagnostics.geometry_search import geometry_test
+    from gtau.estimation.diagnostics.pose_fit import geometry_test
     from gtau.signals.reading.logs import read_poses
 
     logged = [read_poses(run.log, signals, experiment.units, run) for run in runs]

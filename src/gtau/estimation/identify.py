@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose
-from gtau.estimation.diagnostics.examine import estimates_of, examine
+from gtau.estimation.diagnostics.descriptions import TOOL_BODIES, angle_of_parallelogram
+from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose, estimates_of, examine
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
@@ -18,10 +18,7 @@ from gtau.estimation.diagnostics.log_checks import (
     require_payload_excitation,
     smoothed_commands,
 )
-from gtau.estimation.diagnostics.other_columns import angle_of_parallelogram
-from gtau.estimation.diagnostics.sensor_scales import sensor_scales, sensor_verdict
-from gtau.estimation.diagnostics.stated_values import weigh_known
-from gtau.estimation.diagnostics.tool_bodies import TOOL_BODIES
+from gtau.estimation.diagnostics.scale import sensor_scales, weigh_known
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency, consistent
@@ -141,8 +138,8 @@ def estimate(
     fit = estimator.fit(system, gains, progress)  # eqs. (24) to (28), or (34) to (39)
     examined = examine(fit, progress)
     moved = examined.moved(fit) if estimator.name == "ml" and not as_paper else None
-    verdicts_on_sensors = (sensor_verdict(scale, accuracy) for scale in sensor_scales(fit)) if moved else ()
-    if any(verdict.outcome == Grade.CONTRADICTORY for verdict in verdicts_on_sensors):
+    scales = sensor_scales(fit) if fit.free_gains else ()
+    if any(scale.verdict(accuracy).outcome == Grade.CONTRADICTORY for scale in scales):
         moved = None  # what a sensor contradicts, effects would explain in part
     estimates = estimates_of(fit, examined, not as_paper, moved is not None)
     require_motion(fit, estimates)
@@ -152,7 +149,7 @@ def estimate(
     bare: Fit | None = plain
     audit = None
     if dataset.robot.inertias:
-        loaded = TOOL_BODIES in {effect.effect for effect in examined.refits}
+        loaded = TOOL_BODIES in {effect.effect for effect in examined.effects}
         bare, audit = audit_inertias(plain, estimates, loaded)
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
     bodies, lost = _consistent_bodies(fit, plain, options)
@@ -163,11 +160,11 @@ def estimate(
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
         plain = fit
         examined = replace(examined, mixed=None)  # which is of all parameters
-    findings = diagnose(plain, examined, estimates, payloads, options.gains, accuracy, audit) + lost
+    findings = diagnose(plain, examined, estimates, payloads, options.gains, scales, accuracy, audit) + lost
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}
-    sensors = sensor_estimates(plain, estimates, verdicts, accuracy) if fit.system.problem.sensor_channels else ()
+    sensors = sensor_estimates(plain, estimates, verdicts, scales, accuracy)
     return IdentifiedModel(
         dataset.equations,
         **model_estimates(fit, estimates, predicting, verdicts, payloads, essential),

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gtau.estimation.diagnostics.stated_constants import SCALED_BY_FILE
+from gtau.estimation.diagnostics.scale import SCALED_BY_FILE
 from gtau.estimation.diagnostics.verdict import WIDE_SCALE
 from gtau.estimation.estimators.physical_consistency import Consistency
 from gtau.estimation.estimators.registry import estimator_of

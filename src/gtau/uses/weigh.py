@@ -11,8 +11,8 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, TEXT, takes
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.stated_constants import scale_uncertainty
-from gtau.estimation.diagnostics.tool_bodies import other_loads
+from gtau.estimation.diagnostics.descriptions import other_loads
+from gtau.estimation.diagnostics.scale import scale_uncertainty
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import fit_by, wls

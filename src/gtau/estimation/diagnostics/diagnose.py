@@ -1,4 +1,4 @@
-"""Diagnose a fit: the findings of all checks, in the order in which they count, and verdicts from them.
+"""Diagnose a fit: effects beside it, other descriptions, the findings of all checks in order, and verdicts from them.
 
 A cross-validated torque says nothing about a wrong gain, as both sides of the equation carry it. The user needs the
 possible error of a gain: its interval, with a random part and one from model deficits. It is good where the whole
@@ -13,42 +13,190 @@ instead: so wherever wrenches are measured, the advice names them first.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.gain_units import units_and_signs
-from gtau.estimation.diagnostics.gains import (
-    gains_without_value,
-    impossible_parameters,
-    judged_gains,
-    payloads_in_noise,
-    wide_gains,
-)
-from gtau.estimation.diagnostics.refutations import (
-    all_negative,
-    refuted_descriptions,
-    refuted_with_given_gains,
-    small_refutations,
-)
-from gtau.estimation.diagnostics.sensor_scales import sensor_contradictions, sensor_scales
-from gtau.estimation.diagnostics.stated_values import contradictory_payload, contradictory_priors
-from gtau.estimation.diagnostics.torques import (
-    common_scale,
-    logged_torques,
-    unexplained_signals,
-    wrench_contradictions,
-)
-from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, decide, delay_verdicts, motors
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics import descriptions, gains, gravity, scale
+from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, effort_of
+from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit, logged_torques
+from gtau.estimation.diagnostics.units import reversed_by_file, units_and_signs
+from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, decide, delay_verdicts, motors, unexplained_shares
+from gtau.estimation.effects.description import CONTRADICTED, contradictions, estimated_effects
+from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.estimate import Mixed, estimate_effects
+from gtau.estimation.effects.registry import EFFECTS
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.problem import Estimates
+from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
 from gtau.findings import Finding, Grade
+from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
+
+FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, effects fit the noise and are not tried
+LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
+LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
+HARMLESS_SHARE = 0.3  # share of the residual variance that an effect explains, up to which it is information
+
+FEW_ROWS = "too few rows for tests"
+DESCRIPTIONS = {effect.name for effect in EFFECTS if effect.description}
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """Evidence of the data against a fit.
+
+    Attributes
+    ----------
+    effects : tuple of EstimatedEffect
+        What the model or the description may lack, with a size, the best supported first; the other description alone
+        with which the same rows were fitted again.
+    contradicting : tuple of EstimatedEffect
+        Descriptions that explain the data better than the user's, the best first.
+    findings : tuple of Finding
+        What the columns of some joints hold instead of their currents or torques, frozen encoders, and tests that
+        refused these data.
+    mixed : Mixed, optional
+        The estimates beside all effects; None where there are too few rows.
+    """
+
+    effects: tuple[EstimatedEffect, ...] = ()
+    contradicting: tuple[EstimatedEffect, ...] = ()
+    findings: tuple[Finding, ...] = ()
+    mixed: Mixed | None = None
+
+    def moved(self, fit: Fit) -> Fit | None:
+        """Move the estimates of a fit by all effects; None where that leaves the range in which they are small.
+
+        Nor where wrenches are measured, whose noise is common to all joints, which the jackknife sees; where the
+        robot's file gives the scale, roughly; or where the description is wrong, which the effects explain in part.
+        """
+        problem = fit.problem
+        if self.mixed is None or fit.dataset.scaled_by_file or problem.wrenches or problem.base:
+            return None
+        if self.contradicting or any(finding.joints and finding.decisive for finding in self.findings):
+            return None
+        if np.any(np.abs(self.mixed.values[problem.gain_rows] / fit.gains - 1) > LARGEST_MOVE):
+            return None
+        return self.mixed.applied(fit)
+
+
+def examine(fit: Fit, progress: Progress = silent) -> Examination:
+    """Examine a fit; ``progress`` is called as the work goes on."""
+    rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.values)
+    if rows < FEWEST_FOR_TESTS * unknowns:
+        few = Finding(
+            FEW_ROWS,
+            text=f"the tests of the model were skipped, because the robot moves too little ({rows} rows in the middle "
+            f"of the runs for {unknowns} unknowns): the intervals cover random errors alone",
+            advice="log longer motions",
+            grade=Grade.WARNING,
+            shown_as="model",
+        )
+        return Examination(findings=(few,))
+    held, found, as_well = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
+    mixed, findings = None, list(found)
+    effects = contradicting = tuple[EstimatedEffect, ...]()
+    try:
+        if (mixed := estimate_effects(fit)) is not None:
+            effects = estimated_effects(mixed)
+            contradicting = _contradicting(effects, contradictions(mixed))
+        frozen = list(frozen_encoders(fit))
+        tried = _other_descriptions(fit, held, bool(found), effects, bool(frozen), progress)
+        # one that leaves more of the residuals than the user's explains a single joint at most
+        if refit := next((other for other in tried if other is not None and other.share > 0), None):
+            # what is linear about the wrong description explains nothing, and what columns would hold is its effect
+            effects, contradicting, findings = (refit,), (refit,), []
+        elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
+            findings += gravity.gravity_not_shown(fit)
+        findings = [*frozen, *findings]
+    except GtauError as refusal:
+        text = f"effects that the model may lack could not be tested: {str(refusal).removesuffix('.')}"
+        kind = "other estimators not tried"
+        findings.append(Finding(kind, text=text, grade=Grade.INFORMATION, shown_as="reading"))
+    return Examination(effects, contradicting, tuple(findings), mixed)
+
+
+def _contradicting(
+    effects: Sequence[EstimatedEffect], causes: Sequence[EstimatedEffect]
+) -> tuple[EstimatedEffect, ...]:
+    """Select the effects that contradict the description, the best first; of physics by its size, its largest joint."""
+    physics: dict[str, EstimatedEffect] = {}
+    for effect in effects:
+        if effect.effect not in DESCRIPTIONS:
+            largest = physics.setdefault(effect.effect, effect)
+            physics[effect.effect] = max(largest, effect, key=lambda other: abs(other.size))
+    against = [
+        effect
+        for effect in (*causes, *physics.values())
+        if effect.description
+        and not effect.beyond
+        and effect.likelihood > CONTRADICTED
+        and effect.share > HARMLESS_SHARE
+        and abs(effect.size) > descriptions.REFUTED_STD * effect.std
+    ]
+    return tuple(sorted(against, key=lambda effect: -effect.share))
+
+
+def _other_descriptions(
+    fit: Fit, held: str, altered: bool, effects: Sequence[EstimatedEffect], frozen: bool, progress: Progress
+) -> Iterator[EstimatedEffect | None]:
+    """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
+
+    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
+    """
+    misfit = float(unexplained_shares(fit).max()) > GRAVITY_MISFIT
+    lacking = lack_of_fit(fit.problem, fit.solution) > LACKING
+    if (lacking or misfit) and not frozen:
+        yield descriptions.other_loads(fit)
+        yield descriptions.other_body(fit)
+    if misfit:
+        yield descriptions.reversed_torques(fit)
+    if altered:
+        return
+    if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
+        yield gravity.other_clock(fit, progress)
+    tilted = any(effect.effect == "gravity" and effect.share > gravity.REFUTED_SHARE for effect in effects)
+    missing, turned = held == gravity.WITHOUT_GRAVITY, lacking and (tilted or misfit)
+    if missing or turned:
+        yield gravity.likeliest_gravity(fit, missing, turned, progress)
+    if misfit:
+        yield descriptions.angle_from_another_link(fit, progress)
+
+
+def estimates_of(
+    fit: Fit, examined: Examination, correlated: bool, moved: bool = False, shifted: bool = True
+) -> Estimates:
+    """Collect the estimates of a fit with their covariance.
+
+    ``moved`` by all effects the covariance is their posterior; otherwise it comes from the block jackknife, from what
+    the effects leave open, and, ``shifted``, from how much they would move an estimate; without ``correlated`` from
+    the method's formula, as in the paper.
+    """
+    problem, solution, mixed = fit.problem, fit.solution, examined.mixed
+    scale_part = scale.scale_uncertainty(fit.system, fit.solve)
+    if not correlated:
+        parts = (solution.covariance, scale_part, np.zeros_like(scale_part))
+        return Estimates(problem.unknowns, solution.values, *parts, None)
+    file_part = solution.prior_covariance if fit.dataset.scaled_by_file else 0.0
+    model = np.zeros_like(scale_part) if mixed is None else mixed.covariance - mixed.random
+    if mixed is not None and moved:
+        ratio = np.divide(mixed.values, solution.values, out=np.ones(len(mixed.values)), where=solution.values != 0)
+        parts = (mixed.random - file_part, scale_part * np.outer(ratio, ratio) + file_part, model)
+        return Estimates(problem.unknowns, mixed.values, *parts, None)
+    freedom = degrees_of_freedom(problem, solution, fit.free_gains)
+    if mixed is not None and shifted:
+        shift = mixed.values - solution.values
+        model = model + np.outer(shift, shift)
+    parts = (solution.jackknife - file_part, scale_part + file_part, model)
+    return Estimates(problem.unknowns, solution.values, *parts, freedom)
 
 
 def diagnose(
@@ -57,55 +205,54 @@ def diagnose(
     estimates: Estimates,
     payloads: Mapping[str, Finding],
     prior_gains: Mapping[str, float],
+    scales: Sequence[scale.SensorScale],
     accuracy: float,
     audit: InertiaAudit | None = None,
 ) -> tuple[Finding, ...]:
-    """Collect what speaks against the estimates of a fit, what counts most first, and what else the user should know.
+    """List what speaks against the estimates of a fit, what counts most first, and what else the user should know.
 
-    ``payloads`` are verdicts on known payloads by name, ``prior_gains`` those expected, N m/A or N per A, by joint.
-    ``accuracy`` is half the relative width of the 95 % interval up to which a gain is good, and ``audit`` what the data
-    say of the inertias of the robot's file.
+    ``payloads`` are verdicts on known payloads by name, ``prior_gains`` those expected, N m/A or N per A, by joint,
+    and ``scales`` of the torque sensors. ``accuracy`` is half the relative width of the 95 % interval up to which a
+    gain is good, and ``audit`` what the data say of the inertias of the robot's file.
     """
-    gains = judged_gains(fit, estimates) if fit.free_gains else []
+    judged, joints = gains.judged_gains(fit, estimates), fit.problem.joints
     wrong = [verdict for verdict in payloads.values() if verdict.outcome == Grade.CONTRADICTORY]
     wrong.sort(key=lambda finding: -finding.size)
-    findings = [*(wrench_contradictions(fit) if fit.dataset.robot.floating else ())]
-    findings += payloads_in_noise(fit, gains)
-    findings += examined.findings
-    if fit.free_gains:
-        findings += all_negative(fit, examined, gains, prior_gains)
-        findings += refuted_descriptions(fit, examined, gains, accuracy)
-        findings += unexplained_signals(fit, wrong)
-        findings += [contradictory_payload(finding.subject, motors(fit)) for finding in wrong]
-        findings += sensor_contradictions(sensor_scales(fit), fit.system.problem.joints, accuracy)
-    else:
-        findings += refuted_with_given_gains(fit, examined, wrong)
-        findings += unexplained_signals(fit, wrong)
-    findings += contradictory_priors(fit, examined, estimates, accuracy)
-    # a gain without a value: what follows would judge that value
-    findings += gains_without_value(fit, gains)
-    findings += impossible_parameters(fit, estimates)
-    # units and signs, which fit the data whatever they are
-    findings += units_and_signs(fit, estimates, prior_gains, audit)
-    findings += wide_gains(fit, examined, estimates, gains, accuracy)
-    if audit is not None:
-        from gtau.estimation.diagnostics.inertia_audit import prior_findings
-
-        findings += prior_findings(audit)
-    if fit.free_gains:
-        findings += small_refutations(examined, gains, accuracy)
-        findings += common_scale(fit, estimates, accuracy)
-    return (*findings, *logged_torques(fit, examined, estimates))
+    plain = estimates
+    if fit.dataset.stated_priors and examined.mixed is not None:  # effects explain part of a wrong prior
+        plain = estimates_of(fit, examined, correlated=True, shifted=False)
+    return (
+        *gains.wrench_contradictions(fit),
+        *gains.payloads_in_noise(fit, judged),
+        *examined.findings,
+        *(() if audit is None or examined.contradicting else reversed_by_file(fit, audit)),
+        *gains.all_negative(fit, examined, judged, prior_gains),
+        *gains.refuted_descriptions(fit, examined, judged, wrong, accuracy),
+        *gains.unexplained_signals(fit, wrong),
+        *(scale.contradictory_payload(finding.subject, motors(fit)) for finding in wrong if fit.free_gains),
+        *scale.sensor_contradictions(scales, joints, accuracy),
+        *scale.contradictory_priors(fit, plain, accuracy),
+        # a gain without a value: what follows would judge that value
+        *gains.gains_without_value(fit, judged),
+        *gains.impossible_parameters(fit, estimates),
+        # units and signs, which fit the data whatever they are
+        *units_and_signs(fit, estimates, prior_gains, audit),
+        *gains.wide_gains(fit, examined, estimates, judged, accuracy),
+        *(() if audit is None else audit.contradicted_priors()),
+        *gains.small_refutations(examined, judged, accuracy),
+        *scale.common_scale(fit, estimates, accuracy),
+        *logged_torques(fit, estimates),
+    )
 
 
 def channel_verdicts(
     fit: Fit, estimates: Estimates, findings: Sequence[Finding], delayed: bool
 ) -> dict[Parameter, Finding]:
     """Judge the gains of the motors by findings on them, and the delays of all channels, where any is ``delayed``."""
-    gains = decide(motors(fit), findings, GOOD if fit.free_gains else GIVEN)
+    verdicts = decide(motors(fit), findings, GOOD if fit.free_gains else GIVEN)
     unknowns = estimates.unknowns
     std = np.sqrt(np.diag(estimates.random))[unknowns.delays]
     period = 1 / min(run.rate for run in fit.dataset.runs)
-    delays = delay_verdicts(fit.system.problem, fit.solution, std, period) if delayed else [GOOD] * len(std)
-    judged = dict(zip(unknowns[unknowns.delays], delays, strict=True))
-    return {Parameter("gain", joint): verdict for joint, verdict in gains.items()} | judged
+    delays = delay_verdicts(fit.problem, fit.solution, std, period) if delayed else [GOOD] * len(std)
+    judged = {Parameter("gain", joint): verdict for joint, verdict in verdicts.items()}
+    return judged | dict(zip(unknowns[unknowns.delays], delays, strict=True))

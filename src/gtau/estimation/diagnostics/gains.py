@@ -1,36 +1,52 @@
-"""Checks of the estimated gains: gains without a value, gains with wide intervals, and impossible parameters."""
+"""Checks of the estimated gains: by other descriptions, impossible parameters, and their own intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.examine import Examination
+from gtau.estimation.diagnostics.scale import MISFIT_GIVEN, contradictory_payload
 from gtau.estimation.diagnostics.verdict import (
     IMPOSSIBLE,
     LONGER,
+    NEGATIVE_STD,
     WIDE_SCALE,
+    WRENCHES,
     contradiction,
     half_widths,
     has_wrenches,
     judge_parameter,
     motors,
+    unexplained_shares,
     which_payload,
+    wrenches_first,
 )
+from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
+from gtau.estimation.effects.known.torque_scale import EFFECT as TORQUE_SCALE
+from gtau.estimation.effects.known.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.problem import Estimates
 from gtau.findings import Finding, Grade
-from gtau.findings.words import percent, percent_text
-from gtau.model.base_parameters import regrouped
+from gtau.findings.words import MOST_PERCENT, percent, percent_text
+from gtau.model.base_parameters import regrouped, whole_mass
 from gtau.robots.parameter import unit_of
+
+if TYPE_CHECKING:
+    from gtau.estimation.diagnostics.diagnose import Examination
 
 LOST_GAIN = 0.5  # relative random standard deviation of a gain
 NAMED_SHARE = 0.5  # share of the model part in a gain's variance from which its cause is named
 IMPOSSIBLE_SHARE = 0.02  # share of a joint's rms torque with an impossible sign, below which an effect explains it
+OTHER_SCALE = 0.2  # other scale of one joint's torques, beyond three standard deviations, that contradicts them
 
-WIDE_RANDOM = "wide interval"
+BASE_MISFIT = 0.15  # share of the forces, or of the moments, on a floating base that is unexplained
+
+ALL_NEGATIVE, REFUTED, WIDE_RANDOM = "all gains negative", "description refuted", "wide interval"
+UNEXPLAINED = "unexplained current"
 
 
 @dataclass(frozen=True)
@@ -49,8 +65,10 @@ class JudgedGain:
 
 
 def judged_gains(fit: Fit, estimates: Estimates) -> list[JudgedGain]:
-    """List the gains of the joints; the six rows of a base are judged together."""
-    problem, rows = fit.system.problem, fit.system.problem.gain_rows
+    """List the gains of the joints, where they are estimated; the six rows of a base are judged together."""
+    if not fit.free_gains:
+        return []
+    problem, rows = fit.problem, fit.problem.gain_rows
     values, halves = estimates.values[rows], half_widths(fit, estimates)
     random, total = (np.sqrt(np.diag(part)[rows]) for part in (estimates.random, estimates.covariance))
     parts = values, random / np.abs(values), halves, halves * random / total
@@ -63,13 +81,147 @@ def judged_gains(fit: Fit, estimates: Estimates) -> list[JudgedGain]:
 
 def payloads_in_noise(fit: Fit, gains: Iterable[JudgedGain]) -> Iterator[Finding]:
     """Find gains by total least squares that are noise: what they seem to contradict is noise too."""
-    for gain in gains:
-        if gain.std > LOST_GAIN and "singular_ratio" in fit.solution.statistics:
-            text = "total least squares cannot separate the payload from the noise (standard deviation over "
-            text += f"{100 * LOST_GAIN:g} %)"
-            advice = "use --method ml, or a heavier payload and longer runs with less noise"
+    text = "total least squares cannot separate the payload from the noise (standard deviation over "
+    text += f"{100 * LOST_GAIN:g} %)"
+    advice = "use --method ml, or a heavier payload and longer runs with less noise"
+    for gain in gains if "singular_ratio" in fit.solution.statistics else ():
+        if gain.std > LOST_GAIN:
             yield Finding(
                 "payload lost in noise", (gain.joint,), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE
+            )
+
+
+def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
+    """Find, against all gains, a negative mass of a floating robot, and an unexplained wrench on its base."""
+    base, problem = fit.dataset.robot.floating, fit.problem
+    if not base:
+        return
+    name = whole_mass(fit.dataset.base, fit.dataset.model.parameter_names)
+    if name in problem.parameters:
+        k = problem.parameters.index(name)
+        mass, std = float(fit.solution.theta[k]), float(np.sqrt(fit.solution.covariance[k, k]))
+        if mass < -NEGATIVE_STD * std:
+            text = f"the wrenches imply a robot mass of {mass:.3g} kg"
+            advice = "log the forces exerted on the body, not by it, or reverse their signs"
+            yield contradiction("negative mass", motors(fit), text, advice, name)
+    for part, share in sorted(base_misfit(fit).items(), key=lambda item: -item[1]):
+        if share > BASE_MISFIT:
+            text = f"the model leaves {percent(share, '.0f')} of the {part} on the base '{base}' unexplained"
+            yield contradiction("unexplained base wrench", motors(fit), text, WRENCHES, str(base))
+
+
+def base_misfit(fit: Fit) -> dict[str, float]:
+    """Compute the unexplained shares (rms) of the forces and moments on a floating base, empty for a fixed one.
+
+    They are shares of everything measured together, wrenches on bodies included; of forces and moments in three
+    directions each, as a single component may be small. Where all are small, they are shares of a third of the model's
+    terms.
+    """
+    problem, theta = fit.problem, fit.solution.theta
+    rows = problem.base
+    residual, measured = fit.solution.sigma[rows] ** 2, problem.balance(theta)[rows] ** 2
+    terms = problem.largest_terms(theta)[rows] ** 2
+    parts = {"forces": slice(0, 3), "moments": slice(3, 6)} if len(rows) else {}
+    # on a base at rest, hung at its centre of mass, the measured moment is noise alone
+    return {
+        part: float(np.sqrt(residual[axes].sum() / max(measured[axes].sum(), terms[axes].sum() / 9, 1e-300)))
+        for part, axes in parts.items()
+    }
+
+
+def unexplained_signals(fit: Fit, wrong: Sequence[Finding]) -> Iterator[Finding]:
+    """Find joints of whose current or torque the model leaves too much unexplained.
+
+    Where gains are given and a wrong value of a payload (``wrong``: findings) leaves a joint unexplained, that is named
+    instead.
+    """
+    problem, kind, free = fit.problem, fit.kind, fit.free_gains
+    advice = f"check the position and {kind} columns, their signs and units, the clock of the log, and 'preparation'"
+    if free and len(problem.known) and not fit.system.payloads:
+        advice = (
+            "check the known parameters, on which the scale rests ('priors', 'prior_inertias' and the inertias in the "
+            "robot's file), then the columns, their signs and units"
+        )
+    elif free:
+        advice = (
+            "check that the position and current columns are of the same joint in all runs, and check their signs and "
+            "units"
+        )
+    payloads = {joint: finding.subject for finding in reversed(wrong) for joint in finding.joints}
+    shares = unexplained_shares(fit).tolist()
+    for joint, channel, share in zip(problem.joints, problem.channels, shares, strict=False):
+        if share <= (MISFIT if free else MISFIT_GIVEN) or (free and not channel.kind.measures_joint):
+            continue
+        if joint in payloads and not free:
+            yield contradictory_payload(payloads[joint], (joint,), given=True)
+        else:
+            text = f"the model leaves {percent(share, '.0f')} of the joint's {kind} unexplained"
+            yield contradiction(UNEXPLAINED, (joint,), text, wrenches_first(fit, advice))
+
+
+def all_negative(
+    fit: Fit, examined: Examination, gains: Sequence[JudgedGain], prior_gains: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Find that all gains are negative, if no motor is known to turn against its joint: then all may."""
+    problem = fit.problem
+    free = [gain.value for gain in gains if problem.unknown_gains[gain.row - problem.gain_rows.start]]
+    # by another gravity
+    turned = any(all(move < -100 for move in part.moves.values()) for part in examined.contradicting)
+    if min(prior_gains.values(), default=1.0) > 0 and max(free, default=0.0) < 0 and not turned:
+        advice = wrenches_first(fit, f"check the sign of the currents and positions, gravity{which_payload(fit)}")
+        yield contradiction(ALL_NEGATIVE, motors(fit), "all drive gains are negative", advice)
+
+
+def refuted_descriptions(
+    fit: Fit, examined: Examination, gains: Iterable[JudgedGain], wrong: Sequence[Finding], accuracy: float
+) -> Iterator[Finding]:
+    """Find descriptions that explain the data better, and move a gain by more than the accuracy.
+
+    Where gains are given they explain more than ``wrong`` values of payloads do.
+    """
+    gains = [gain for gain in gains if gain.random_half < 1]  # a gain that is noise refutes nothing
+    least = min((finding.values["remains"] for finding in wrong), default=1.0)
+    for part in examined.contradicting:
+        for gain in gains:
+            move = part.moves[gain.joint] / 100
+            if abs(move) > accuracy:
+                turned = ", which reverses its sign" if -MOST_PERCENT / 100 < move < -1 else ""
+                text, own = f"{explained_share(part)} and move the gain by {{own}}", percent(move, "+.2g") + turned
+                yield refuted(fit, part, (gain.joint,), text, own)
+        harmless = part.effect == TORQUE_SCALE.name and abs(part.size) - 3 * part.std <= OTHER_SCALE
+        if not (fit.free_gains or harmless) and part.cause.values.get("remains", 0.0) < least:
+            yield refuted(fit, part, part.cause.joints or motors(fit), explained_share(part))
+
+
+def explained_share(part: EstimatedEffect) -> str:
+    """Say what another description explains, with its size."""
+    size = ""
+    if part.unit:
+        size = f" ({percent(part.size)} of itself)" if part.unit == RELATIVE else f" ({part.size:z.2g} {part.unit})"
+    return f"{part.subject}{size} would explain {percent(part.share, '.0f')} of the residual variance"
+
+
+def refuted(fit: Fit, part: EstimatedEffect, joints: tuple[str, ...], text: str, own: str = "") -> Finding:
+    """Find, against the gains of some joints, that another description explains the data better."""
+    kind, advice = part.cause.kind, part.cause.advice
+    if kind not in (WRENCH_OFFSETS.name, WRENCH_POINTS.name):
+        advice = wrenches_first(fit, advice)
+    return contradiction(REFUTED, joints, text, advice, causes=(kind,), own=own)
+
+
+def small_refutations(examined: Examination, gains: Sequence[JudgedGain], accuracy: float) -> Iterator[Finding]:
+    """Note parts of the description that the data refute without moving any gain by more than the accuracy."""
+    least = min((gain.half for gain in gains), default=np.inf)
+    for part in examined.contradicting if gains else ():
+        if (move := part.largest_move / 100) <= accuracy:
+            yield Finding(
+                "description refuted, gains unmoved",
+                causes=(part.cause.kind,),
+                size=move / least,
+                text=f"{part.subject} would explain {percent(part.share, '.0f')} of the residual variance and move no "
+                f"gain by more than {percent(move)}",
+                advice=part.cause.advice,
+                shown_as="model",
             )
 
 
@@ -108,7 +260,7 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
     A parameter counts where it has a share of a channel's signal, rms.
     """
-    dataset, problem = fit.dataset, fit.system.problem
+    dataset, problem = fit.dataset, fit.problem
     places, stds = estimates.unknowns.places, np.sqrt(np.diag(estimates.covariance))
     signals = np.maximum(problem.balance(fit.solution.theta), 1e-300) * np.sqrt(problem.total_rows)
     listed: dict[str, list[str]] = {}
@@ -124,14 +276,15 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     for body, parameters in sorted(listed.items(), key=lambda item: -len(item[1])):
         more = f" and {len(parameters) - 3} more" if len(parameters) > 3 else ""
         text = f"physically impossible parameters: {', '.join(parameters[:3])}{more}"
-        yield contradiction("impossible parameters", (body,) if body in motors(fit) else motors(fit), text, IMPOSSIBLE)
+        joints = (body,) if body in motors(fit) else motors(fit)
+        yield contradiction("impossible parameters", joints, text, IMPOSSIBLE)
 
 
 def wide_gains(
     fit: Fit, examined: Examination, estimates: Estimates, gains: Iterable[JudgedGain], accuracy: float
 ) -> Iterator[Finding]:
     """Find gains whose intervals are wider than the accuracy, with the largest contribution to each."""
-    sized, interval = [effect for effect in examined.effects if effect.size], "the 95 % interval is {own}"
+    sized, interval = [effect for effect in examined.effects if effect.std], "the 95 % interval is {own}"
     for gain in gains:
         if gain.half <= accuracy:
             continue

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from gtau.estimation.diagnostics.refits import refitted
+from gtau.estimation.diagnostics.descriptions import refitted
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stacked
 from gtau.estimation.regression.factors import MODEL
@@ -110,6 +110,33 @@ class InertiaAudit:
         """Return the parameters of this standing."""
         return tuple(parameter for parameter in self.parameters if parameter.standing == standing)
 
+    def contradicted_priors(self) -> Iterator[Finding]:
+        """Find the links whose inertias in the file, taken as priors, the data contradict."""
+        contradicted = self.of("contradicted") if self.prior else ()
+        for link in dict.fromkeys(entry.link for entry in contradicted):
+            entries = [entry for entry in contradicted if entry.link == link]
+            named = "; ".join(
+                f"{entry.name} is {entry.value:.3g} {entry.unit} from the data (standard deviation {entry.std:.2g}), "
+                f"{entry.stated:.3g} in the file"
+                for entry in entries[:3]
+            )
+            more = f" and {len(entries) - 3} more" if len(entries) > 3 else ""
+            yield Finding(
+                PRIOR_INERTIA,
+                subject=link,
+                # in halves of an interval; z has the prior of the regrouped sum, here the parameter's own counts
+                size=max(
+                    abs(entry.value - entry.stated) / (1.96 * np.hypot(entry.std, self.prior * entry.stated))
+                    for entry in entries
+                    if entry.value is not None and entry.std is not None and entry.stated is not None
+                ),
+                text=f"the inertias of '{link}' in the robot file, used as priors with a standard deviation of "
+                f"{100 * self.prior:.0f} %, contradict the data: {named}{more}",
+                advice="give 'prior_inertias' a larger value, or correct the file",
+                grade=Grade.WARNING,
+                shown_as="model",
+            )
+
 
 def _rms(errors: Mapping[str, float]) -> float:
     return float(np.sqrt(np.mean(np.square(list(errors.values())))))
@@ -180,7 +207,7 @@ def _kept(fit: Fit, file: np.ndarray, prior: float) -> dict[Parameter, tuple[flo
 
     What the motions do not separate adds to the parameters that stay: the same sums of the file's.
     """
-    base, kept, rows = fit.dataset.base, fit.system.problem.parameters, _rows(fit)
+    base, kept, rows = fit.dataset.base, fit.problem.parameters, _rows(fit)
     places = fit.system.unreduced.unknowns.at(kept)
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
@@ -203,7 +230,7 @@ def _parameters(
     """Compare each base parameter that regroups inertias."""
     from scipy.special import stdtrit
 
-    base, robot, places = fit.dataset.base, fit.dataset.robot, fit.system.problem.unknowns.places
+    base, robot, places = fit.dataset.base, fit.dataset.robot, fit.problem.unknowns.places
     stated = stated_inertias(robot)
     fitted = (base.matrix @ [stated.get(name, 0.0) for name in fit.dataset.model.parameter_names]).tolist()
     tested: dict[Parameter, float] = {}
@@ -263,31 +290,3 @@ def _freed(rows: np.ndarray, torque: np.ndarray, G: np.ndarray) -> tuple[float, 
     x = np.linalg.lstsq(A / norms, torque, rcond=1e-9)[0] / norms
     rest = torque - A @ x
     return float(rest @ rest), G @ x
-
-
-def prior_findings(audit: InertiaAudit) -> Iterator[Finding]:
-    """Find the links whose inertias in the file, taken as priors, the data contradict."""
-    contradicted = audit.of("contradicted") if audit.prior else ()
-    for link in dict.fromkeys(entry.link for entry in contradicted):
-        entries = [entry for entry in contradicted if entry.link == link]
-        named = "; ".join(
-            f"{entry.name} is {entry.value:.3g} {entry.unit} from the data (standard deviation {entry.std:.2g}), "
-            f"{entry.stated:.3g} in the file"
-            for entry in entries[:3]
-        )
-        more = f" and {len(entries) - 3} more" if len(entries) > 3 else ""
-        yield Finding(
-            PRIOR_INERTIA,
-            subject=link,
-            # z has the prior of the regrouped sum; here the prior of the parameter counts, in halves of its interval
-            size=max(
-                abs(entry.value - entry.stated) / (1.96 * np.hypot(entry.std, audit.prior * entry.stated))
-                for entry in entries
-                if entry.value is not None and entry.std is not None and entry.stated is not None
-            ),
-            text=f"the inertias of '{link}' in the robot file, used as priors with a standard deviation of "
-            f"{100 * audit.prior:.0f} %, contradict the data: {named}{more}",
-            advice="give 'prior_inertias' a larger value, or correct the file",
-            grade=Grade.WARNING,
-            shown_as="model",
-        )

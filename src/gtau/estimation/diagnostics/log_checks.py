@@ -17,7 +17,9 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import contradiction, unexplained_shares
+from gtau.estimation.diagnostics.units import BEYOND_GEARS
+from gtau.estimation.diagnostics.verdict import contradiction, half_widths, unexplained_shares
+from gtau.estimation.effects.effect import Levels
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.estimators.newton import DELAY_MOTION
@@ -26,6 +28,7 @@ from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.findings import Finding, Grade
 from gtau.findings.words import listed, percent
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.bandwidth import end_of_commands
 from gtau.signals.reading.samples import extremes
@@ -43,10 +46,13 @@ STEPS = 3.0  # largest whole number of commands that are all whole, from which t
 WHOLE = 0.9  # share of commands that are whole numbers, from which all were
 UNSEEN_RATIO = 4.0  # unexplained share of a joint where another's position is frozen, over its share where that moves
 UNSEEN_MISFIT = 0.1  # unexplained share of a joint's current in the run with the frozen position
+FRICTIONLESS = 0.02  # friction over torque, rms, of the joint with most of it: below, torques come from a model
+MODEL_RESIDUAL = 0.02  # unexplained share of the joint with most of it, below which torques come from a model
+GEARED = 5.0  # least torque scale of the joints, from which torques are measured before the gears
 UNFELT_PAYLOAD = 1.1  # residual of the currents without the payload over the residual with it
 
 COMMAND_LAG, SMOOTHED, WHOLE_NUMBERS = "command lag", "smoothed commands", "whole numbers"
-MOTOR_SIDE, FROZEN = "torques of the motors", "frozen encoder"
+MOTOR_SIDE, FROZEN, MODEL_TORQUES = "torques of the motors", "frozen encoder", "torques of a model"
 
 
 def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -165,6 +171,36 @@ def motor_side_torques(text: str, joints: tuple[str, ...] = ()) -> Finding:
     return Finding(MOTOR_SIDE, joints, text=text, advice=advice, shown_as="unit")
 
 
+def logged_torques(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+    """Find shares of rated values, motor-side torques, or torques and currents of a model: the first that holds."""
+    kind, scales = fit.kind, np.zeros(0)
+    if doubtful := list(doubtful_commands(fit.dataset.runs, fit.dataset.robot)):
+        yield doubtful[0]
+        return
+    if kind == "torque" and fit.free_gains:
+        scales = np.abs(fit.gains)[half_widths(fit, estimates) < 1]
+    if len(scales) and scales.min() > GEARED and scales.max() < BEYOND_GEARS:
+        ends = " to ".join(dict.fromkeys(f"{end:.3g}" for end in (scales.min(), scales.max())))
+        yield motor_side_torques(f"the true torques are {ends} times those logged")
+        return
+    joints, known = fit.dataset.robot.motors, set(fit.problem.parameters)
+    if any({name := Parameter("fs", joint), name + "R"}.isdisjoint(known) for joint in joints):
+        return
+    rows = [fit.dataset.model.actuated.index(joint) for joint in joints]
+    levels = Levels(fit)
+    (fv, fs), torques = levels.friction, levels.torques
+    friction = float(((fv * levels.speeds + fs) / np.maximum(torques, 1e-300))[rows].max())
+    residual = float(unexplained_shares(fit)[rows].max())
+    if friction < FRICTIONLESS and residual < MODEL_RESIDUAL:
+        yield Finding(
+            MODEL_TORQUES,
+            text=f"the {kind}s have next to no friction ({percent(friction, '.1g')} of a joint's torque at most) and "
+            f"{percent(residual)} is unexplained: they come from a model in the controller, not from the motors",
+            advice="log measured currents or torques (UR: actual_current, not target_current or target_moment)",
+            shown_as="model",
+        )
+
+
 def require_payload_excitation(system: System) -> None:
     """Refuse logs whose currents are explained as well without the payload as with it; raises GtauError.
 
@@ -195,14 +231,14 @@ def require_motion(fit: Fit, estimates: Estimates) -> None:
     They determine none of its inertial parameters, and parameters that fit some joints leave more of another's torque
     than there is.
     """
-    problem, dataset = fit.system.problem, fit.dataset
+    problem, dataset = fit.problem, fit.dataset
     parts, gains = slice(problem.n_theta), problem.gain_rows
     values, covariance = estimates.values[parts], estimates.covariance
     # at the gains as estimated: a scale that nothing determines, such as the scale of noise, is another matter
     by_gains = covariance[parts, gains] @ np.linalg.pinv(covariance[gains, gains], hermitian=True)
     std = np.sqrt(np.maximum(np.diag(covariance)[parts] - np.sum(by_gains * covariance[parts, gains], axis=1), 0.0))
     inertial = np.array([name.kind in (*INERTIAL, "ia") for name in problem.parameters])
-    worst = int(np.argmax(shares := unexplained_shares(problem, fit.solution)))
+    worst = int(np.argmax(shares := unexplained_shares(fit)))
     if shares[worst] > 1 and inertial.any() and np.all(np.abs(values) < DETERMINED * std, where=inertial):
         joint = problem.channels[worst].joint
         seconds = sum(len(run) / run.run.rate for run in dataset.prepared)
@@ -232,7 +268,7 @@ def lack_of_fit(problem: Problem, solution: Solution) -> float:
 
 def frozen_encoders(fit: Fit) -> list[Finding]:
     """Find the joints that never move in a run, by their positions, but whose motion its other joints feel."""
-    joints, runs, n = fit.system.problem.joints, fit.dataset.runs, len(fit.gains)
+    joints, runs, n = fit.problem.joints, fit.dataset.runs, len(fit.gains)
     moving = np.array([np.subtract(*extremes(run.position)) < 0 for run in runs])
     acting = np.array([np.subtract(*extremes(run.command))[:n] < 0 for run in runs])
     frozen = np.argwhere(acting & ~moving).tolist()
@@ -255,7 +291,7 @@ def frozen_encoders(fit: Fit) -> list[Finding]:
 
 def unexplained_by_run(fit: Fit) -> np.ndarray:
     """Compute the share of each joint's current that its own equations leave unexplained in each run, (runs, n)."""
-    problem, unit_runs = fit.system.problem, fit.system.block_positions[:, 0]
+    problem, unit_runs = fit.problem, fit.system.block_positions[:, 0]
     shares = np.zeros((len(fit.dataset.runs), len(problem.joints)))
     for run, joint in np.ndindex(*shares.shape):
         rows = problem.blocks[unit_runs == run, joint].reshape(-1, problem.blocks.shape[-1])

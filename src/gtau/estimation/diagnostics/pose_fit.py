@@ -1,9 +1,13 @@
-"""Fit of frames and constants of the geometry to logged poses, with the loops closed anew after each step.
+"""Fit frames and constants of the geometry to logged poses, and find the constants that explain a mismatch.
 
 A logged pose is ``T_t(0_T_b(q(t - d))) T_m``: of the body in the base, after a frame ``T_m`` of a tool or marker
 fixed to the body, in the frame ``T_t`` of a tracker, delayed by ``d`` to the positions. The unknown ones are estimated
 together with any other unknowns, and absorb the residuals that both explain. A tracker may have been moved or
 calibrated anew between runs: it has a frame in each (the tracker of the UPV logs moved by 9 mm before the last run).
+
+A wrong length leaves residuals that depend on the pose. Each constant of the geometry is fitted alone, and the one that
+explains most is selected; further ones are added while they explain most of the remaining residuals. Torques hardly
+show a wrong length: a platform 26 mm too large leaves the torque errors of the UPV robot (docs/evidence/zoo.md).
 """
 
 from __future__ import annotations
@@ -15,12 +19,33 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gtau.model.lengths import BodyPose, VariableGeometry
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.geometry import ConstantChange, GeometryTest, PoseResidual
+from gtau.estimation.regression.rows import instants
+from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.lengths import BodyPose, VariableGeometry, variable_geometry
+from gtau.progress import Progress, silent
+from gtau.robots.geometry import characteristic_length
 from gtau.robots.placement import within_a_turn
 from gtau.signals.reading.body_columns import PoseColumns
+from gtau.signals.reading.logs import LoggedPoses
 
-STEP = 1e-6  # m, rad and s: of differences, between rounding and the second order
+GEOMETRY_SHARE = 0.5  # share of the remaining variance of the pose residuals that a length or an encoder zero explains
+GEOMETRY_STD = 6.0  # change of a length or zero that explains the pose, in standard deviations
+GEOMETRY_CHANGE = 0.005  # change of that constant, of its length, of the robot's mean length (zeros in m), or in rad
+GEOMETRY_RMS = 0.01  # rms distance of logged and computed positions, of the mean length: with more, not confirmed
+GEOMETRY_LIKELY = 0.5  # share explained to first order, over GEOMETRY_SHARE, from which a constant is fitted for good
+GEOMETRY_ALIKE = 1.5  # squares of the residuals with another constant over those with the best: with less, as likely
+GEOMETRY_FREE = 0.001  # rms effect of a constant on the pose that other free constants leave, over its whole effect
+
+SAMPLES = 400  # of all runs together: residuals are smooth, so that more hardly add anything
+STRETCHES = 8  # of a run, whose residuals are taken for independent of each other
+LONGEST = 0.1  # s: delays of poses beyond it are none
 SHORTEST = 1e-3  # s: a smaller delay needs no positions of its own
+APART = 5  # rows on either side, over which speeds are taken from positions
+TRIED = 4  # constants that are fitted beyond the first order at each step; one that is the explanation was the first
+MOST = 4  # constants that may explain the residuals together: the effort of the search; three were the most found
+STEP = 1e-6  # m, rad and s: of differences, between rounding and the second order
 STEPS, SETTLED = 25, 1e-5  # relative change of the squares by a last step
 DEPENDENT = 1e-6  # of the largest singular value: what frames explain alike is shared among them
 FLOOR = 1e-9  # m and rad: what rounding leaves; no component counts for more precise
@@ -56,46 +81,35 @@ class Poses:
             return Rotation.from_euler(columns.angles.turning[0], turned)
         return None
 
-
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """Orientations and positions of the base in the tracker (runs, ...), turned ``about`` points, and of the marker."""
-
-    R_t: np.ndarray
-    p_t: np.ndarray
-    R_m: np.ndarray
-    about: np.ndarray
-
-
-def component_names(columns: PoseColumns) -> tuple[tuple[str, str], ...]:
-    """Name the compared components, with units: columns, and for a whole orientation the rotation between the two."""
-    named = [(column, "m") for column in columns.position.values()]
-    if columns.angles is not None:
-        return (*named, *((column, "rad") for column in columns.angles.turning[1]))
-    turns = [(f"turn about {axis}", "rad") for axis in "xyz"] if _turns(columns) else []
-    return (*named, *turns)
+    @cached_property
+    def components(self) -> tuple[tuple[str, str], ...]:
+        """Names of the compared components, with units: of a whole orientation the rotation between the two."""
+        columns = self.columns
+        named = [(column, "m") for column in columns.position.values()]
+        if columns.angles is not None:
+            return (*named, *((column, "rad") for column in columns.angles.turning[1]))
+        return (*named, *((f"turn about {axis}", "rad") for axis in "xyz" if self.orientations is not None))
 
 
-def _turns(columns: PoseColumns) -> bool:
-    """Decide whether anything of the orientation is logged."""
-    return any(logged is not None for logged in (columns.angles, columns.quaternion, columns.rotation_vector))
+Frames = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Orientations, positions of the base in the tracker (runs, ...), orientation of the marker, points to turn about."""
 
 
-def first_frames(poses: Poses, body: BodyPose) -> Frames:
-    """Guess the poses of tracker and marker from full positions and orientations; otherwise leave them unchanged."""
-    columns, values, run = poses.columns, poses.values, poses.run
-    runs, measured = int(run.max()) + 1, poses.orientations
+def guessed_frames(poses: Poses, body: BodyPose) -> Frames:
+    """Guess the frames of tracker and marker from full positions and orientations; otherwise leave them unchanged."""
+    columns, run, measured = poses.columns, poses.run, poses.orientations
+    runs = int(run.max()) + 1
     R_t, p_t, R_m = np.tile(np.eye(3), (runs, 1, 1)), np.zeros((runs, 3)), np.eye(3)
     if columns.source == "tracker" and len(columns.axes) == 3:
         for k in range(runs):
-            logged, computed = values[run == k][:, np.argsort(columns.axes)], body.position[run == k]
+            logged, computed = poses.values[run == k][:, np.argsort(columns.axes)], body.position[run == k]
             centres = logged.mean(axis=0), computed.mean(axis=0)
             R_t[k] = Rotation.align_vectors(logged - centres[0], computed - centres[1])[0].as_matrix()
             p_t[k] = centres[0] - R_t[k] @ centres[1]
     if columns.source != "controller" and measured is not None:
         on_body = np.swapaxes(R_t[run] @ body.rotation, 1, 2) @ measured.as_matrix()
         R_m = Rotation.from_matrix(on_body).mean().as_matrix()
-    return Frames(R_t, p_t, R_m, np.array([body.position[run == k].mean(axis=0) for k in range(runs)]))
+    return R_t, p_t, R_m, np.array([body.position[run == k].mean(axis=0) for k in range(runs)])
 
 
 def _turned(R: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -123,32 +137,28 @@ class PoseFit:
     @cached_property
     def free(self) -> np.ndarray:
         """Entries of ``moved`` that are unknown (7 + 6 runs,)."""
-        columns, runs = self.poses.columns, len(self.frames.p_t)
-        marker, tracker = columns.source != "controller", columns.source == "tracker"
+        source, turns = self.poses.columns.source, any(unit == "rad" for _, unit in self.poses.components)
+        marker, tracker = source != "controller", source == "tracker"
         # where only a position is logged, nobody sees how a marker is turned
-        return np.repeat([True, marker, marker and _turns(columns), tracker], [1, 3, 3, 6 * runs])
-
-    @cached_property
-    def _twist(self) -> np.ndarray:
-        """Twist (N, 6) of the body, base axes."""
-        return np.einsum("nij,nj->ni", self.body.by_joints, self.poses.qd)
+        return np.repeat([True, marker, marker and turns, tracker], [1, 3, 3, len(self.moved) - 7])
 
     def _apart(self, moved: np.ndarray, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """Compute logged less computed components (N, m) with the body (N, 3), (N, 3, 3) in the base."""
-        poses, frames = self.poses, self.frames
-        columns, run, tracker_moves = poses.columns, poses.run, moved[7:].reshape(-1, 6)
-        twist = self._twist
-        R_b = Rotation.from_rotvec(-moved[0] * twist[:, 3:]).as_matrix() @ rotation
-        p_b = position - moved[0] * twist[:, :3] + R_b @ moved[1:4]
-        R_t = Rotation.from_rotvec(tracker_moves[:, 3:]).as_matrix() @ frames.R_t
-        p_t = frames.p_t + tracker_moves[:, :3] + _turned(frames.R_t, frames.about)
-        R = R_t[run] @ R_b @ Rotation.from_rotvec(moved[4:7]).as_matrix() @ frames.R_m
-        p = _turned(R_t[run], p_b - frames.about[run]) + p_t[run]
-        apart, logged = poses.values[:, : len(columns.axes)] - p[:, list(columns.axes)], len(columns.axes)
+        poses, (R_tracker, p_tracker, R_m, about) = self.poses, self.frames
+        columns, run, tracker = poses.columns, poses.run, moved[7:].reshape(-1, 6)
+        shift = -moved[0] * _turned(self.body.by_joints, poses.qd)  # (N, 6), base axes
+        R_b = Rotation.from_rotvec(shift[:, 3:]).as_matrix() @ rotation
+        p_b = position + shift[:, :3] + R_b @ moved[1:4]
+        R_t = Rotation.from_rotvec(tracker[:, 3:]).as_matrix() @ R_tracker
+        p_t = p_tracker + tracker[:, :3] + _turned(R_tracker, about)
+        R = R_t[run] @ R_b @ Rotation.from_rotvec(moved[4:7]).as_matrix() @ R_m
+        p = _turned(R_t[run], p_b - about[run]) + p_t[run]
+        n = len(columns.axes)
+        apart = poses.values[:, :n] - p[:, list(columns.axes)]
         if columns.angles is not None:
             sequence, names = columns.angles.turning
             angles = np.asarray(Rotation.from_matrix(R).as_euler(sequence))[:, : len(names)]
-            return np.hstack([apart, within_a_turn(poses.values[:, logged:] - angles)])
+            return np.hstack([apart, within_a_turn(poses.values[:, n:] - angles)])
         if poses.orientations is None:
             return apart
         return np.hstack([apart, (poses.orientations * Rotation.from_matrix(R).inv()).as_rotvec()])
@@ -166,7 +176,7 @@ class PoseFit:
     def _slope(self, other: np.ndarray) -> np.ndarray:
         """Compute the weighted derivative (N m,) of the computed pose from what is apart after a STEP."""
         less = self.apart - other
-        angles = [unit == "rad" for _, unit in component_names(self.poses.columns)]
+        angles = [unit == "rad" for _, unit in self.poses.components]
         less[:, angles] = within_a_turn(less[:, angles])
         return (less / STEP * self.poses.weights).reshape(-1)
 
@@ -186,88 +196,228 @@ class PoseFit:
         return np.column_stack([*frames, *map(self.column, self.chosen)])
 
     @cached_property
-    def _factors(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Sizes (k,) of the columns, and the singular value decomposition at unit length, the rank kept."""
+    def _factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Orthonormal basis (N m, r) of the columns, and the inverse (k, N m) that gives unknowns."""
         size = np.linalg.norm(self.columns, axis=0)
         size[size == 0] = 1.0
         U, sigma, Vt = np.linalg.svd(self.columns / size, full_matrices=False)
         kept = sigma > DEPENDENT * sigma[0]
-        return size, U[:, kept], sigma[kept], Vt[kept]
+        return U[:, kept], Vt[kept].T / sigma[kept] @ U[:, kept].T / size[:, None]
+
+    def beyond(self, vector: np.ndarray) -> np.ndarray:
+        """Project a ``vector`` (N m,) on the complement of the columns."""
+        basis, _ = self._factors
+        return vector - basis @ (basis.T @ vector)
 
     @cached_property
     def rest(self) -> float:
         """Sum of the squared weighted residuals that the columns do not explain to first order."""
         return float(np.sum(self.beyond(self.residual) ** 2))
 
-    def beyond(self, vector: np.ndarray) -> np.ndarray:
-        """Project a ``vector`` (N m,) on the complement of the columns."""
-        basis = self._factors[1]
-        return vector - basis @ (basis.T @ vector)
+    def scatter(self, scores: np.ndarray) -> np.ndarray:
+        """Compute the standard deviations of sums of ``scores`` (k, N m), whose sums over stretches are independent."""
+        N, stretches = len(self.poses.stretch), np.unique(self.poses.stretch)
+        parts = scores.reshape(len(scores), N, -1).sum(axis=2)
+        sums = np.array([parts[:, self.poses.stretch == k].sum(axis=1) for k in stretches])
+        return np.asarray(np.sqrt(np.sum(sums**2, axis=0) * len(sums) / (len(sums) - 1)))
 
     @cached_property
     def std(self) -> np.ndarray:
         """Standard deviations (k,) from the scores of stretches, which hold where residuals are autocorrelated."""
-        size, U, sigma, Vt = self._factors
-        inverse = Vt.T / sigma @ U.T / size[:, None]
-        N = len(self.poses.stretch)
-        parts = (inverse * self.beyond(self.residual)).reshape(len(inverse), N, -1).sum(axis=2)
-        stretches = np.unique(self.poses.stretch)
-        return jackknife_std(np.array([parts[:, self.poses.stretch == k].sum(axis=1) for k in stretches]))
+        return self.scatter(self._factors[1] * self.beyond(self.residual))
 
 
-def jackknife_std(scores: np.ndarray) -> np.ndarray:
-    """Compute the standard deviation of a sum from its parts (stretches, ...), which are independent."""
-    return np.asarray(np.sqrt(np.sum(scores**2, axis=0) * len(scores) / (len(scores) - 1)))
-
-
-def unfitted(poses: Poses, c: np.ndarray) -> PoseFit:
-    """Begin a fit at configurations ``c`` (n_c, N) of the robot's file, frames guessed."""
-    change = np.zeros(len(poses.geometry.constants))
-    body = poses.geometry.pose(c, change)
-    frames = first_frames(poses, body)
-    return PoseFit(poses, frames, np.zeros(7 + 6 * len(frames.p_t)), change, c, body)
-
-
-def fit_poses(start: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
+def fit_poses(fit: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
     """Fit the frames and the constants ``chosen`` from a fit on; None where the loops cannot follow."""
     from scipy.optimize import least_squares
 
-    fit, free, geometry = replace(start, chosen=tuple(chosen)), start.free, start.poses.geometry
-    if not np.isfinite(fit.columns).all():
+    start, free, geometry = replace(fit, chosen=tuple(chosen)), fit.free, fit.poses.geometry
+    if not np.isfinite(start.columns).all():
         return None
+    places = list(start.chosen)
 
     @lru_cache(maxsize=2)
-    def closed(*changes: float) -> tuple[np.ndarray, np.ndarray, BodyPose] | None:
-        """Close the loops with these changes of the chosen constants."""
-        if not changes:
-            return fit.change, fit.c, fit.body
-        change = fit.change.copy()
-        change[list(fit.chosen)] = changes
-        c = geometry.close(fit.c, fit.change, change)
-        return None if c is None else (change, c, geometry.pose(c, change))
-
-    def at(unknowns: np.ndarray) -> PoseFit | None:
+    def at(*unknowns: float) -> PoseFit | None:
         """Return the fit at these unknowns (k,); None where the loops cannot follow."""
-        moved, count = fit.moved.copy(), np.count_nonzero(free)
-        moved[free] = unknowns[:count]
-        parts = closed(*unknowns[count:].tolist())
-        if parts is None:
-            return None
-        change, c, body = parts
-        return replace(fit, moved=moved, change=change, c=c, body=body)
+        moved, change, count = start.moved.copy(), start.change.copy(), len(unknowns) - len(places)
+        moved[free], change[places] = unknowns[:count], unknowns[count:]
+        if not places:
+            return replace(start, moved=moved)
+        c = geometry.close(start.c, start.change, change)
+        return None if c is None else replace(start, moved=moved, change=change, c=c, body=geometry.pose(c, change))
 
     def residual(unknowns: np.ndarray) -> np.ndarray:
-        other = at(unknowns)
-        return np.full(fit.apart.size, np.nan) if other is None else other.residual
+        other = at(*unknowns)
+        return np.full(start.apart.size, np.nan) if other is None else other.residual
 
     def slopes(unknowns: np.ndarray) -> np.ndarray:
-        other = at(unknowns)
-        return np.full(fit.columns.shape, np.nan) if other is None else -other.columns
+        other = at(*unknowns)
+        return np.full(start.columns.shape, np.nan) if other is None else -other.columns
 
-    first = np.concatenate([fit.moved[free], fit.change[list(fit.chosen)]])
+    first = np.concatenate([start.moved[free], start.change[places]])
     try:
         solved = least_squares(residual, first, slopes, x_scale="jac", ftol=SETTLED, max_nfev=STEPS)
     except ValueError:  # not finite, as the loops cannot follow
         return None
-    fitted = at(solved.x)
+    fitted = at(*solved.x)
     return fitted if fitted is not None and np.isfinite(fitted.columns).all() else None
+
+
+def geometry_test(
+    model: InverseDynamics,
+    columns: PoseColumns,
+    joints: Sequence[str],
+    logged: Sequence[LoggedPoses],
+    progress: Progress = silent,
+) -> GeometryTest:
+    """Test the geometry of a robot by logged poses; for parameters and refusals see :func:`fit_frames`."""
+    progress("geometry", 0, MOST + 1)
+    given = fit = fit_frames(model, columns, joints, logged)
+    length, alone = characteristic_length(model.robot), _candidates(given)
+    candidates = alone
+    for k in range(MOST):
+        progress("geometry", k + 1, MOST + 1)
+        better = _better(fit, candidates, length)
+        if better is None:
+            break
+        fit, candidates = better, _candidates(better)
+    progress("geometry", MOST + 1, MOST + 1)
+    body = columns.body or model.robot.tool
+    return _tested(body, [poses.run for poses in logged], given, fit, alone, length)
+
+
+Candidate = tuple[float, int, float, float, PoseFit | None]
+"""Squares that a further constant leaves, its number, change and standard deviation, and its fit beyond first order."""
+
+
+def _candidates(fit: PoseFit) -> list[Candidate]:
+    """List the constants with an effect of their own that could be freed next, best first, the likely ones fitted."""
+    residual, candidates = fit.beyond(fit.residual), list[Candidate]()
+    for k in range(len(fit.poses.geometry.constants)):
+        column = fit.column(k)
+        effect = fit.beyond(column)
+        size = float(effect @ effect)
+        if not np.isfinite(effect).all() or size <= GEOMETRY_FREE**2 * (column @ column):
+            continue
+        change = float(effect @ residual / size)
+        left = residual - change * effect
+        std = float(fit.scatter((effect * left)[None])[0]) / size
+        candidates.append((float(left @ left), k, change, std, None))
+    candidates.sort(key=lambda candidate: candidate[0])
+    for place, (rest, k, *_) in enumerate(candidates[:TRIED]):
+        likely = 1 - rest / fit.rest > GEOMETRY_SHARE * GEOMETRY_LIKELY
+        if likely and (fitted := fit_poses(fit, (*fit.chosen, k))):
+            candidates[place] = fitted.rest, k, float(fitted.change[k]), float(fitted.std[-1]), fitted
+    return sorted(candidates, key=lambda candidate: candidate[0])
+
+
+def _better(before: PoseFit, candidates: Sequence[Candidate], length: float) -> PoseFit | None:
+    """Return the fit with the best further constant if it explains much and its change is significant and large."""
+    for rest, k, change, std, fit in candidates:
+        if fit is not None:
+            constant = before.poses.geometry.constants[k]
+            scale = constant.value or (length if constant.unit == "m" else 1.0)
+            explains = 1 - rest / before.rest > GEOMETRY_SHARE
+            return fit if explains and abs(change) > max(GEOMETRY_STD * std, GEOMETRY_CHANGE * scale) else None
+    return None
+
+
+def _tested(
+    body: str, runs: Sequence[str], given: PoseFit, fit: PoseFit, tried: Sequence[Candidate], length: float
+) -> GeometryTest:
+    """Collect what constants of the geometry explain: from ``given`` frames alone, and with those that ``fit`` has."""
+    poses, constants = given.poses, given.poses.geometry.constants
+    # residuals (N, m) in m and rad that the free constants and frames do not explain
+    parts = [state.beyond(state.residual).reshape(len(poses.run), -1) / poses.weights for state in (given, fit)]
+    distances = {}
+    for kind, unit in (("position", "m"), ("angle", "rad")):
+        if places := [j for j, component in enumerate(poses.components) if component[1] == unit]:
+            before, after = (float(np.sqrt(np.mean(np.sum(part[:, places] ** 2, axis=1)))) for part in parts)
+            distances[kind] = before, after
+    alone = {
+        k: ConstantChange(constants[k].name, constants[k].value, change, std, constants[k].unit, 1 - rest / given.rest)
+        for rest, k, change, std, _ in tried
+    }
+    stds = fit.std[len(fit.std) - len(fit.chosen) :].tolist()
+    explained = [
+        replace(alone[k], change=float(fit.change[k]), std=std) for k, std in zip(fit.chosen, stds, strict=True)
+    ]
+    if len(explained) == 1:
+        most = GEOMETRY_ALIKE * next(rest for rest, k, *_ in tried if k == fit.chosen[0])
+        alike = [alone[k].name for rest, k, *_ in tried if k != fit.chosen[0] and rest < most]
+        explained = [replace(explained[0], alike=tuple(alike))]
+    far = "position" in distances and distances["position"][1] > GEOMETRY_RMS * length
+    residuals = []
+    for number, run in enumerate(runs):
+        mine = poses.run == number
+        for j, (name, unit) in enumerate(poses.components):
+            before, after = (part[mine, j] for part in parts)
+            rms, rest = (float(np.sqrt(np.mean(part**2))) for part in (before, after))
+            mean = float(np.mean(before))
+            residuals.append(PoseResidual(run, name, unit, rms, mean, rest, poses.time[mine], before, after))
+    return GeometryTest(
+        body=body,
+        source=poses.columns.source,
+        outcome="unexplained" if far else "other constants" if explained else "confirmed",
+        distances=distances,
+        explained_by=tuple(explained),
+        share=1 - fit.rest / given.rest,
+        tried=tuple(alone.values()),
+        unseen=tuple(constant.name for k, constant in enumerate(constants) if k not in alone),
+        delay=(poses.delay + float(fit.moved[0]), float(fit.std[0])),
+        residuals=tuple(residuals),
+    )
+
+
+def fit_frames(
+    model: InverseDynamics, columns: PoseColumns, joints: Sequence[str], logged: Sequence[LoggedPoses]
+) -> PoseFit:
+    """Fit the unknown frames alone, components weighted by the residual that no constant explains to first order.
+
+    ``joints`` is the order of the logged positions, ``logged`` one for each run. Raises GtauError where the loops
+    cannot be closed along them, or a run's time does not rise.
+    """
+    geometry = variable_geometry(model.robot, columns.body or model.robot.tool)
+    order = [list(joints).index(joint) for joint in model.actuated]
+    turning = [model.robot.joint(joint).turns for joint in model.actuated]
+
+    def sampled(delay: float) -> tuple[Poses, np.ndarray]:
+        """Sample the poses, with the positions of the joints a ``delay`` earlier, and configurations there."""
+        parts: list[tuple[np.ndarray, ...]] = []
+        for k, log in enumerate(logged):
+            q, time = np.array(log.q[:, order]), np.asarray(log.time)
+            q[:, turning] = np.unwrap(q[:, turning], axis=0)
+            count = min(max(SAMPLES // len(logged), 2 * STRETCHES), len(q) - 2 * APART)
+            at = np.unique(np.linspace(APART, len(q) - 1 - APART, count).round().astype(int))
+            step = time[at + APART] - time[at - APART]
+            if not (step > 0).all():
+                raise GtauError(
+                    f"run '{log.run}': its time does not rise at the logged poses; correct the time column."
+                )
+            qd = (q[at + APART] - q[at - APART]) / step[:, None]
+            stretch = STRETCHES * k + np.arange(len(at)) * STRETCHES // len(at)
+            earlier = np.stack([np.interp(time[at] - delay, time, column) for column in q.T])
+            c = model.path(earlier, instants(log.run, time[at]))
+            parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
+        values, qd, since, run, stretch, c = map(np.concatenate, zip(*parts, strict=True))
+        poses = Poses(geometry, columns, values, qd, since, run, stretch, np.ones(1), delay)
+        return poses, c.T.copy()
+
+    def fitted(delay: float) -> PoseFit:
+        poses, c = sampled(delay)
+        change = np.zeros(len(geometry.constants))
+        body = geometry.pose(c, change)
+        frames = guessed_frames(poses, body)
+        fit = fit_poses(PoseFit(poses, frames, np.zeros(7 + 6 * len(logged)), change, c, body), ())
+        assert fit is not None  # without other constants the loops stay closed
+        shown = np.flatnonzero(np.isfinite(fit.body.by_constants).all(axis=(0, 1)))
+        rest = replace(fit, chosen=tuple(shown.tolist())).beyond(fit.residual).reshape(fit.apart.shape)
+        weights = 1 / np.maximum(np.sqrt(np.mean(rest**2, axis=0)), FLOOR)
+        fit = fit_poses(replace(fit, poses=replace(poses, weights=weights)), ())
+        assert fit is not None
+        return fit
+
+    fit = fitted(0.0)
+    delay = float(np.clip(fit.moved[0], -LONGEST, LONGEST))
+    # a delay by velocities alone is wrong by half the acceleration times its square, 0.4 mm at 20 ms of a quick arm
+    return fitted(delay) if abs(delay) > SHORTEST else fit

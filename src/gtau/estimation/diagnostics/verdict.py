@@ -123,28 +123,28 @@ def delay_verdicts(problem: Problem, solution: Solution, std: np.ndarray, period
     return verdicts
 
 
-def unexplained_shares(problem: Problem, solution: Solution) -> np.ndarray:
+def unexplained_shares(fit: Fit) -> np.ndarray:
     """Compute the share of each channel's current or torque that the model leaves unexplained, rms, (c,)."""
-    return np.asarray(solution.sigma / problem.balance(solution.theta))
+    return np.asarray(fit.solution.sigma / fit.problem.balance(fit.solution.theta))
 
 
 def half_widths(fit: Fit, estimates: Estimates) -> np.ndarray:
     """Compute half the relative widths of the gains' 95 % intervals, (n,)."""
     from scipy.special import ndtri, stdtrit
 
-    rows, freedom = fit.system.problem.gain_rows, estimates.effective_freedom
+    rows, freedom = fit.problem.gain_rows, estimates.effective_freedom
     std = np.sqrt(np.diag(estimates.covariance)[rows]) / np.abs(estimates.values[rows])
     return np.asarray(std * (ndtri(0.975) if freedom is None else stdtrit(freedom[rows], 0.975)))
 
 
 def motors(fit: Fit) -> tuple[str, ...]:
     """List the joints whose gains are judged: all but the joints of a floating base."""
-    return tuple(channel.joint for channel in fit.system.problem.channels if channel.kind.unknown_gain)
+    return tuple(channel.joint for channel in fit.problem.channels if channel.kind.unknown_gain)
 
 
 def has_wrenches(fit: Fit) -> bool:
     """Decide whether wrenches on bodies or on a floating base are measured."""
-    return bool(fit.system.problem.wrenches or fit.system.problem.base)
+    return bool(fit.problem.wrenches or fit.problem.base)
 
 
 def wrenches_first(fit: Fit, advice: str) -> str:

@@ -97,9 +97,19 @@ class Fit:
         return self.system.dataset
 
     @property
+    def problem(self) -> Problem:
+        """The equations solved."""
+        return self.system.problem
+
+    @property
+    def kind(self) -> str:
+        """What was logged: ``current`` or ``torque``."""
+        return self.dataset.runs[0].kind
+
+    @property
     def gains(self) -> np.ndarray:
         """Drive gains of the joints, (n,)."""
-        return self.solution.gains[: len(self.system.problem.joints)]
+        return self.solution.gains[: len(self.problem.joints)]
 
 
 FitSystem = Callable[[System, np.ndarray | None, Progress], Fit]

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.diagnostics.examine import Examination
-from gtau.estimation.diagnostics.sensor_scales import sensor_scales, sensor_verdict
-from gtau.estimation.diagnostics.stated_constants import scale_shares
+from gtau.estimation.diagnostics.diagnose import Examination
+from gtau.estimation.diagnostics.scale import SensorScale, scale_shares
 from gtau.estimation.diagnostics.verdict import GOOD, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
@@ -124,7 +123,7 @@ def evidence(
     ]
     return {
         "notes": (*dataset.notes, *(finding for finding in findings if not finding.decisive)),
-        "effects": (*examined.refits, *examined.effects),
+        "effects": examined.effects,
         "curves": curves,
         "equation_friction": {
             name: _estimate(estimates, name, friction_unit(name, dataset.robot, temperatures))
@@ -198,11 +197,15 @@ def _levels(fit: Fit) -> np.ndarray:
 
 
 def sensor_estimates(
-    fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Finding], accuracy: float
+    fit: Fit,
+    vector: Estimates,
+    verdicts: Mapping[Parameter, Finding],
+    found: Sequence[SensorScale],
+    accuracy: float,
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors = fit.dataset.robot, fit.system.problem, []
-    scales = {scale.channel.name: scale for scale in (sensor_scales(fit) if fit.free_gains else ())}
+    scales = {scale.channel.name: scale for scale in found}
     sigma, signal = _levels(fit).tolist()
     for k in problem.sensor_channels:
         channel = problem.channels[k]
@@ -214,7 +217,7 @@ def sensor_estimates(
             if (name := Parameter(kind, channel.name)) in vector.unknowns.places
         }
         if scale := scales.get(channel.name):
-            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=sensor_verdict(scale, accuracy))
+            ratio = Estimate(joint, scale.value, scale.std, "1", verdict=scale.verdict(accuracy))
         delay = Parameter("delay", channel.name)
         delay_estimate = _estimate(vector, delay, "s", joint, verdicts[delay])
         residual = TorqueError(joint, sigma[k], signal[k], torque_unit(robot, joint))

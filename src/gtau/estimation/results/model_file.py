@@ -38,8 +38,7 @@ from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement,
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.extensions import registered
-from gtau.findings import Finding
-from gtau.findings.finding import finding_document, note_document, read_note
+from gtau.findings import Finding, finding_document, note_document, read_note
 from gtau.model.base_parameters import Equations
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import SHAPES, Parameter, parameter_of, unit_of

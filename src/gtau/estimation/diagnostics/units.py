@@ -1,30 +1,25 @@
-"""Checks of units and signs of a fit, against what is known beside the logs.
+"""Checks of units and signs, against what is known beside the logs.
 
-A wrong unit or sign fits the data as well as the truth, so that only sizes reveal it. What is known beside the logs
-speaks then: prior gains first, which settle the size of their joint's gain; else the gains of the other joints, what an
-arm of this reach carries, what drives take, the inertias of the robot's file, and the limits of effort. Each of these
-moves a gain by far more than its interval, so each decides its verdict.
+A wrong unit or sign fits the data as well as the truth, so that only sizes reveal it: grams for kilograms scale all
+gains and parameters, milliamperes for amperes a gain. Before any fit, currents, gravity and payloads have sizes. Of a
+fit, prior gains settle the size of their joint's gain; else the gains of the other joints speak, what an arm of this
+reach carries, what drives take, the inertias of the robot's file, and the limits of effort. Each of these moves a gain
+by far more than its interval, so each decides its verdict.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.unit_checks import (
-    SMALL_CURRENT,
-    check_milliamperes,
-    doubtful_currents,
-    doubtful_gravity,
-    doubtful_payloads,
-    reach_of,
-)
+from gtau.estimation.diagnostics.descriptions import REVERSED_CHANNELS
 from gtau.estimation.diagnostics.verdict import (
     FAR_APART,
+    LARGE_CURRENT,
     NEGATIVE_GAIN,
     NEGATIVE_STD,
     contradiction,
@@ -35,13 +30,21 @@ from gtau.estimation.effects.effect import Levels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
 from gtau.findings import Finding
-from gtau.findings.words import write_limits
+from gtau.findings.words import listed, write_limits
 from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
-from gtau.signals.reading.statements import FIRST_MOMENTS
+from gtau.robots.robot import GROUND, Robot
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+from gtau.signals.run import Run
+from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:
     from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 
+LARGEST_CURRENT = 100.0  # rms current of a joint, A, from which it is rather in mA
+SMALLEST_CURRENT = 0.02  # largest rms current of all joints, A, below which a current stated in mA is rather in A
+GRAVITY_RANGE = 0.04  # strength of gravity from 9.80 m/s2, or 1.62 on the moon, beyond which it is of no place
+PAYLOAD_DENSITY = 100.0  # mass of a payload over the cube of the arm's reach, kg/m3, from which it is rather in g
+CURRENTS_APART = 30.0  # rms current of a joint over the next smaller one, from which units may differ between joints
 PRIOR_FACTOR = 2.0  # gain over its prior, or the inverse
 GAINS_APART = 15.0  # gain of a joint over the next smaller one, turning joints and slides each among themselves
 FILE_FACTOR = 2.0  # rms of the identified first moments over the file's, or the inverse
@@ -54,8 +57,95 @@ EFFORT_FACTOR = 2.0  # rms torque over the joint's limit of effort
 LARGEST_VOLTAGE = 1500.0  # rms speed of a joint times its gain, V: what its motor induces, from which a unit is wrong
 BEYOND_GEARS = 1000.0  # largest torque scale of motor-side torques: beyond it a unit is wrong, or the torque vanishes
 
-PRIOR_GAIN, UNLIKE_FILE = "prior gain", "inertias out of scale"
+PRIOR_GAIN, UNLIKE_FILE, SMALL_CURRENT = "prior gain", "inertias out of scale", "current too small"
 EFFORT, DOUBTFUL_LIMIT = "effort limit", "doubtful effort limit"
+PLACES = (9.80, 1.62)  # m/s2, on earth and on the moon
+
+
+def doubtful_gravity(robot: Robot) -> Iterator[Finding]:
+    """Find a strength of gravity that is of no place where robots are; without gravity there is nothing to doubt."""
+    strength = float(np.linalg.norm(robot.gravity))
+    if strength and min(abs(strength - place) for place in PLACES) > GRAVITY_RANGE:
+        text = (
+            f"gravity is {strength:.4g} m/s2 in the robot's description, and 9.76 to 9.84 on earth; gains and "
+            "parameters that rest on weights have its error"
+        )
+        advice = (
+            "write 'gravity: [0, 0, -9.81]' in the robot file (in base axes; 'moon' and 'none' are words), or state "
+            "'prior_gains' if it is right"
+        )
+        yield contradiction("strength of gravity", (), text, advice, shown_as="model")
+
+
+def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterator[Finding]:
+    """Find currents that no drive takes, or that differ much between joints; a floating ``base`` has none."""
+    if runs[0].kind != "current":
+        return
+    joints, squares = runs[0].joints, 0.0
+    for run in runs:
+        for span in spans(len(run.time)):
+            squares = squares + np.sum(block(run.command, *span)[:, : len(joints)] ** 2, axis=0)
+    sizes = np.sqrt(squares / sum(len(run.time) for run in runs)).tolist()
+    # joints at rest may have no current
+    driven = sorted((rms, joint) for joint, rms in zip(joints, sizes, strict=True) if joint not in base and rms > 0)
+    if not driven:
+        return
+    most, largest = driven[-1]
+    if large := tuple(joint for rms, joint in driven if rms > LARGEST_CURRENT):
+        text = f"the current of joint '{largest}' is {most:.4g} A rms, more than drives of robots take"
+        advice = "if it is in mA, write units: {current: mA}; otherwise state 'prior_gains'"
+        yield contradiction(LARGE_CURRENT, large, text, advice, largest, shown_as="unit")
+    if most < SMALLEST_CURRENT:
+        text = f"the largest current, of joint '{largest}', is {most:.2g} A rms, less than drives of robots take"
+        names = tuple(joint for _, joint in driven)
+        yield contradiction(SMALL_CURRENT, names, text, check_milliamperes(runs), largest, shown_as="unit")
+    for (small, below), (larger, above) in pairwise(driven):
+        if larger > CURRENTS_APART * small:
+            text = (
+                f"the current of joint '{above}' is {larger / small:.3g} times the current of '{below}' ({larger:.3g} "
+                f"and {small:.3g} A rms)"
+            )
+            advice = "check that the columns are in the same unit (A, mA, % or counts), and convert the others"
+            yield Finding("currents far apart", (above,), below, text=text, advice=advice, shown_as="unit")
+
+
+def check_milliamperes(runs: Sequence[Run]) -> str:
+    """Advise what to check where currents look too small."""
+    mass = " and the payload's mass (kg)" if any(run.payload for run in runs) else ""
+    return f"check the unit of the currents (A stated as mA?){mass}; if both are right, state 'prior_gains'"
+
+
+def doubtful_payloads(robot: Robot, payloads: Iterable[Payload | None]) -> Iterator[Finding]:
+    """Find masses too large for an arm of this reach."""
+    reach = reach_of(robot) or np.inf
+    most = PAYLOAD_DENSITY * reach**3
+    for name, mass in dict.fromkeys((payload.name, payload.mass) for payload in payloads if payload):
+        if mass is not None and mass > most:
+            text = (
+                f"payload '{name}' weighs {mass:.4g} kg, more than arms that reach {reach:.2g} m carry (about "
+                f"{most:.3g} kg at most); all drive gains are proportional to it"
+            )
+            advice = f"if it is in g, write 'mass: {0.001 * mass:.4g}' (kg); otherwise state 'prior_gains'"
+            yield contradiction("payload too heavy", (), text, advice, name, shown_as="unit")
+
+
+def reach_of(robot: Robot) -> float | None:
+    """Add up the links from the ground to the body that carries payloads, m.
+
+    None where a slide has no limits, and of robots with closures and floating ones, which carry more.
+    """
+    if robot.closures or robot.floating:
+        return None
+    reach, body = 0.0, robot.tool
+    while body != GROUND:
+        joint = robot.joint(body)
+        reach += float(np.linalg.norm(joint.placement.position))
+        if joint.kind == "prismatic":
+            if joint.limits.position is None:
+                return None
+            reach += max(map(abs, joint.limits.position))
+        body = joint.antecedent
+    return reach
 
 
 def units_and_signs(
@@ -77,7 +167,7 @@ def units_and_signs(
     known = dict[str, float]()
     if fit.free_gains:
         # signed, of joints whose interval excludes zero
-        gains = zip(fit.system.problem.joints, fit.gains, half_widths(fit, estimates), strict=True)
+        gains = zip(fit.problem.joints, fit.gains, half_widths(fit, estimates), strict=True)
         known = {joint: float(gain) for joint, gain, half in gains if half < 1 and joint not in dataset.robot.base}
         yield from _unlike_priors(fit, known, prior_gains)
         yield from doubted(_gains_apart(fit, known))
@@ -86,9 +176,9 @@ def units_and_signs(
     yield from doubted(doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)))
     yield from doubted(finding for finding in currents if finding.kind != SMALL_CURRENT)
     yield from doubted(doubtful_gravity(dataset.robot))
-    yield from doubted((list(unlike_file(audit)) if audit else []) or unlike_arms(fit, estimates))
+    yield from doubted((list(_unlike_file(audit)) if audit else []) or _unlike_arms(fit, estimates))
     yield from _efforts_exceeded(fit, settled)
-    yield from doubted([*(_voltages(fit, known) if known else ()), *small])
+    yield from doubted([*_voltages(fit, known), *small])
 
 
 def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, float]) -> Iterator[Finding]:
@@ -96,9 +186,9 @@ def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, fl
 
     Without a prior they are positive.
     """
-    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
+    robot, kind = fit.dataset.robot, fit.kind
     least, most = (1 / OTHER_UNIT, BEYOND_GEARS / 2) if kind == "torque" else (0.0, np.inf)
-    for joint, gain in zip(fit.system.problem.joints, fit.gains.tolist(), strict=True):
+    for joint, gain in zip(fit.problem.joints, fit.gains.tolist(), strict=True):
         prior = priors.get(joint)
         ratio = abs(gain / prior) if prior else 1.0
         if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
@@ -125,7 +215,7 @@ def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, fl
 
 def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
     """Find joints whose gains differ from all others by more than motors and gears of one robot explain."""
-    robot, kind = fit.dataset.robot, fit.dataset.runs[0].kind
+    robot, kind = fit.dataset.robot, fit.kind
     by_unit: dict[str, list[tuple[float, str]]] = {}
     for joint, gain in known.items():
         by_unit.setdefault(gain_unit(robot, joint, kind), []).append((abs(gain), joint))
@@ -152,48 +242,64 @@ def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
 
 def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
     """Find gains that are too large for the speed of their joint, as a motor's voltage per speed is its gain."""
-    problem, kind = fit.system.problem, fit.dataset.runs[0].kind
-    speeds = dict(zip(problem.joints, Levels(fit).speeds.tolist(), strict=False))
+    runs, robot = fit.dataset.runs, fit.dataset.robot
+    speeds = dict(zip(fit.problem.joints, Levels(fit).speeds.tolist(), strict=False))
     volts = {joint: abs(gain) * speeds[joint] for joint, gain in known.items()}
     worst = max(volts, key=lambda joint: volts[joint], default="")
-    if kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:
-        gain = f"{abs(known[worst]):.4g} {gain_unit(fit.dataset.robot, worst, kind)}"
+    if runs[0].kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:
+        gain = f"{abs(known[worst]):.4g} {gain_unit(robot, worst, 'current')}"
         text = (
             f"the gain of '{worst}', {gain}, would induce {volts[worst]:.3g} V in its motor at the logged speed (rms), "
             "more than drives of robots supply"
         )
-        yield contradiction(SMALL_CURRENT, (), text, check_milliamperes(fit.dataset.runs), worst, shown_as="unit")
+        yield contradiction(SMALL_CURRENT, (), text, check_milliamperes(runs), worst, shown_as="unit")
 
 
-def unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
-    """Find first moments that are out of scale with the robot's file, by one factor for all."""
+def reversed_by_file(fit: Fit, audit: InertiaAudit) -> Iterator[Finding]:
+    """Find that first moments have the other sign than in the robot's file: all torques may be reversed together."""
+    identified, stated = _first_moments(audit)
+    if fit.free_gains or len(stated) < 2 or identified @ stated > -(stated @ stated) / FILE_FACTOR:
+        return
+    names, kind = motors(fit), fit.kind
+    text = f"the {kind}s of {listed(names)} look reversed: the inertias of the robot file contradict their sign"
+    yield contradiction(REVERSED_CHANNELS, names, text, f"check the signs of the {kind} and position columns")
+
+
+def _first_moments(audit: InertiaAudit) -> np.ndarray:
+    """List the first moments that differ from zero, from the data and by the file (2, m)."""
     moments = [
         (audited.value, audited.stated)
         for audited in audit.parameters
         if parameter_of(audited.name).kind in FIRST_MOMENTS and audited.value and audited.std and audited.stated
         if abs(audited.value) > NEGATIVE_STD * audited.std
     ]
-    if len(moments) >= 2:
-        identified, stated = np.abs(np.transpose(moments))
-        factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))
-        apart, ratios = max(factor, 1 / factor), np.log(identified / stated / factor)
-        common = np.mean(np.abs(ratios) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
-        if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
-            text = (
-                f"the first moments of the links are {factor:.3g} times the first moments in the robot's file (rms of "
-                f"{len(moments)})"
-            )
-            advice = (
-                "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is "
-                "wrong, state 'prior_gains'"
-            )
-            yield contradiction(UNLIKE_FILE, (), text, advice, shown_as="model")
+    return np.reshape(moments, (-1, 2)).T
 
 
-def unlike_arms(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
+def _unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
+    """Find first moments that are out of scale with the robot's file, by one factor for all."""
+    identified, stated = np.abs(_first_moments(audit))
+    if len(stated) < 2:
+        return
+    factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))
+    apart, ratios = max(factor, 1 / factor), np.log(identified / stated / factor)
+    common = np.mean(np.abs(ratios) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
+    if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
+        text = (
+            f"the first moments of the links are {factor:.3g} times the first moments in the robot's file (rms of "
+            f"{len(stated)})"
+        )
+        advice = (
+            "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is "
+            "wrong, state 'prior_gains'"
+        )
+        yield contradiction(UNLIKE_FILE, (), text, advice, shown_as="model")
+
+
+def _unlike_arms(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     """Find logged torques by which an arm of this reach would be far lighter or heavier than arms are."""
     reach, theta = reach_of(fit.dataset.robot), fit.solution.theta
-    if not reach or fit.free_gains or fit.dataset.runs[0].kind != "torque":
+    if not reach or fit.free_gains or fit.kind != "torque":
         return
     std = np.sqrt(np.diag(estimates.covariance))
     moments = [
@@ -202,7 +308,8 @@ def unlike_arms(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
         if parameter_of(name).kind in FIRST_MOMENTS and abs(theta[place]) > NEGATIVE_STD * std[place]
     ]
     moment, name = max(moments, default=(0.0, ""))
-    if moments and not LIGHTEST <= (weight := 2 * moment / reach**2) <= HEAVIEST:
+    weight = 2 * moment / reach**2
+    if moments and not LIGHTEST <= weight <= HEAVIEST:
         text = (
             f"the largest first moment, {name} = {moment:.2g} kg m, means an arm of {weight:.2g} kg per metre of its "
             f"reach of {reach:.2g} m, and arms have 0.3 to 300 kg"
@@ -215,7 +322,7 @@ def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
 
     The limit, not the torque, is in doubt where the gain is ``settled``, and on an arm with the same limit everywhere.
     """
-    robot, problem = fit.dataset.robot, fit.system.problem
+    robot, problem, kind = fit.dataset.robot, fit.problem, fit.kind
     limits = {joint: robot.joint(joint).limits.effort for joint in problem.joints}
     if len(limits) >= 3 and len(set(limits.values())) == 1 and not robot.closures:
         settled = limits  # a placeholder
@@ -223,13 +330,11 @@ def _efforts_exceeded(fit: Fit, settled: Collection[str]) -> Iterator[Finding]:
     torques = dict(zip(problem.joints, levels.tolist(), strict=False))
     ratios = {joint: torques[joint] / limit for joint, limit in limits.items() if limit}
     over = sorted((joint for joint, ratio in ratios.items() if ratio > EFFORT_FACTOR), key=lambda name: -ratios[name])
-    kind = fit.dataset.runs[0].kind
     for limit_doubted in (True, False):
         joints = tuple(joint for joint in over if (joint in settled) == limit_doubted)
         if not joints:
             continue
-        worst = joints[0]
-        unit = torque_unit(robot, worst)
+        worst, unit = joints[0], torque_unit(robot, joints[0])
         text = (
             f"the torque of '{worst}' is {torques[worst]:.3g} {unit} (rms), {ratios[worst]:.3g} times its limit of "
             f"{limits[worst]:.4g} {unit}"

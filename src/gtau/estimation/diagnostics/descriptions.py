@@ -1,0 +1,277 @@
+"""Fit the same rows under other descriptions of robot and logs, and compare them with the user's by their likelihood.
+
+Parameters adapt to a wrong description, so that torques computed with them do not have the shape of the residuals, and
+a linear test points anywhere: the robot is fitted again.
+
+- With a body at the tool in some runs: its ten inertial columns (eq. 18) are unknown in the run where that explains
+  most, then in a second one, as long as it explains much more. An unknown load explains part of any fault of one run
+  alone; only a mass far from the declared one is a body.
+- With payloads on another body.
+- With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
+  contradicts the others. All reversed explain the same, with negative masses.
+- With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
+  preceding one, and its motor stands there. Fanuc, ABB and palletisers log ``J2 + J3`` as J3. The motor becomes a joint
+  of its own, coupled to both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
+from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
+from gtau.estimation.regression.factors import SIGNALS
+from gtau.estimation.regression.priors import require_scale
+from gtau.findings import Finding
+from gtau.findings.words import listed, to_width
+from gtau.progress import Progress
+from gtau.robots.parameter import Parameter, payload_label
+from gtau.robots.robot import Coupling, Robot
+from gtau.signals.reading.statements import Payload
+
+LEFT = 0.5  # part of the residual variance, geometric mean of all joints, that is left with another description
+REVERSED_LEFT = 0.7  # and with one torque reversed
+ALIKE = 1.05  # residual variance over the least of all: below, as likely
+REFUTED_STD = 6.0  # size of another description in standard deviations
+MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
+
+TOOL_BODIES, TOOL_BODY, PAYLOAD_BODY = "tool bodies", "body at the tool", "payload on another body"
+REVERSED_CHANNELS, COLUMNS = "reversed channels", "columns"
+
+
+def refitted(
+    fit: Fit, payloads: Sequence[Payload | None] | None = None, dataset: Dataset | None = None, method: str = "ml"
+) -> Fit | None:
+    """Fit the same equations with other loads, or another dataset's priors; None where then nothing gives the scale."""
+    system = fit.system.again(dataset, payloads=payloads)
+    payloads = [run.payload for run in fit.dataset.runs] if payloads is None else payloads
+    try:
+        if fit.free_gains:
+            require_scale(fit.dataset.robot, system.problem, system.stated, payloads, method)
+        solution = fit.solve(system.problem)
+    except GtauError:
+        return None
+    return replace(fit, system=system, solution=solution)
+
+
+def unrefined(fit: Fit) -> Fit:
+    """Give a fit the residuals of one pass, to compare with other fits."""
+    return replace(fit, solution=replace(fit.solution, sigma=fit.solve(fit.problem).sigma))
+
+
+def residual_ratio(other: Fit, unaltered: Fit) -> float:
+    """Compute the residual variance relative to another fit, the geometric mean over all channels (the likelihood's).
+
+    So a single joint that feels gravity, say, counts among many that do not.
+    """
+    rows = unaltered.problem.total_rows
+    return float(np.exp(2 * rows @ np.log(other.solution.sigma / unaltered.solution.sigma) / rows.sum()))
+
+
+def described_otherwise(effect: str, cause: Finding, other: Fit, unaltered: Fit) -> EstimatedEffect:
+    """Compare a fit with another description to the ``unaltered`` one, with the user's description."""
+    rows, ratio = unaltered.problem.total_rows, other.solution.sigma / unaltered.solution.sigma
+    likelihood = -float(rows @ np.log(ratio))
+    share = min(1 - float(rows @ ratio**2 / rows.sum()), 1.0)
+    change = 100 * (other.gains / unaltered.gains - 1) if unaltered.free_gains else np.zeros(len(unaltered.gains))
+    moves = dict(zip(unaltered.dataset.model.actuated, change.tolist(), strict=True))
+    moves = {joint: moves[joint] for joint in unaltered.dataset.robot.motors}
+    cause = replace(cause, values={**cause.values, "remains": residual_ratio(other, unaltered)})
+    return EstimatedEffect(effect, cause, 1.0, 0.0, "", likelihood, share, moves, description=True)
+
+
+def _one_after_the_other(
+    unaltered: Fit,
+    alter: Callable[[tuple[int, ...]], Fit | None],
+    numbers: range,
+    most: int,
+    left: float,
+    preferred: Callable[[Fit, tuple[int, ...]], float] = lambda other, chosen: 0.0,
+) -> tuple[tuple[int, ...], Fit]:
+    """Alter one joint or run more as long as that leaves at most ``left`` of the residuals."""
+    chosen, best, remains = tuple[int, ...](), unaltered, 1.0
+    while len(chosen) < most:
+        tried = {}
+        for number in numbers:
+            wider = (*chosen, number)
+            if number not in chosen and (other := alter(wider)) is not None:
+                tried[wider] = residual_ratio(other, unaltered), other
+        least = min((ratio for ratio, _ in tried.values()), default=1.0)
+        if least > left * remains:
+            break
+        alike = [wider for wider, (ratio, _) in tried.items() if ratio <= ALIKE * least]
+        chosen = max(alike, key=lambda wider: (preferred(tried[wider][1], wider), -tried[wider][0]))
+        remains, best = tried[chosen]
+    return chosen, best
+
+
+def other_body(fit: Fit) -> EstimatedEffect | None:
+    """Find the body on which payloads explain the residuals, if it is another one than the tool."""
+    unaltered, model = unrefined(fit), fit.dataset.model
+    robot, best, remains = model.robot, unaltered, LEFT
+    for body in robot.bodies:
+        if body != robot.tool and Parameter("m", body) in model.parameter_names and fit.system.payloads:
+            equations = replace(fit.dataset.equations, model=model.altered(named_tool=body), known=fit.dataset.base)
+            other = refitted(fit, dataset=replace(fit.dataset, equations=equations))
+            if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
+                best, remains = other, ratio
+    if best is unaltered:
+        return None
+    body = best.dataset.model.robot.tool
+    text = f"the payload on '{body}' in place of '{robot.tool}'"
+    advice = (
+        f"check which body carries the payload; write 'tool: {body}' in the robot file (gtau robot --save makes one of "
+        "any robot)"
+    )
+    cause = Finding(PAYLOAD_BODY, subject=body, text=text, advice=advice)
+    return described_otherwise(TOOL_BODIES, cause, best, unaltered)
+
+
+def other_loads(fit: Fit) -> EstimatedEffect | None:
+    """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
+    from scipy.special import stdtrit
+
+    runs, unaltered = fit.dataset.runs, unrefined(fit)
+    declared = np.array([run.payload.mass or 0.0 if run.payload else 0.0 for run in runs])
+
+    def masses(carried: tuple[int, ...]) -> list[Parameter]:
+        return [Parameter("m", payload_label(fit.dataset.robot, run)) for run in carried]
+
+    def loaded(carried: tuple[int, ...]) -> Fit | None:
+        loads = [Payload(name=f"of run {k}") if k in carried else run.payload for k, run in enumerate(runs)]
+        other = refitted(fit, loads)
+        if other is None or not set(masses(carried)) <= set(other.problem.parameters):
+            return None
+        return other if set(other.system.unexcited) <= set(fit.system.unexcited) else None
+
+    def added(other: Fit, carried: tuple[int, ...]) -> np.ndarray:
+        places = other.problem.unknowns.at(masses(carried))
+        return np.asarray(other.solution.theta[places] - declared[list(carried)])
+
+    # a body in some runs is one that the others lack: more is forgotten than taken away
+    carried, other = _one_after_the_other(
+        unaltered, loaded, range(len(runs)), max(len(runs) - 1, 1), LEFT, lambda fit, carried: added(fit, carried)[-1]
+    )
+    if not carried:
+        return None
+    problem, more = other.problem, added(other, carried)
+    places = problem.unknowns.at(masses(carried))
+    std = np.sqrt(np.diag(other.solution.jackknife))[places]
+    if np.any(np.abs(more) < np.maximum(REFUTED_STD * std, MASS_ABSENT * declared[list(carried)])):
+        return None
+    halves = std * stdtrit(degrees_of_freedom(problem, other.solution, fit.free_gains)[places], 0.975)
+    bodies = []
+    for number, mass, half in zip(carried, more.tolist(), halves.tolist(), strict=True):
+        payload = runs[number].payload
+        name = "" if payload is None or payload.mass is None else payload.name
+        bodies.append({"run": runs[number].name, "more": mass, "half": half, "declared": name})
+    helped = (other.solution.sigma / unaltered.solution.sigma) ** 2 < LEFT
+    joints = tuple(joint for joint, less in zip(problem.joints, helped, strict=False) if less)
+    text = " and ".join(_at_the_tool(**body) for body in bodies)
+    advice = (
+        "check which runs carry the payload and its mass, and declare the load of every run ('payload: {name: ..., "
+        "mass: ...}' beside its 'log')"
+    )
+    cause = Finding(TOOL_BODY, joints, values={"bodies": bodies}, text=text, advice=advice)
+    return described_otherwise(TOOL_BODIES, cause, other, unaltered)
+
+
+def _at_the_tool(run: str, more: float, half: float, declared: str) -> str:
+    """Describe the body at the tool in a run, by its mass beyond what is ``declared``."""
+    low, mass, high = (to_width(abs(more) + side * half, half) for side in (-1, 0, 1))
+    sized = f"{mass} kg (95 % interval {low} to {high} kg)"
+    if declared:
+        return f"{sized} {'more' if more > 0 else 'less'} at the tool in run '{run}' than payload '{declared}'"
+    if more < 0:
+        return f"{sized} less at the tool in run '{run}' than in the others"
+    return f"an undeclared body of {sized} at the tool in run '{run}'"
+
+
+def reversed_torques(fit: Fit) -> EstimatedEffect | None:
+    """Find the joints whose torques are reversed against the other joints; None where gains have their own signs."""
+    if fit.free_gains:
+        return None
+    problem, unaltered = fit.problem, unrefined(fit)
+
+    def turned(joints: tuple[int, ...]) -> Fit:
+        blocks = problem.blocks.copy()
+        blocks[:, joints, :, SIGNALS] *= -1
+        other = replace(problem, blocks=blocks)
+        return replace(fit, system=replace(fit.system, problem=other), solution=fit.solve(other))
+
+    n = len(problem.joints)
+    joints, best = _one_after_the_other(unaltered, turned, range(n), n // 2, REVERSED_LEFT)
+    if not joints:
+        return None
+    names = tuple(problem.joints[j] for j in joints)
+    text = f"reversed torques of {listed(names)}"
+    advice = f"check the signs of the {fit.kind} and position columns of {listed(names)}"
+    cause = Finding(REVERSED_CHANNELS, names, text=text, advice=advice)
+    return described_otherwise(COLUMNS, cause, best, unaltered)
+
+
+def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:
+    """Find a joint whose angle is measured, and whose motor stands, as in a parallelogram."""
+    unaltered, remains, explained = unrefined(fit), LEFT, None
+    described = list(_with_parallelogram(fit.dataset.robot))
+    gains = None if fit.free_gains else fit.gains
+    for number, (joint, before, robot) in enumerate(described):
+        progress("angles from other links", number, len(described))
+        try:
+            dataset = reduce_runs(robot, fit.dataset.runs, fit.dataset.preparation)
+            system = dataset.system(per_run=len(dataset.runs) > 1)
+            other = fit_by(ml_or_wls(gains), system, fit.free_gains)
+        except GtauError:
+            continue
+        if (ratio := residual_ratio(other, unaltered)) >= remains:
+            continue
+        beside = fit.dataset.robot.joint(before).antecedent
+        text = f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,"
+        advice = (
+            "log the angle between the links, or describe the parallelogram in the robot file, as the catalog's "
+            f"'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link"
+        )
+        cause = Finding(COLUMNS, (joint,), text=text, advice=advice)
+        remains, explained = ratio, described_otherwise(COLUMNS, cause, other, unaltered)
+    progress("angles from other links", len(described), len(described))
+    return explained
+
+
+def angle_of_parallelogram(system: System, progress: Progress) -> Finding | None:
+    """Say which angle makes the iteration of the gains diverge, if one does."""
+    try:
+        angle = angle_from_another_link(fit_by(likeliest, system, free_gains=True), progress)
+    except GtauError:
+        return None
+    return None if angle is None else angle.cause
+
+
+def _with_parallelogram(robot: Robot) -> Iterator[tuple[str, str, Robot]]:
+    """Describe the robot with each motor standing beside the motor before it, where their axes are parallel."""
+    joints = {joint.name: joint for joint in robot.joints}
+    if robot.closures or robot.couplings:
+        return
+    for place, joint in enumerate(robot.joints):
+        before = joints.get(joint.antecedent)
+        if before is None or not (joint.actuated and before.actuated and joint.turns and before.turns):
+            continue
+        along = float(np.array(before.axis) @ np.array(joint.placement.rotation) @ np.array(joint.axis))
+        if not np.isclose(abs(along), 1.0, rtol=0, atol=1e-6):
+            continue
+        link = replace(joint, name=f"{joint.name} link", actuated=False, parameters="inertial")
+        motor = replace(before, name=joint.name, parameters="drive", limits=joint.limits, home=0.0)
+        moved = {joint.name: link.name}
+        others = [replace(other, antecedent=moved.get(other.antecedent, other.antecedent)) for other in robot.joints]
+        others[place : place + 1] = [motor, link]
+        sign = 1.0 if along > 0 else -1.0
+        coupling = Coupling(link.name, ((joint.name, sign), (before.name, -sign)))
+        tool = moved.get(robot.tool, robot.tool)
+        yield joint.name, before.name, replace(robot, joints=tuple(others), couplings=(coupling,), named_tool=tool)

@@ -1,0 +1,340 @@
+"""What the scale rests on: stated payloads, torque sensors, measured wrenches and priors, and whether the data agree.
+
+Currents alone leave the scale open: gains and parameters may all be twice as large. It comes from constants stated in N
+m or kg. With all of them larger by one per cent, every gain and parameter is larger by one per cent too; so the shares
+by which a gain grows with each source alone add up to one. Each constant is tested by the others: it is estimated
+instead, and the data are fitted again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.descriptions import refitted, residual_ratio
+from gtau.estimation.diagnostics.verdict import (
+    APART,
+    GOOD,
+    WIDTH,
+    contradiction,
+    half_widths,
+    motors,
+    unexplained_shares,
+)
+from gtau.estimation.effects.linearisation import weights_of
+from gtau.estimation.estimators.estimator import Fit, Solve
+from gtau.estimation.estimators.newton import solve
+from gtau.estimation.regression.assembly import known_values
+from gtau.estimation.regression.dataset import System
+from gtau.estimation.regression.factors import KNOWN, SIGNALS
+from gtau.estimation.regression.priors import require_scale
+from gtau.estimation.regression.problem import Estimates, Problem
+from gtau.findings import Finding, Grade
+from gtau.model.base_parameters import whole_mass
+from gtau.robots.parameter import unit_of
+from gtau.signals.channel import Channel
+from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+
+MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
+PAYLOAD_MOVES = 0.01  # relative move of the gains when a known payload parameter is estimated instead
+IN_METRES = 4.0  # times that a moment must be nearer to mass times the stated value, which is then in m
+ALIKE_SCALES = 0.05  # probability that the torque scales of joints which share one differ by as much
+LEAST_OTHERS = 0.001  # share of all else in an estimate that has a prior, below which it is the prior
+STEP = 1e-3  # of a source, for the derivatives of the gains
+
+SCALED_BY_FILE = "the inertias of the robot's file"
+SENSOR = "contradictory torque sensor"
+SENSOR_ADVICE = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
+PAYLOAD, PRIOR = "contradictory payload", "contradictory prior"
+PAYLOAD_MASS, PAYLOAD_PARAMETER = "payload mass", "payload parameter"
+
+Enlarged = Callable[[float], Problem]
+"""Makes a problem in which a source of the scale is larger by a share of itself."""
+
+
+def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
+    """List what gives the scale, with its relative standard deviation, 0 if it is exact, and what that is of."""
+    problem, dataset = system.problem, system.dataset
+
+    def heavier(name: str, masses: bool, by: float) -> Problem:
+        loads = []
+        for load in (run.payload for run in dataset.runs):
+            if load is not None and load.name == name:
+                factor = 1.0 if masses else 1 + by
+                parameters = {kind: factor * value for kind, value in load.parameters.items()}
+                mass = None if load.mass is None else (1 + by) * load.mass
+                load = load.model_copy(update={"mass": mass, "parameters": parameters})
+            loads.append(load)
+        return system.again(payloads=loads).problem
+
+    def louder(channels: Sequence[int], torques: np.ndarray | float, by: float) -> Problem:
+        blocks = problem.blocks.copy()
+        blocks[:, channels, :, SIGNALS] *= 1 + by
+        blocks[..., KNOWN] += by * torques
+        return replace(problem, blocks=blocks)
+
+    def known(by: float) -> Problem:
+        values = problem.known.copy()
+        values[:, -1] *= 1 + by
+        return replace(problem, known=values)
+
+    loads = {load.payload.name: load.payload for load in reversed(system.payloads) if load.acts}
+    for name, payload in reversed(loads.items()):
+        std = payload.mass_std / payload.mass if payload.mass else 0.0
+        yield f"payload '{name}'", partial(heavier, name, False), std, partial(heavier, name, True)
+    for k in problem.sensor_channels:
+        channel, sensor = problem.channels[k], partial(louder, [k], 0.0)
+        yield f"{channel.kind.name} of '{channel.joint}'", sensor, channel.std, sensor
+    if problem.base or system.wrench_columns is not None:
+        torques = 0.0 if system.wrench_columns is None else system.wrench_columns
+        measured = [channel.std for channel in dataset.runs[0].channels if not channel.kind.measures_joint]
+        wrenches = partial(louder, problem.base, torques)
+        yield _wrenches(problem), wrenches, max(measured, default=0.0), wrenches
+    if len(problem.known):
+        yield SCALED_BY_FILE if dataset.scaled_by_file else "known parameters", known, 0.0, known
+
+
+def _wrenches(problem: Problem) -> str:
+    """Name the measured wrenches; with a base that floats they are those on the base too."""
+    base = [problem.channels[k].joint for k in problem.base]
+    if base and problem.wrenches:
+        return "measured wrenches"
+    bodies = problem.wrenches or base[-1:]
+    return f"wrench{'es' * (len(bodies) > 1)} on {', '.join(repr(body) for body in bodies)}"
+
+
+def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
+    """Find the share of each source in the scale of the joints' estimated gains, source to (n,); they add up to one."""
+    shares, n = dict[str, np.ndarray](), len(fit.gains)
+    for source, enlarged, *_ in sources(fit.system):
+        above, below = (fit.solve(enlarged(by)).gains[:n] for by in (STEP, -STEP))
+        shares[source] = (above - below) / (2 * STEP * fit.gains)
+    total = np.sum(list(shares.values()), axis=0)  # one, up to rounding
+    total = np.where(total == 0.0, 1.0, total)  # of a base, whose gain is known
+    return {source: share / total for source, share in shares.items()}
+
+
+def scale_uncertainty(system: System, again: Solve) -> np.ndarray:
+    """Compute the covariance of (theta, gains, delays) that the uncertainty of stated constants adds, (k, k).
+
+    Each is larger and smaller by its standard deviation, and ``again`` says how far the estimates move. The uncertainty
+    of known parameters is in the solution's own covariance.
+    """
+    extra = np.zeros((len(system.problem.unknowns),) * 2)
+    for *_, std, enlarged in sources(system):
+        if std:
+            above, below = (again(enlarged(by)).values for by in (std, -std))
+            extra += np.outer(above - below, above - below) / 4
+    return extra
+
+
+@dataclass(frozen=True, eq=False)
+class SensorScale:
+    """Ratio of a joint's torque from the other stated constants to its sensor's torque, with its standard deviation.
+
+    Each gain moves by ``gain_shift`` (n,), a share of itself, where the scale of the sensor is estimated, not taken as
+    1.
+    """
+
+    channel: Channel
+    value: float
+    std: float
+    gain_shift: np.ndarray
+
+    def verdict(self, accuracy: float) -> Finding:
+        """Judge the scale: contradictory where it differs from 1 significantly and by more than the ``accuracy``."""
+        if abs(self.value - 1) <= max(APART * self.std, accuracy):
+            return GOOD
+        text = f"all other data give torques {self.value:.4g} times its reading (standard deviation {self.std:.2g})"
+        return contradiction("sensor scale", (), text, SENSOR_ADVICE, shown_as="model")
+
+
+def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
+    """Estimate the scale of each sensor from the other stated constants, where there are any."""
+    problem, scales = fit.problem, []
+    payloads = [run.payload for run in fit.dataset.runs]
+    for k in problem.sensor_channels:
+        channel, channels = problem.channels[k], list(problem.channels)
+        channels[k] = replace(channel, kind=replace(channel.kind, calibration=""))
+        freed = replace(problem, channels=tuple(channels), factored=problem.triangles, independent=problem.own_columns)
+        try:
+            require_scale(fit.dataset.robot, freed, fit.system.stated, payloads, "ml")
+        except GtauError:
+            continue  # without this sensor nothing gives the scale
+        other = solve(freed, fit.solution.values, lambda squares: weights_of(fit), True)  # each counts as in the fit
+        place = problem.unknowns.gains.start + k
+        std = float(np.hypot(np.sqrt(other.jackknife[place, place]), channel.std))
+        shift = other.gains[: len(fit.gains)] / fit.gains - 1
+        scales.append(SensorScale(channel, float(other.gains[k]), std, shift))
+    return tuple(scales)
+
+
+def sensor_contradictions(scales: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
+    """Find the gains of ``joints`` (n,) that rest on a sensor contradicting the other stated constants."""
+    for scale in sorted(scales, key=lambda scale: -float(np.abs(scale.gain_shift).max())):
+        moves = np.abs(scale.gain_shift)
+        moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
+        if scale.verdict(accuracy).outcome == Grade.CONTRADICTORY and moved:
+            sensor, joint = scale.channel.kind.name, scale.channel.joint
+            text = f"the scale comes from the {sensor} of '{joint}', which contradicts all other data"
+            yield contradiction(SENSOR, moved, text, SENSOR_ADVICE, joint)
+
+
+def contradictory_payload(name: str, joints: tuple[str, ...], given: bool = False) -> Finding:
+    """Find, against the gains of some joints, a payload that contradicts the data."""
+    text = f"the scale comes from payload '{name}', which contradicts the data"
+    if given:
+        text = f"payload '{name}', which contradicts the data, leaves this joint unexplained"
+    return contradiction(PAYLOAD, joints, text, "correct the payload", name)
+
+
+def contradictory_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
+    """Find base parameters that differ without their prior by more than the ``accuracy`` (relative) from it.
+
+    Each estimate is a mean of what all else says and the prior, whose weight is its share in the information; a prior
+    that alone sets the scale has the weight 1. A prior on the mass of a floating robot is against all gains.
+    """
+    dataset, parameters, base = fit.dataset, fit.problem.parameters, fit.dataset.base.names
+    mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
+    priors = {name: prior for name, prior in dataset.stated_priors.items() if name in base and name in parameters}
+    limit = -ndtri(ndtr(-APART) / max(len(priors), 1))  # of many priors some are further off
+    for name, prior in priors.items():
+        if prior.value is None or prior.std is None:
+            continue
+        k = parameters.index(name)
+        others = 1 - float(fit.solution.covariance[k, k]) / prior.std**2
+        if others < LEAST_OTHERS:
+            continue
+        value = prior.value + (float(fit.solution.theta[k]) - prior.value) / others
+        variance = estimates.covariance[k, k] - ((1 - others) * prior.std) ** 2
+        std = float(np.sqrt(max(variance, 0.0))) / others
+        apart = float(np.hypot(std, prior.std))
+        if abs(value - prior.value) <= max(limit * apart, accuracy * abs(prior.value)):
+            continue
+        text = f"{name} is {value:.4g} from the data (standard deviation {std:.2g}), but {prior.value:.4g} from its "
+        text += f"prior ({prior.std:.2g})"
+        advice = "check its value, and the units and signs of the other scale references: payloads, sensors, wrenches"
+        if name == mass:
+            yield contradiction("contradictory mass", motors(fit), f"the mass of the robot, {text}", advice, mass)
+        size = abs(value - prior.value) / (WIDTH * apart)
+        text = f"the known parameter {text}"
+        yield Finding(PRIOR, subject=name, size=size, text=text, advice=advice, shown_as="model")
+
+
+def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
+    """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
+    from scipy.stats import chi2
+
+    masses = {run.payload.name: run.payload.mass for run in fit.dataset.runs if run.payload}
+    known = {name: mass for name, mass in masses.items() if mass is not None}
+    judged = np.flatnonzero(half_widths(fit, estimates) < 1)
+    if not fit.free_gains or fit.kind != "torque" or fit.problem.scaled or len(known) != 1 or len(judged) < 2:
+        return
+    rows = fit.problem.gain_rows
+    covariance = estimates.covariance[rows, rows][np.ix_(judged, judged)]
+    gains, precision = fit.gains[judged], np.linalg.pinv(covariance)
+    variance = 1 / float(precision.sum())
+    scale, std = variance * float(precision.sum(axis=0) @ gains), float(np.sqrt(variance))
+    apart = float((gains - scale) @ precision @ (gains - scale))
+    if chi2.sf(apart, len(judged) - 1) > ALIKE_SCALES and abs(scale - 1) > max(APART * std, accuracy):
+        ((name, mass),) = known.items()
+        yield Finding(
+            "common torque scale",
+            subject=name,
+            size=abs(scale - 1) / (WIDTH * std),
+            text=f"one factor, {scale:.3g} (standard deviation {std:.2g}), explains the torque scale of all joints; a "
+            f"mass of {mass / scale:.3g} kg for payload '{name}' (stated: {mass:.4g} kg) would explain it equally",
+            advice="reweigh the payload before you correct the torques",
+            shown_as="model",
+        )
+
+
+def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Finding]:
+    """Estimate each known value of a payload in turn, with given gains or gains from the other constants.
+
+    Where the data contradict several values of a payload, the verdict names the one that leaves least when it alone is
+    freed. The mass of a single payload that sets the scale alone is not tested. Given gains are taken for exact to the
+    ``accuracy`` (relative). Returns verdicts by the names of the payloads that have a value to test.
+    """
+    payloads = [run.payload for run in fit.dataset.runs if run.payload]
+    known = {payload.name: payload for payload in payloads if payload.mass is not None}
+    masses = ("m",) if not fit.free_gains or len(known) > 1 or fit.problem.scaled else ()
+    verdicts = {}
+    for name, payload in known.items():
+        tried = (_freed(fit, method, payload, kind, accuracy) for kind in (*masses, *payload.parameters))
+        if freed := [result for result in tried if result is not None]:
+            verdicts[name] = min(freed, key=lambda result: result[0])[1]
+    return verdicts
+
+
+def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) -> tuple[float, Finding] | None:
+    """Estimate a payload's parameter without stating it: what that leaves, and a verdict; None if not identifiable."""
+    values = {other: value for other, value in payload.parameters.items() if other != kind}
+    mass = None if kind == "m" else payload.mass
+    changed = payload.model_copy(update={"mass": mass, "parameters": values})
+    stated = [run.payload for run in fit.dataset.runs]
+    other = refitted(fit, [changed if load and load.name == payload.name else load for load in stated], method=method)
+    if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
+        return None  # without this value nothing gives the scale, or it cannot be separated from what is not declared
+    problem, theta, stds = other.problem, other.solution.theta, np.sqrt(np.diag(other.solution.jackknife))
+    columns = [
+        problem.unknowns.places[label]
+        for load in other.system.payloads
+        if load.payload.name == payload.name
+        for label, sums in zip(load.unknown, load.sums, strict=True)
+        if label.kind == kind and np.count_nonzero(sums) == 1 and label in problem.unknowns.places
+    ]
+    if not columns:
+        return None
+    best = min(columns, key=lambda k: float(stds[k]))
+    value, declared = float(theta[best]), known_values(payload)[kind]
+    std = float(np.hypot(stds[best], payload.mass_std if mass is None else value * payload.mass_std / mass))
+    likelihood = float(problem.total_rows @ np.log(other.solution.sigma))
+    small = abs(value - declared) <= accuracy * abs(declared)
+    if fit.free_gains:
+        small = kind != "m" and float(np.abs(other.solution.gains / fit.solution.gains - 1).max()) < PAYLOAD_MOVES
+    if small or abs(value - declared) <= APART * std:
+        return likelihood, GOOD
+    return likelihood, _contradicted(fit, other, payload, kind, value, std)
+
+
+def _contradicted(fit: Fit, other: Fit, payload: Payload, kind: str, value: float, std: float) -> Finding:
+    """Find that all other data give a parameter of a payload another value, with its standard deviation."""
+    declared, mass = known_values(payload)[kind], payload.mass or 0.0
+    if kind == "m":
+        wrong = PAYLOAD_MASS
+        text = f"all other data give it a mass of {value:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg"
+        advice = "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared"
+        if not fit.free_gains:
+            torques = fit.kind == "torque"
+            doubted = "the unit and scale of the torques" if torques else "the given gains"
+            again = "use --method ml" if torques else "identify the gains"
+            advice = (
+                f"check which runs carry the payload, its mass (kg) and {doubted}; if the mass is certain, {again}: it "
+                "then sets their scale"
+            )
+    else:
+        wrong, unit = PAYLOAD_PARAMETER, unit_of(kind, fit.dataset.robot, fit.dataset.robot.tool)
+        text = (
+            f"given its mass and all other data, its {kind} is {value:.4g} {unit} (standard deviation {std:.2g}), not "
+            f"{declared:.4g} {unit}"
+        )
+        advice = f"check {kind}, its frame (the body that carries the payload) and the mass; or omit {kind}"
+        if kind in FIRST_MOMENTS and abs(value - mass * declared) < abs(value - declared) / IN_METRES:
+            in_metres = f"write '{kind}: {mass * declared:.4g}' (mass times distance, kg m)"
+            advice = f"if {declared:.4g} is in m, {in_metres}; otherwise {advice}"
+    joints, values = _explained(fit, other), {"remains": residual_ratio(other, fit)}
+    size = abs(value - declared) / std
+    return contradiction(wrong, joints, text, advice, payload.name, values=values, size=size, shown_as="model")
+
+
+def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:
+    """List the joints whose torque only the fit leaves unexplained, not the other one."""
+    before, after = map(unexplained_shares, (fit, other))
+    joints = zip(fit.problem.joints, before, after, strict=False)
+    return tuple(joint for joint, share, less in joints if share > MISFIT_GIVEN >= less)
