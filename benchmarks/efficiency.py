@@ -14,12 +14,13 @@ import argparse
 from dataclasses import replace
 
 import numpy as np
-from gtau.estimation.diagnostics.linearisation import FitWindow, weights_of
 from random_part import NOISE, QUIET, RATE, Case, make_case, spoilt
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
+from gtau.estimation.effects.effect import FitWindow
+from gtau.estimation.effects.rows import weighted, weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.estimators.newton import to_gains
@@ -44,7 +45,7 @@ def jacobians(fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
     for run, prepared in enumerate(fit.dataset.prepared):
         window = FitWindow(fit, run, prepared.samples())
         A, keep = window.rows()
-        _, J = window.errors_and_jacobian(A)
+        _, J = weighted(fit, window.equations(A))
         found.append((J / weights_of(fit)[:, None, None], keep))
     return found
 

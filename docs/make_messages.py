@@ -14,7 +14,7 @@ from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
 
-from gtau.estimation.effects.registry import EFFECTS
+from gtau.estimation.effects.known import EFFECTS
 from gtau.findings import VERDICTS, Finding, Grade
 
 ROOT = Path(__file__).parents[1]

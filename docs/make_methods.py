@@ -10,7 +10,7 @@ import re
 from importlib import import_module
 from pathlib import Path
 
-from gtau.estimation.effects.registry import EFFECTS
+from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.estimators.registry import PLACES
 
 PAGE = Path(__file__).parent / "lookup" / "verdicts.md"

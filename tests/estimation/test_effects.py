@@ -11,11 +11,10 @@ import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from stated_arm import plant, robot
 
-from gtau.estimation.effects.description import contradictions, estimated_effects
 from gtau.estimation.effects.effect import EstimatedEffect, Levels
-from gtau.estimation.effects.estimate import Mixed, estimate_effects
-from gtau.estimation.effects.registry import EFFECTS
-from gtau.estimation.effects.run_drift import difference_root, run_covariance, run_modes
+from gtau.estimation.effects.estimate import Mixed, contradictions, estimate_effects, estimated_effects
+from gtau.estimation.effects.known import EFFECTS
+from gtau.estimation.effects.rows import difference_root, run_covariance, run_modes
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import Grade

@@ -14,7 +14,7 @@ from gtau.estimation.diagnostics.gains import explained_share, refuted, refuted_
 from gtau.estimation.diagnostics.gravity import log_with_gravity
 from gtau.estimation.diagnostics.verdict import GOOD, WRENCHES, wrenches_first
 from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
-from gtau.estimation.effects.registry import EFFECTS
+from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.results.conclusions import not_separated
 from gtau.findings import Finding, Grade, finding_document
 from gtau.findings.words import listed, percent, percents

@@ -17,8 +17,8 @@ from gtau.documents.files import write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import APART
-from gtau.estimation.effects.description import CONTRADICTED
 from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.estimate import CONTRADICTED
 from gtau.estimation.effects.known.friction_drift import EFFECT as FRICTION_DRIFT
 from gtau.estimation.effects.known.gain_drift import EFFECT as GAIN_DRIFT
 from gtau.estimation.experiment_runs import options_of

@@ -29,7 +29,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from gtau.errors import GtauError
-from gtau.estimation.effects.knots import hats
+from gtau.estimation.effects.effect import hats
 from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings.words import to_width

@@ -21,7 +21,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.gravity import WITHOUT_GRAVITY
 from gtau.estimation.diagnostics.verdict import WRENCHES, contradiction
-from gtau.estimation.effects.linearisation import least_squares_step
+from gtau.estimation.effects.rows import least_squares_step
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle

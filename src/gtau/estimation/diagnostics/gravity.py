@@ -19,10 +19,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import ALIKE, LEFT, described_otherwise, residual_ratio
-from gtau.estimation.effects.effect import EstimatedEffect, Levels
+from gtau.estimation.effects.effect import EstimatedEffect, Levels, window_motion
 from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY
 from gtau.estimation.effects.known.gravity import clock_words, gravity_changes
-from gtau.estimation.effects.linearisation import linearise, on_channels, window_motion
+from gtau.estimation.effects.rows import fitted_sizes
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -150,9 +150,8 @@ def _freely(at: Fit) -> Iterator[Fit]:
     windows = list(enumerate(at.dataset.prepared))
     for _ in range(STEPS):
         gravity = np.array(at.dataset.robot.gravity)
-        linear = linearise(at, windows, on_channels(GRAVITY.torques, GRAVITY.shared))  # type: ignore[arg-type]
         size = float(np.linalg.norm(gravity))
-        turned = gravity + linear.fitted(slice(2))[0][-2:] @ gravity_changes(gravity)[:2]
+        turned = gravity + fitted_sizes(at, windows, GRAVITY, 2) @ gravity_changes(gravity)[:2]  # type: ignore[arg-type]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
         try:

@@ -26,7 +26,7 @@ from gtau.estimation.diagnostics.verdict import (
     motors,
     unexplained_shares,
 )
-from gtau.estimation.effects.linearisation import weights_of
+from gtau.estimation.effects.rows import weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve
 from gtau.estimation.estimators.newton import solve
 from gtau.estimation.regression.assembly import known_values

@@ -1,20 +1,136 @@
-"""What an effect is, and the levels of a fit that its columns are scaled by."""
+"""What an effect is, the windows of a fit along which it acts, and the levels that its columns are scaled by."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.effects.linearisation import WindowTorques
+from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.factors import channel_rows
+from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.findings import Finding
+from gtau.model.inverse_dynamics import InverseDynamics, Regressor
+from gtau.model.loops import Motion
+from gtau.robots.parameter import BY_LOAD
+from gtau.signals.preparation.filters import Decimator
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 RELATIVE = "of itself"  # unit of a size that is a share of what it changes
+STEP = 0.1  # of the unit of a position: the torques' change is linear over this
+LEAST_FRICTION = 0.02  # of the rms torque: less is no level to scale columns by
+
 Words = tuple[str, str]
 """The cause in words, and what to do about it."""
+Torques = Callable[[Rows], np.ndarray]
+"""Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
+
+
+def window_motion(model: InverseDynamics, window: SampleWindow, c: np.ndarray | None = None) -> Motion:
+    """Compute the motion along a window, with configurations ``c`` (n_c, N); raises GtauError at a singularity."""
+    samples, c = window.samples(), configurations(model, window) if c is None else c
+    c, qd, qdd = map(np.ascontiguousarray, (c, samples.qd.T, samples.qdd.T))
+    return model.rates(c, qd, qdd, instants(window.run.name, samples.time))
+
+
+@dataclass(frozen=True, eq=False)
+class FitWindow:
+    """A ``window`` of a ``run`` (its number), along which effects add what the model of a ``fit`` lacks."""
+
+    fit: Fit
+    run: int
+    window: SampleWindow
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The motion along the window; raises GtauError at a singularity."""
+        return window_motion(self.fit.dataset.model, self.window)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Values of the base columns in the run, (n_b,)."""
+        return self.fit.system.motion(self.run, self.fit.solution.theta)
+
+    @property
+    def regressor(self) -> Regressor:
+        """Regressor of the base columns."""
+        return self.fit.dataset.model.columns(self.fit.dataset.base.standard)
+
+    @property
+    def decimator(self) -> Decimator:
+        """Decimator of the run."""
+        return self.fit.dataset.preparation.at(self.window.run.rate).decimator
+
+    def torques_along(self, motion: Motion, values: np.ndarray) -> np.ndarray:
+        """Compute the torques (n, N) of the base columns with some values along a motion."""
+        return self.regressor.torques_along(self.fit.dataset.model.layout, motion, values)
+
+    def torques(self, rows: Rows) -> np.ndarray:
+        """Compute the model's torques (n, K) at rows of the window."""
+        return self.regressor.torques(rows.entries, self.values, len(self.fit.gains))
+
+    def along_run(self, time: np.ndarray) -> np.ndarray:
+        """Map instants in the window's run to -0.5 at its beginning, 0.5 at its end."""
+        begin, *_, end = self.fit.dataset.prepared[self.run].time[[0, -1]]
+        return np.asarray((time - begin) / max(end - begin, 1e-12) - 0.5)
+
+    def decimated(self, torques: np.ndarray) -> Torques:
+        """Decimate torques (m, n, N), made at every sample of the window, into columns."""
+        decimated = self.decimator.apply(torques)  # (m, n, outputs)
+        return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
+
+    def with_positions(self, moved: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Torques:
+        """Compute how torques change along other motions (N, n), each moved by a ``STEP`` of its unit, a column each.
+
+        Wrong zeros and scales of positions, and elastic joints, add such torques.
+        """
+        model, window = self.fit.dataset.model, self.window
+        before, labels = self.torques_along(self.motion, self.values), instants(window.run.name, window.time)
+        columns = []
+        for q, qd, qdd in moved:
+            other = replace(window, q=q, qd=qd, qdd=qdd, part_of=None)
+            try:  # from each configuration, so that loops are closed as before
+                path = model.near(self.motion.c, np.ascontiguousarray(q.T), labels)
+                after = self.torques_along(window_motion(model, other, path), self.values)
+            except GtauError:
+                after = before  # the loops do not close there: nothing is said of this joint
+            columns.append((after - before) / STEP)
+        return self.decimated(np.array(columns))
+
+    def rows(self, torques: WindowTorques | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Compute the decimated rows of the window (c, K, columns + m), and which of them are kept (c, K).
+
+        They have the columns of :class:`gtau.estimation.regression.factors.Factors`, and m of the ``torques``.
+        """
+        system, added = self.fit.system, torques and torques(self)
+        loaded = any(term.kind in BY_LOAD for term in system.terms)
+        load = system.load(self.run, self.fit.solution.theta) if loaded else None
+        rows, keep = [], []
+        for part in stream_rows(self.fit.dataset.model, self.regressor, self.window, self.decimator, load):
+            A = channel_rows(self.regressor, system.problem.channels, part)
+            rows.append(np.concatenate([A, added(part)], axis=-1) if added else A)
+            keep.append(part.keep)
+        return np.concatenate(rows, axis=1), np.concatenate(keep, axis=1)
+
+    def equations(self, rows: np.ndarray) -> np.ndarray:
+        """Map ``rows`` (c, p, .) to the columns of the fit's problem, (c, p, n_theta + 4)."""
+        system, warm, time = self.fit.system, self.fit.dataset.temperatures, self.window.time
+        above = None if warm is None else warm.between(self.run, time[0], time[-1])
+        maps = system.map(self.run, above)[..., system.unreduced.columns_of(system.problem.parameters)]
+        return np.asarray(rows[..., : maps.shape[1]] @ maps)
+
+
+WindowTorques = Callable[[FitWindow], Torques]
+"""Makes the columns of an effect along a window."""
+
+
+def hats(x: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Evaluate hats at ``knots`` (m, n), evenly spaced, along values (N, n) of n joints: a linear spline, (m, n, N)."""
+    width = np.maximum(knots[1] - knots[0], 1e-300)
+    return np.maximum(0.0, 1 - np.abs(x.T[None] - knots[:, :, None]) / width[None, :, None])
 
 
 @dataclass(frozen=True)
@@ -171,6 +287,6 @@ class Levels:
 
     @cached_property
     def friction_torques(self) -> np.ndarray:
-        """Friction at the rms speed, 2 % of the rms torque at least, N m or N."""
+        """Friction at the rms speed, ``LEAST_FRICTION`` of the rms torque at least, N m or N."""
         fv, fs = self.friction
-        return np.maximum(fv * self.speeds + fs, 0.02 * self.torques)
+        return np.maximum(fv * self.speeds + fs, LEAST_FRICTION * self.torques)

@@ -1,17 +1,16 @@
-"""Estimate all effects of a fit together with its parameters, gains and delays."""
+"""Estimate all effects of a fit with its parameters, gains and delays, and describe them: what they are and explain."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect
-from gtau.estimation.effects.linearisation import weights_of
+from gtau.estimation.effects.effect import Effect, EffectColumn, EstimatedEffect
+from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, fit_mixed, posterior
-from gtau.estimation.effects.registry import EFFECTS
-from gtau.estimation.effects.rows import EffectRows, Linear, effect_rows, linear_at
+from gtau.estimation.effects.rows import EffectRows, Layout, Linear, effect_rows, linear_at, run_modes, weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import finish
 from gtau.estimation.regression.run_blocks import WINDOWS
@@ -22,6 +21,12 @@ WIDER = 1.15  # of a gain's standard deviation
 FLOOR = 5e-4  # of a gain
 NONLINEAR, FAR = 0.005, 0.5  # moves of a gain between which columns are made again
 STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
+
+CONTRADICTED = 8.0  # log-likelihood that is lost without an effect that contradicts the description
+CLOSE = 3.0  # log-likelihood by which a cause is likelier, up to which the other is said too
+
+SPANNED = 1e-6  # information on a column beside others, in plausible sizes: less, and they span it
+SEEN = 0.02  # of its plausible size: an effect below is not listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,3 +110,164 @@ def _random(mixed: MixedFit, linear: Linear) -> np.ndarray:
     k = mixed.model.unknowns
     slopes = linear.slopes[:, :k]
     return np.asarray(slopes @ alone.covariance[:k, :k] @ slopes.T)
+
+
+def estimated_effects(result: Mixed) -> tuple[EstimatedEffect, ...]:
+    """List all effects with a size, the best supported first."""
+    return tuple(sorted(_estimated(result), key=lambda effect: -effect.likelihood))
+
+
+def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
+    """List the effects: each column that all joints share, and of each drive the largest one."""
+    mixed, explained = result.mixed, Influence(result)
+    for number, layout in enumerate(result.rows.layouts):
+        if mixed.sizes[number] < SEEN:
+            continue
+        effect, lost = layout.effect, mixed.lost_without([number])
+        for column, common, own in _columns(result, number, layout):
+            value, covariance = mixed.at.move(common[None], [part[None] for part in own])
+            size, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
+            if not size:
+                continue
+            all_sizes = np.zeros_like(common), [np.zeros_like(part) for part in own]
+            if effect.shared:
+                all_sizes[0][common != 0] = size / column.plausible
+            else:
+                j = result.rows.fit.system.problem.joints.index(column.joint)
+                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own[j][layout.places]
+            share, moves, torque = explained(*all_sizes)
+            if effect.function:
+                size, std = torque, torque * std / abs(size)
+            against = effect.description or abs(size) - 2 * std > effect.harmless
+            cause, beyond = effect.cause(result.rows.fit, column, size), abs(size) > column.largest
+            yield EstimatedEffect(effect.name, cause, size, std, column.unit, lost, share, moves, against, beyond)
+
+
+def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
+    """Find the columns that contradict the description one by one, the best first, all physics beside them.
+
+    Columns that look alike share the posterior, so that none of them is sure. What the data say of all of them without
+    any prior, their information matrix and score, gives each alone: its size, and the likelihood that it adds.
+    """
+    mixed = result.mixed
+    against = [n for n, layout in enumerate(result.rows.layouts) if layout.effect.description]
+    log_s = mixed.log_s.copy()
+    log_s[against] = 0.0
+    at = posterior(mixed.model, mixed.grams, log_s)
+    opened = replace(result, mixed=replace(mixed, log_s=log_s, at=at))
+    listed = [(result.rows.layouts[n].effect, *column)
+              for n in against for column in _columns(opened, n, result.rows.layouts[n])]  # fmt: skip
+    if not listed:
+        return ()
+    plausible = np.array([column.plausible for _, column, *_ in listed])
+    F = np.array([common for _, _, common, _ in listed])
+    own = [np.array([parts[j] for *_, parts in listed]) for j in range(len(mixed.model.rows))]
+    mean, covariance = at.move(F / plausible[:, None], [part / plausible[:, None] for part in own])
+    precision = np.linalg.pinv(covariance, rcond=SPANNED, hermitian=True)
+    information, score = precision - np.eye(len(listed)), precision @ mean
+    explained, chosen, effects = Influence(result), list[int](), list[EstimatedEffect]()
+    while len(chosen) < len(listed):
+        # what is left of each once those chosen are fitted
+        held = information[np.ix_(chosen, chosen)]
+        slopes = np.linalg.solve(held, information[chosen]) if chosen else np.zeros((0, len(listed)))
+        remaining = score - score[chosen] @ slopes
+        curvature = np.diag(information) - np.einsum("ij,ij->j", information[chosen], slopes)
+        curvature = np.where(np.isin(range(len(listed)), chosen) | (curvature < SPANNED), np.inf, curvature)
+        gains = remaining**2 / curvature / 2
+        best = int(np.argmax(gains))
+        if gains[best] < CONTRADICTED:
+            break
+        chosen.append(best)
+        effect, column, common, parts = listed[best]
+        size = float(remaining[best] / curvature[best])
+        share, moves, _ = explained(size * (common != 0), [size * (part != 0) for part in parts])
+        size, std = size * column.plausible, float(column.plausible / np.sqrt(curvature[best]))
+        cause = effect.cause(result.rows.fit, column, size)
+        alike = [
+            k for k in np.argsort(-gains) if k != best and gains[k] > gains[best] - CLOSE and np.isfinite(curvature[k])
+        ]
+        if alike:
+            other, other_column = listed[alike[0]][:2]
+            other_size = float(remaining[alike[0]] / curvature[alike[0]] * other_column.plausible)
+            also, _ = other.say(result.rows.fit, other_column, other_size)
+            cause = replace(cause, text=f"{cause.text}, or as likely {also}")
+        likelihood, beyond = float(gains[best]), abs(size) > column.largest
+        effects.append(
+            EstimatedEffect(effect.name, cause, size, std, column.unit, likelihood, share, moves, True, beyond)
+        )
+    return tuple(effects)
+
+
+def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[EffectColumn, np.ndarray, list[np.ndarray]]]:
+    """List what of an effect has a size of its own, as functionals of the common and of each channel's own effects."""
+    mixed, fit, effect = result.mixed, result.rows.fit, layout.effect
+    nothing = [np.zeros(len(mixed.model.own)) for _ in mixed.model.rows]
+    common, scale = np.zeros(len(mixed.at.common)), mixed.sizes[number]
+    if effect.shared:
+        first = mixed.model.unknowns + len(result.rows.in_runs[0]) + layout.start
+        for k, column in enumerate(layout.columns):
+            functional = common.copy()
+            functional[first + k] = scale * column.plausible
+            yield column, functional, nothing
+        return
+    for j, joint in enumerate(fit.system.problem.joints):
+        if joint not in fit.dataset.robot.motors:
+            continue
+        u, std = mixed.at.own[j][layout.places], np.sqrt(mixed.at.variance(j)[layout.places])
+        own, about = [part.copy() for part in nothing], ""
+        if effect.in_runs:  # of the run that differs most from the mean of all
+            modes = run_modes(len(fit.dataset.runs))
+            modes = modes - modes.mean(axis=0)
+            k, run = 0, int(np.argmax(np.abs(modes @ u)))
+            own[j][layout.places] = scale * layout.columns[0].plausible * modes[run]
+            about = fit.dataset.runs[run].name
+        else:
+            k = int(np.argmax(np.abs(u) / std))
+            own[j][layout.start + k] = scale * layout.columns[k].plausible
+        yield replace(layout.columns[k], joint=joint, about=about or layout.columns[k].about), common, own
+
+
+class Influence:
+    """What columns of some size explain of the residuals of plain least squares, and by how much they move gains."""
+
+    def __init__(self, result: Mixed) -> None:
+        self.result, model = result, result.mixed.model
+        m, k = len(model.own), model.unknowns
+        self.unknown = slice(m, m + k)
+        self.plain = [part.products[[0, 1, 4]].sum(axis=0) for part in model.rows]
+        J = model.known[:k, :k] + sum(part[self.unknown, self.unknown] for part in self.plain)
+        self.inverse = np.linalg.pinv(J, rcond=1e-10, hermitian=True)
+        e = model.known[:k, k] + sum(part[self.unknown, -1] for part in self.plain)
+        square = sum(float(part[-1, -1]) for part in self.plain)
+        self.e, self.squares = e, max(square - float(e @ self.inverse @ e), 1e-300)
+
+    def __call__(self, common: np.ndarray, own: Sequence[np.ndarray]) -> tuple[float, dict[str, float], float]:
+        """Compute share, moves of the gains (per cent), and the largest rms torque over the torque of its joint.
+
+        Sizes of the columns, in plausible sizes, are those among the ``common`` and each channel's ``own`` ones.
+        """
+        model, fit = self.result.mixed.model, self.result.rows.fit
+        k = model.unknowns
+        J_c, c_e, c_c, torque = np.zeros(k), 0.0, 0.0, 0.0
+        for j, (part, u) in enumerate(zip(self.plain, own, strict=True)):
+            column = np.concatenate([u, np.zeros(k), common[k:], [0.0]])
+            if not column.any():
+                continue
+            product = part @ column
+            J_c += product[self.unknown]
+            c_e += float(product[-1])
+            c_c += float(column @ product)
+            count = max(float(model.rows[j].counts.sum()), 1.0)
+            rms = np.sqrt(max(float(column @ product), 0.0) / count) / weights_of(fit)[j]
+            torque = max(torque, rms / max(float(fit.system.problem.balance(fit.solution.theta)[j]), 1e-300))
+        step = self.inverse @ J_c
+        rest = c_c - float(J_c @ step)
+        share = -(2 * (c_e - float(step @ self.e)) + rest) / self.squares
+        move = self.result.linear.slopes[:, :k] @ step
+        gains = fit.solution.gains
+        moves = {
+            joint: 100 * float(move[fit.system.problem.gain_rows][j] / gains[j])
+            for j, joint in enumerate(fit.dataset.model.actuated)
+            if joint in fit.dataset.robot.motors
+        }
+        return min(max(share, 0.0), 1.0), moves, float(torque)

@@ -2,30 +2,143 @@
 
 The rows hold the columns of the problem itself, from which residuals and Jacobian follow at any estimates: these are
 moved by the posterior and linearised again until they stay, without another pass over the logs.
+
+Viscous and Coulomb friction that differ between runs are parameters of the model (``fv_2@0``), as warm-up makes
+friction drift by per cents, which is invisible in a single run and ruins the drive gains. How far they lie apart is
+found with the sizes of all effects; they drift from run to run as those effects do that differ between runs.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels
-from gtau.estimation.effects.friction_of_run import NAME as FRICTION_OF_RUN
-from gtau.estimation.effects.friction_of_run import PLAUSIBLE as FRICTION_CHANGE
-from gtau.estimation.effects.linearisation import FitWindow, known_rows, on_channels, side_by_side, weights_of
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques
+from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, lag_products
-from gtau.estimation.effects.registry import EFFECTS
-from gtau.estimation.effects.run_drift import difference_root, run_modes
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import split, to_gains
-from gtau.estimation.regression.factors import FIXED
+from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, split, to_gains
+from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
+from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
 
 LARGEST = 3.0  # plausible sizes: what contradicts a description may be larger than physics
 UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which nothing determines it
+RANK = 1e-6  # of the largest singular value: directions below it are left out of a least-squares step
+FRICTION_OF_RUN = "friction of a run"
+FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs
+ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (experience; 1 and 10 change no interval
+# of the experiments in docs/evidence/coverage.md by more than a fifth)
+MODES = 8  # largest modes that are kept of a longer series
+
+
+def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
+    values, weights = fit.solution.values, weights_of(fit)[:, None]
+    J = jacobian(blocks, values, fit.system.problem, fit.free_gains)
+    return residuals(blocks, values) * weights, J * weights[..., None]
+
+
+def weights_of(fit: Fit) -> np.ndarray:
+    """Compute the weights of the channels' errors, (c,)."""
+    return np.asarray(1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
+
+
+def slopes_of(fit: Fit) -> np.ndarray:
+    """Differentiate (theta, gains, delays) by the unknowns of the Jacobian, (k, .)."""
+    return to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
+
+
+def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the residuals (q,) of the known parameters and their Jacobian (q, k), rows beside the windows'.
+
+    They count against as many rows as the windows have.
+    """
+    problem, samples = fit.system.problem, sum(map(len, fit.dataset.prepared))
+    weight = np.sqrt(min(sum(len(window) for _, window in windows) / samples, 1.0))
+    errors = problem.known[:, :-1] @ fit.solution.theta - problem.known[:, -1]
+    return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
+
+
+def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+    """Stack the triangles (., columns) of W windows and c channels, (W, c, p, columns), filled up with zero rows."""
+    height = max(len(R) for window in reduced for R in window)
+    T = np.zeros((len(reduced), len(reduced[0]), height, reduced[0][0].shape[1]))
+    for w, c in np.ndindex(T.shape[:2]):
+        T[w, c, : len(reduced[w][c])] = reduced[w][c]
+    return T
+
+
+def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
+    """Solve for the steps (k, ...) that minimise ``e + J step``, in the directions that are excited."""
+    scale = np.linalg.norm(J, axis=0)
+    scale[scale == 0] = 1.0
+    return np.asarray((np.linalg.lstsq(J / scale, -e, rcond=RANK)[0].T / scale).T)
+
+
+def fitted_sizes(fit: Fit, windows: Windows, effect: Effect, count: int) -> np.ndarray:
+    """Fit the sizes of an effect's first columns together with all unknowns, along windows; raises GtauError."""
+    errors, jacobians, first = [], [], fit.dataset.base.count + EXTRA
+    columns = slice(first, first + count)
+    for run, window in windows:
+        at = FitWindow(fit, run, window)
+        rows, keep = at.rows(_columns_of([effect]))
+        R = stacked_triangles([[triangle(block[kept]) for block, kept in zip(rows, keep, strict=True)]])[0]
+        added = (
+            -R[..., fit.dataset.base.count + EXTRA :][..., :count]
+            * (weights_of(fit) / fit.solution.gains)[:, None, None]
+        )
+        e, J = weighted(fit, at.equations(R))
+        errors.append(e.reshape(-1))
+        jacobians.append(np.concatenate([J, added], axis=-1).reshape(len(errors[-1]), -1))
+    e, J = known_rows(fit, windows)
+    beside = np.zeros((len(e), added.shape[-1]))
+    step = least_squares_step(np.vstack([*jacobians, np.hstack([J, beside])]), np.concatenate([*errors, e]))
+    return step[J.shape[1] :]
+
+
+def _columns_of(effects: Sequence[Effect]) -> Callable[[FitWindow], Torques]:
+    """Make the columns of several effects in one pass over a window.
+
+    A torque sensor behind a drive feels what links do, the shared effects, and not what drives do.
+    """
+
+    def columns(at: FitWindow) -> Torques:
+        parts = [effect.torques(at) for effect in effects]
+        behind = [channel.row for channel in at.window.run.channels if channel.kind.link_side]
+
+        def by_channel(rows: Rows) -> np.ndarray:
+            torques = [
+                np.concatenate([part, part[behind] * effect.shared])
+                for effect, part in zip(effects, (part(rows) for part in parts), strict=True)
+            ]
+            return np.concatenate(torques, axis=-1)
+
+        return by_channel
+
+    return columns
+
+
+def run_covariance(runs: int) -> np.ndarray:
+    """Compute the covariance (runs, runs) of a drift of unit variance."""
+    order = np.arange(runs)
+    return np.exp(-np.abs(order[:, None] - order) / ALONG)
+
+
+def run_modes(runs: int) -> np.ndarray:
+    """Compute the modes (runs, modes) whose sum with independent unit sizes drifts like that."""
+    values, vectors = np.linalg.eigh(run_covariance(runs))
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0)))[:, ::-1][:, :MODES])
+
+
+def difference_root(runs: int) -> np.ndarray:
+    """Factor the covariance of the differences from the mean of all runs but the last, (runs - 1, runs - 1)."""
+    centred = np.eye(runs) - 1 / runs
+    covariance = (centred @ run_covariance(runs) @ centred)[:-1, :-1]
+    return np.linalg.cholesky(covariance + 1e-9 * np.eye(runs - 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,19 +201,15 @@ def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS)
         layout = Layout(effect, columns, starts[effect.shared], modes.shape[1] if effect.in_runs else 1)
         starts[effect.shared] = layout.places.stop
         layouts.append(layout)
-    torques = side_by_side([on_channels(effect.torques, effect.shared) for effect, _ in acting])
+    torques = _columns_of([effect for effect, _ in acting])
     plausible = np.array([column.plausible for _, columns in acting for column in columns])
-    system, problem, warm = fit.system, fit.system.problem, fit.dataset.temperatures
-    unreduced = system.unreduced.columns_of(problem.parameters)
     weights, gains = weights_of(fit), fit.solution.gains
-    driven = problem.unknown_gains  # a base that floats, or a sensor, has no drive of its own
+    driven = fit.system.problem.unknown_gains  # a base that floats, or a sensor, has no drive of its own
     products: list[LagProducts] | None = None
     for run, window in windows:
         at = FitWindow(fit, run, window)
         A, keep = at.rows(torques)
-        above = None if warm is None else warm.between(run, window.time[0], window.time[-1])
-        maps = system.map(run, above)[..., unreduced]
-        equations = A[..., : maps.shape[1]] @ maps * weights[:, None, None]
+        equations = at.equations(A) * weights[:, None, None]
         columns = -A[..., A.shape[-1] - len(plausible) :] * plausible * (weights / gains)[:, None, None]
         rows = np.concatenate([*_placed(layouts, columns, modes[run], driven, False), equations,
                                *_placed(layouts, columns, modes[run], driven, True)], axis=-1)  # fmt: skip

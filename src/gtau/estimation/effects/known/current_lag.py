@@ -5,8 +5,7 @@ The derivative is of the model's torque: the measured current is correlated with
 
 from __future__ import annotations
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 from gtau.signals.preparation.filters import differentiate
 

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
-from gtau.estimation.effects.positions import STEP, with_positions
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Levels, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.assembly import is_transmitted
 from gtau.signals.preparation.filters import differentiate
@@ -28,7 +26,7 @@ def _torques(at: FitWindow) -> Torques:
     deflected = (
         tuple(motion - STEP * step * joint for motion, step in zip(motions, steps, strict=True)) for joint in joints
     )
-    return with_positions(at, deflected)
+    return at.with_positions(deflected)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:

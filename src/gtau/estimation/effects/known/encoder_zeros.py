@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
-from gtau.estimation.effects.positions import STEP, position_units, with_positions
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.5  # degrees or mm: experience; xMate7 Pro: joint 2 +1.05 +- 0.15 deg against its file
@@ -14,13 +12,17 @@ LARGEST = {"deg": 12.0, "mm": 100.0}  # a Sawyer's zero off by 5.73 degrees is f
 SI = {"deg": np.pi / 180, "mm": 1e-3}
 
 
+def _units(fit: Fit) -> list[str]:
+    return ["deg" if fit.dataset.robot.joint(joint).turns else "mm" for joint in fit.dataset.model.actuated]
+
+
 def _torques(at: FitWindow) -> Torques:
-    window, steps = at.window, np.diag([STEP * SI[unit] for unit in position_units(at.fit)])
-    return with_positions(at, ((window.q + step, window.qd, window.qdd) for step in steps))
+    window, steps = at.window, np.diag([STEP * SI[unit] for unit in _units(at.fit)])
+    return at.with_positions((window.q + step, window.qd, window.qdd) for step in steps)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
-    joints = zip(fit.dataset.model.actuated, position_units(fit), strict=True)
+    joints = zip(fit.dataset.model.actuated, _units(fit), strict=True)
     return [EffectColumn(PLAUSIBLE, unit, joint, largest=LARGEST[unit]) for joint, unit in joints]
 
 

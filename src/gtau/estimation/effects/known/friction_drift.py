@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 from gtau.robots.parameter import Parameter
 

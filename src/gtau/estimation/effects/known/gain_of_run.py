@@ -6,9 +6,7 @@ constant, can move the gain by 5. All that the payload does not add to is the sa
 
 from __future__ import annotations
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
-from gtau.estimation.effects.run_drift import runs_of
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.01  # relative change between runs: 0.001 a kelvin of the magnets (data sheets of servo motors)
@@ -20,7 +18,7 @@ def _torques(at: FitWindow) -> Torques:
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
-    return [EffectColumn(PLAUSIBLE)] if fit.free_gains and runs_of(fit) > 1 else []
+    return [EffectColumn(PLAUSIBLE)] if fit.free_gains and len(fit.dataset.runs) > 1 else []
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
-from gtau.estimation.effects.positions import STEP, with_positions
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 1.0  # per cent: 5 widened the intervals of an AIRBOT Play, whose positions are noisy, by 60 %
@@ -17,7 +15,7 @@ PER_CENT = 1e-2
 def _torques(at: FitWindow) -> Torques:
     window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
     factors = 1 + STEP * PER_CENT * joints
-    return with_positions(at, ((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors))
+    return at.with_positions((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:

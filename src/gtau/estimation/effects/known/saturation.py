@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.03  # relative fall up to twice the rms current: 0 to 0.05 (data sheets of servo motors)

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Levels, Words
-from gtau.estimation.effects.knots import hats
-from gtau.estimation.effects.linearisation import FitWindow, Torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words, hats
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.1  # of the friction at the rms speed: experience

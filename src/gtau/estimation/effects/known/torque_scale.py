@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.1  # relative error of one joint's torques, or of its given gain: experience

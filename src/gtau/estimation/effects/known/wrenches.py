@@ -10,8 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, Words
-from gtau.estimation.effects.linearisation import FitWindow, Torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.rows import external_torques
 from gtau.robots.placement import WRENCH
