@@ -1,6 +1,8 @@
 """Elastic joints: the motor, whose position is logged, leads its link by the torque over the stiffness.
 
-The deflection of a joint moves the links behind it, so it changes the torques of all joints.
+The deflection of a joint moves the links behind it, so it changes the torques of all joints. The model does not
+separate the inertia of some links from their rotor's, which the gear does not transmit: a second column takes the rotor
+out of it.
 """
 
 from __future__ import annotations
@@ -10,28 +12,43 @@ import numpy as np
 from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Levels, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.assembly import is_transmitted
+from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1.0  # mrad, or mm, at the rms torque: 50 N m on a strain-wave gear of 2e4 N m/rad are 2.5 mrad
+ROTOR = 0.3  # mrad, or mm, at the rms acceleration: a fifth of the torque may speed up the rotor
+UNIT, UNIT_OF_ROTOR = "mrad or mm at its rms torque", "mrad or mm at its rms acceleration"
 SI = 1e-3
 
 
+def _motors(fit: Fit) -> list[str]:
+    return [joint for joint in fit.dataset.model.actuated if joint in fit.dataset.robot.motors]
+
+
+def _rotors(fit: Fit) -> list[str]:
+    """List the motors whose rotor the model does not separate from their links."""
+    return [joint for joint in _motors(fit) if Parameter("ia", joint) not in fit.dataset.base.names]
+
+
 def _torques(at: FitWindow) -> Torques:
-    window, motors = at.window, at.fit.dataset.robot.motors
-    joints = np.eye(len(at.fit.gains))[[joint in motors for joint in at.fit.dataset.model.actuated]]
-    transmitted = at.values * is_transmitted(at.fit.dataset.base.names)
-    leads = at.torques_along(at.motion, transmitted).T * SI / Levels(at.fit).torques
-    rates, changes = differentiate(leads, window.run.rate)
-    motions, steps = (window.q, window.qd, window.qdd), (leads, rates, changes)
-    deflected = (
-        tuple(motion - STEP * step * joint for motion, step in zip(motions, steps, strict=True)) for joint in joints
-    )
+    fit, window, levels = at.fit, at.window, Levels(at.fit)
+    transmitted = at.values * is_transmitted(fit.dataset.base.names)
+    leads = at.torques_along(at.motion, transmitted).T * SI / levels.torques
+    rotors = window.samples().qdd * SI / levels.accelerations
+    motions, deflected = (window.q, window.qd, window.qdd), []
+    for lead, joints in ((leads, _motors(fit)), (rotors, _rotors(fit))):
+        steps = (lead, *differentiate(lead, window.run.rate))
+        for joint in joints:
+            only = STEP * np.array([name == joint for name in fit.dataset.model.actuated])
+            deflected.append(tuple(motion - step * only for motion, step in zip(motions, steps, strict=True)))
     return at.with_positions(deflected)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
-    motors = (joint for joint in fit.dataset.model.actuated if joint in fit.dataset.robot.motors)
-    return [EffectColumn(PLAUSIBLE, "mrad or mm at its rms torque", joint) for joint in motors]
+    return [
+        *(EffectColumn(PLAUSIBLE, UNIT, joint) for joint in _motors(fit)),
+        *(EffectColumn(ROTOR, UNIT_OF_ROTOR, joint) for joint in _rotors(fit)),
+    ]
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
