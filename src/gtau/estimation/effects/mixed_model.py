@@ -80,11 +80,6 @@ class Noise:
         weights = [filters[before][a] * filters[before][b] for before, a, b in LAGS]
         return np.asarray(np.tensordot(weights, rows.products, 1) / self.std**2)
 
-    def log_determinant(self, counts: np.ndarray) -> float:
-        """Compute the log determinant of the covariance of a channel's rows."""
-        left = np.log1p(-np.square(self.partial))
-        return float(2 * counts.sum() * np.log(self.std) - counts[:2].sum() * left[1] - counts[0] * left[0])
-
 
 def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
     """Estimate the noise from residuals; ``used`` is the number of rows that the estimates take up."""
@@ -248,12 +243,6 @@ class MixedFit:
     def sizes(self) -> np.ndarray:
         """Size of each group, in plausible sizes."""
         return np.exp(self.log_s)
-
-    @property
-    def log_likelihood(self) -> float:
-        """Restricted log-likelihood, noise included: comparable between descriptions of the same rows."""
-        pairs = zip(self.model.noise, self.model.rows, strict=True)
-        return -self.at.loss - 0.5 * sum(noise.log_determinant(rows.counts) for noise, rows in pairs)
 
     def lost_without(self, groups: Sequence[int]) -> float:
         """Compute the log-likelihood that is lost without some groups, the sizes of the others being found again."""

@@ -63,13 +63,11 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
 
 
-def stacked_triangles(reduced: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
-    """Stack the triangles (., columns) of W windows and c channels, (W, c, p, columns), filled up with zero rows."""
-    height = max(len(R) for window in reduced for R in window)
-    T = np.zeros((len(reduced), len(reduced[0]), height, reduced[0][0].shape[1]))
-    for w, c in np.ndindex(T.shape[:2]):
-        T[w, c, : len(reduced[w][c])] = reduced[w][c]
-    return T
+def triangles(rows: np.ndarray, keep: np.ndarray) -> np.ndarray:
+    """Reduce the rows (c, K, columns) that are kept (c, K) to a triangle a channel, (c, p, columns)."""
+    reduced = [triangle(block[kept]) for block, kept in zip(rows, keep, strict=True)]
+    height = max(map(len, reduced))
+    return np.stack([np.pad(R, ((0, height - len(R)), (0, 0))) for R in reduced])
 
 
 def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
@@ -81,23 +79,17 @@ def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
 
 def fitted_sizes(fit: Fit, windows: Windows, effect: Effect, count: int) -> np.ndarray:
     """Fit the sizes of an effect's first columns together with all unknowns, along windows; raises GtauError."""
-    errors, jacobians, first = [], [], fit.dataset.base.count + EXTRA
-    columns = slice(first, first + count)
+    e_known, J_known = known_rows(fit, windows)
+    errors, jacobians = [e_known], [np.pad(J_known, ((0, 0), (0, count)))]
+    first, scale = fit.dataset.base.count + EXTRA, weights_of(fit) / fit.solution.gains
     for run, window in windows:
         at = FitWindow(fit, run, window)
-        rows, keep = at.rows(_columns_of([effect]))
-        R = stacked_triangles([[triangle(block[kept]) for block, kept in zip(rows, keep, strict=True)]])[0]
-        added = (
-            -R[..., fit.dataset.base.count + EXTRA :][..., :count]
-            * (weights_of(fit) / fit.solution.gains)[:, None, None]
-        )
+        R = triangles(*at.rows(_columns_of([effect])))
         e, J = weighted(fit, at.equations(R))
+        wide = np.concatenate([J, -R[..., first : first + count] * scale[:, None, None]], axis=-1)
         errors.append(e.reshape(-1))
-        jacobians.append(np.concatenate([J, added], axis=-1).reshape(len(errors[-1]), -1))
-    e, J = known_rows(fit, windows)
-    beside = np.zeros((len(e), added.shape[-1]))
-    step = least_squares_step(np.vstack([*jacobians, np.hstack([J, beside])]), np.concatenate([*errors, e]))
-    return step[J.shape[1] :]
+        jacobians.append(wide.reshape(e.size, -1))
+    return least_squares_step(np.vstack(jacobians), np.concatenate(errors))[-count:]
 
 
 def _columns_of(effects: Sequence[Effect]) -> Callable[[FitWindow], Torques]:
