@@ -25,9 +25,8 @@ from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, effort_of
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit, logged_torques
 from gtau.estimation.diagnostics.units import reversed_by_file, units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, decide, delay_verdicts, motors, unexplained_shares
-from gtau.estimation.effects.estimate import CONTRADICTED, contradictions, estimated_effects
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.effects.estimate import Mixed, estimate_effects
+from gtau.estimation.effects.estimate import CONTRADICTED, Mixed, contradictions, estimate_effects, estimated_effects
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import degrees_of_freedom

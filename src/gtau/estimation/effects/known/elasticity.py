@@ -47,12 +47,14 @@ def _torques(at: FitWindow) -> Torques:
 def _columns(fit: Fit) -> list[EffectColumn]:
     return [
         *(EffectColumn(PLAUSIBLE, UNIT, joint) for joint in _motors(fit)),
-        *(EffectColumn(ROTOR, UNIT_OF_ROTOR, joint) for joint in _rotors(fit)),
+        *(EffectColumn(ROTOR, UNIT_OF_ROTOR, joint, about="rotor") for joint in _rotors(fit)),
     ]
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    return f"an elastic joint '{column.joint}'", "move more slowly, or log the position behind the gear"
+    what = f"an elastic joint '{column.joint}'"
+    part = f"the {column.about} of {what}" if column.about else what
+    return part, "move more slowly, or log the position behind the gear"
 
 
 EFFECT = Effect("elasticity", _torques, _columns, _say, shared=True)
