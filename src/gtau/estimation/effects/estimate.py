@@ -15,10 +15,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import finish
 from gtau.estimation.regression.run_blocks import WINDOWS
 
-# The posterior takes the sizes of effects and noise for known, and robots have effects that are not on the list. Chosen
-# on seven robots, and tested on others: docs/evidence/coverage.md.
-WIDER = 1.15  # of a gain's standard deviation
-FLOOR = 5e-4  # of a gain
+FLOOR = 5e-4  # of a gain, as robots have effects that are not on the list: docs/evidence/coverage.md
 NONLINEAR, FAR = 0.005, 0.5  # moves of a gain between which columns are made again
 STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
 
@@ -91,9 +88,6 @@ def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None)
     values = np.concatenate([values[: delays.start], fit.solution.values[delays]])
     random = _random(mixed, linear)
     if fit.free_gains:
-        wider = np.ones(len(values))
-        wider[gain_rows] = WIDER
-        covariance = covariance * np.outer(wider, wider)
         known = np.diag(covariance)[gain_rows] == 0
         covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * values[gain_rows]) ** 2))
     part = np.sqrt(np.minimum(np.diag(covariance) / np.maximum(np.diag(random), 1e-300), 1.0))  # but for rounding
