@@ -228,7 +228,7 @@ class Influence:
         self.result, model = result, result.mixed.model
         m, k = len(model.own), model.unknowns
         self.unknown = slice(m, m + k)
-        self.plain = [part.products[[0, 1, 4]].sum(axis=0) for part in model.rows]
+        self.plain = [part.plain for part in model.rows]
         J = model.known[:k, :k] + sum(part[self.unknown, self.unknown] for part in self.plain)
         self.inverse = np.linalg.pinv(J, rcond=1e-10, hermitian=True)
         e = model.known[:k, k] + sum(part[self.unknown, -1] for part in self.plain)

@@ -43,6 +43,11 @@ class LagProducts:
         """Add the rows of another part of the logs."""
         return LagProducts(self.products + other.products, self.counts + other.counts)
 
+    @property
+    def plain(self) -> np.ndarray:
+        """Products of all rows with themselves, (p, p)."""
+        return np.asarray(self.products[[LAGS.index((before, 0, 0)) for before in range(3)]].sum(axis=0))
+
     def lagged(self, lag: int, coefficients: np.ndarray) -> tuple[float, float]:
         """Sum the products of the residuals at a ``lag``, and count them; ``coefficients`` (p,) combine the columns."""
         parts = [k for k, (before, a, b) in enumerate(LAGS) if (a, b) == (0, lag) and before >= lag]

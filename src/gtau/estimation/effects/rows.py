@@ -170,18 +170,19 @@ class EffectRows:
     @cached_property
     def in_runs(self) -> tuple[list[int], np.ndarray]:
         """Places of the friction of runs among the unknowns, (r,), and a root (r, r) of its prior covariance."""
-        names, runs = self.fit.system.problem.unknowns, len(self.fit.dataset.runs)
-        levels, joints = Levels(self.fit), self.fit.dataset.model.actuated
-        scale = {"fv": levels.friction_torques / levels.speeds, "fs": levels.friction_torques}
-        scale = {
-            kind: np.where(own > 0, own, scale[kind]) for kind, own in zip(("fv", "fs"), levels.friction, strict=True)
-        }
+        names, joints = self.fit.system.problem.unknowns, self.fit.dataset.model.actuated
+        levels = Levels(self.fit)
+        plausible = {"fv": levels.friction_torques / levels.speeds, "fs": levels.friction_torques}
+        found = dict(zip(("fv", "fs"), levels.friction, strict=True))
+        sizes = {kind: np.where(found[kind] > 0, found[kind], plausible[kind]) for kind in found}
         places = [k for k, name in enumerate(names) if name.run is not None]
-        root, L = np.zeros((len(places), len(places))), difference_root(runs) if places else np.zeros((0, 0))
+        root = np.zeros((len(places), len(places)))
+        drift = difference_root(len(self.fit.dataset.runs)) if places else root
         for a, b in np.ndindex(root.shape):
             one, other = names[places[a]], names[places[b]]
             if (one.kind, one.body) == (other.kind, other.body):
-                root[a, b] = FRICTION_CHANGE * scale[one.kind][joints.index(one.body)] * L[one.run, other.run]
+                size = FRICTION_CHANGE * sizes[one.kind][joints.index(one.body)]
+                root[a, b] = size * drift[one.run, other.run]
         return places, root
 
 
@@ -265,8 +266,7 @@ def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = N
     square = J_known.T @ J_known
     inside = slice(rows.own, rows.own + size)
     for M, part in zip(maps, rows.products, strict=True):
-        plain = part.products[[0, 1, 4]].sum(axis=0)[inside, inside]
-        square += M[:, :-1].T @ plain @ M[:, :-1]
+        square += M[:, :-1].T @ part.plain[inside, inside] @ M[:, :-1]
     back = _whitening(square[np.ix_(free, free)])
     unknowns = back.shape[1]
     basis = np.zeros((T.shape[1], unknowns + len(per_run)))
