@@ -20,10 +20,9 @@ from scipy.signal import lfilter
 from threadpoolctl import threadpool_limits
 
 from gtau.estimation.effects.effect import FitWindow
-from gtau.estimation.effects.rows import weighted, weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ML
-from gtau.estimation.estimators.newton import to_gains
+from gtau.estimation.estimators.newton import jacobian, to_gains
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.filters import Decimator
@@ -45,8 +44,8 @@ def jacobians(fit: Fit) -> list[tuple[np.ndarray, np.ndarray]]:
     for run, prepared in enumerate(fit.dataset.prepared):
         window = FitWindow(fit, run, prepared.samples())
         A, keep = window.rows()
-        _, J = weighted(fit, window.equations(A))
-        found.append((J / weights_of(fit)[:, None, None], keep))
+        J = jacobian(window.equations(A), fit.solution.values, fit.system.problem, fit.free_gains)
+        found.append((J, keep))
     return found
 
 

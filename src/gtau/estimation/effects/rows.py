@@ -20,7 +20,7 @@ from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Leve
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, lag_products
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian, jacobian_of_known, residuals, split, to_gains
+from gtau.estimation.estimators.newton import jacobian_of_known, split, to_gains, weighted
 from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
@@ -35,21 +35,9 @@ ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (ex
 MODES = 8  # largest modes that are kept of a longer series
 
 
-def weighted(fit: Fit, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute errors (..., c, p) of a problem's blocks and their Jacobian (..., c, p, k), in standard deviations."""
-    values, weights = fit.solution.values, weights_of(fit)[:, None]
-    J = jacobian(blocks, values, fit.system.problem, fit.free_gains)
-    return residuals(blocks, values) * weights, J * weights[..., None]
-
-
 def weights_of(fit: Fit) -> np.ndarray:
     """Compute the weights of the channels' errors, (c,)."""
     return np.asarray(1 / np.maximum(fit.solution.sigma, fit.system.problem.smallest_sigma))
-
-
-def slopes_of(fit: Fit) -> np.ndarray:
-    """Differentiate (theta, gains, delays) by the unknowns of the Jacobian, (k, .)."""
-    return to_gains(fit.solution.values, len(fit.solution.gains), fit.free_gains)
 
 
 def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
@@ -85,10 +73,10 @@ def fitted_sizes(fit: Fit, windows: Windows, effect: Effect, count: int) -> np.n
     for run, window in windows:
         at = FitWindow(fit, run, window)
         R = triangles(*at.rows(_columns_of([effect])))
-        e, J = weighted(fit, at.equations(R))
-        wide = np.concatenate([J, -R[..., first : first + count] * scale[:, None, None]], axis=-1)
-        errors.append(e.reshape(-1))
-        jacobians.append(wide.reshape(e.size, -1))
+        e, J = weighted(at.equations(R), fit.solution.values, fit.system.problem, fit.free_gains, weights_of(fit))
+        added = -R[..., first : first + count] * scale[:, None, None]
+        errors.append(e)
+        jacobians.append(np.hstack([J, added.reshape(len(e), count)]))
     return least_squares_step(np.vstack(jacobians), np.concatenate(errors))[-count:]
 
 
