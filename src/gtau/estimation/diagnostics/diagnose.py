@@ -225,8 +225,8 @@ def diagnose(
         *gains.payloads_in_noise(fit, judged),
         *examined.findings,
         *(() if audit is None or examined.contradicting else reversed_by_file(fit, audit)),
-        *gains.all_negative(fit, examined, judged, prior_gains),
-        *gains.refuted_descriptions(fit, examined, judged, wrong, accuracy),
+        *gains.all_negative(fit, examined.contradicting, judged, prior_gains),
+        *gains.refuted_descriptions(fit, examined.contradicting, judged, wrong, accuracy),
         *gains.unexplained_signals(fit, wrong),
         *(scale.contradictory_payload(finding.subject, motors(fit)) for finding in wrong if fit.free_gains),
         *scale.sensor_contradictions(scales, joints, accuracy),
@@ -236,9 +236,9 @@ def diagnose(
         *gains.impossible_parameters(fit, estimates),
         # units and signs, which fit the data whatever they are
         *units_and_signs(fit, estimates, prior_gains, audit),
-        *gains.wide_gains(fit, examined, estimates, judged, accuracy),
+        *gains.wide_gains(fit, examined.effects, estimates, judged, accuracy),
         *(() if audit is None else audit.contradicted_priors()),
-        *gains.small_refutations(examined, judged, accuracy),
+        *gains.small_refutations(examined.contradicting, judged, accuracy),
         *scale.common_scale(fit, estimates, accuracy),
         *logged_torques(fit, estimates),
     )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -35,8 +34,7 @@ from gtau.findings.words import MOST_PERCENT, percent, percent_text
 from gtau.model.base_parameters import regrouped, whole_mass
 from gtau.robots.parameter import unit_of
 
-if TYPE_CHECKING:
-    from gtau.estimation.diagnostics.diagnose import Examination
+Effects = Sequence[EstimatedEffect]
 
 LOST_GAIN = 0.5  # relative random standard deviation of a gain
 NAMED_SHARE = 0.5  # share of the model part in a gain's variance from which its cause is named
@@ -160,28 +158,28 @@ def unexplained_signals(fit: Fit, wrong: Sequence[Finding]) -> Iterator[Finding]
 
 
 def all_negative(
-    fit: Fit, examined: Examination, gains: Sequence[JudgedGain], prior_gains: Mapping[str, float]
+    fit: Fit, better: Effects, gains: Sequence[JudgedGain], prior_gains: Mapping[str, float]
 ) -> Iterator[Finding]:
     """Find that all gains are negative, if no motor is known to turn against its joint: then all may."""
     problem = fit.problem
     free = [gain.value for gain in gains if problem.unknown_gains[gain.row - problem.gain_rows.start]]
     # by another gravity
-    turned = any(all(move < -100 for move in part.moves.values()) for part in examined.contradicting)
+    turned = any(all(move < -100 for move in part.moves.values()) for part in better)
     if min(prior_gains.values(), default=1.0) > 0 and max(free, default=0.0) < 0 and not turned:
         advice = wrenches_first(fit, f"check the sign of the currents and positions, gravity{which_payload(fit)}")
         yield contradiction(ALL_NEGATIVE, motors(fit), "all drive gains are negative", advice)
 
 
 def refuted_descriptions(
-    fit: Fit, examined: Examination, gains: Iterable[JudgedGain], wrong: Sequence[Finding], accuracy: float
+    fit: Fit, better: Effects, gains: Iterable[JudgedGain], wrong: Sequence[Finding], accuracy: float
 ) -> Iterator[Finding]:
-    """Find descriptions that explain the data better, and move a gain by more than the accuracy.
+    """Find descriptions that explain the data ``better``, and move a gain by more than the accuracy.
 
     Where gains are given they explain more than ``wrong`` values of payloads do.
     """
     gains = [gain for gain in gains if gain.random_half < 1]  # a gain that is noise refutes nothing
     least = min((finding.values["remains"] for finding in wrong), default=1.0)
-    for part in examined.contradicting:
+    for part in better:
         for gain in gains:
             move = part.moves[gain.joint] / 100
             if abs(move) > accuracy:
@@ -209,10 +207,10 @@ def refuted(fit: Fit, part: EstimatedEffect, joints: tuple[str, ...], text: str,
     return contradiction(REFUTED, joints, text, advice, causes=(kind,), own=own)
 
 
-def small_refutations(examined: Examination, gains: Sequence[JudgedGain], accuracy: float) -> Iterator[Finding]:
+def small_refutations(better: Effects, gains: Sequence[JudgedGain], accuracy: float) -> Iterator[Finding]:
     """Note parts of the description that the data refute without moving any gain by more than the accuracy."""
     least = min((gain.half for gain in gains), default=np.inf)
-    for part in examined.contradicting if gains else ():
+    for part in better if gains else ():
         if (move := part.largest_move / 100) <= accuracy:
             yield Finding(
                 "description refuted, gains unmoved",
@@ -281,10 +279,10 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
 
 
 def wide_gains(
-    fit: Fit, examined: Examination, estimates: Estimates, gains: Iterable[JudgedGain], accuracy: float
+    fit: Fit, effects: Effects, estimates: Estimates, gains: Iterable[JudgedGain], accuracy: float
 ) -> Iterator[Finding]:
     """Find gains whose intervals are wider than the accuracy, with the largest contribution to each."""
-    sized, interval = [effect for effect in examined.effects if effect.std], "the 95 % interval is {own}"
+    sized, interval = [effect for effect in effects if effect.std], "the 95 % interval is {own}"
     for gain in gains:
         if gain.half <= accuracy:
             continue
