@@ -212,9 +212,10 @@ def _said(document: dict[str, Any]) -> Iterator[str]:
     worst = [gain for gain in document["drive_gains"] if gain["outcome"] == "contradictory"]
     for gain in worst or [gain for gain in document["drive_gains"] if gain["outcome"] == "weak"]:
         finding = gain["finding"] or {}
-        for found in (finding, *finding.get("causes", ())):
-            yield " ".join(filter(None, (found.get("kind"), found.get("subject"))))
-    yield from (note["finding"] for note in document["notes"] if note.get("severity") in ("warning", "contradiction"))
+        yield from filter(
+            None, (" ".join(filter(None, map(finding.get, ("kind", "subject")))), *finding.get("causes", ()))
+        )
+    yield from (note["finding"] for note in document["notes"] if note["grade"] in ("warning", "contradictory"))
 
 
 def rows(robot: str, data: Path) -> Iterator[tuple[str, str, str, str]]:
