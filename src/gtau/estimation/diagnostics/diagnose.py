@@ -160,12 +160,15 @@ def _other_descriptions(
         yield descriptions.reversed_torques(fit)
     if altered:
         return
-    if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
-        yield gravity.other_clock(fit, progress)
     tilted = any(effect.effect == "gravity" and effect.share > gravity.REFUTED_SHARE for effect in effects)
     missing, turned = held == gravity.WITHOUT_GRAVITY, lacking and (tilted or misfit)
+    others = list[EstimatedEffect | None]()
+    if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
+        others.append(gravity.other_clock(fit, progress))
     if missing or turned:
-        yield gravity.likeliest_gravity(fit, missing, turned, progress)
+        others.append(gravity.likeliest_gravity(fit, missing, turned, progress))
+    # a clock that is far too slow leaves as little gravity as torques without gravity do
+    yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
     if misfit:
         yield descriptions.angle_from_another_link(fit, progress)
 
