@@ -125,6 +125,13 @@ def late(samples: int) -> Callable[[np.ndarray], np.ndarray]:
     return lambda x: np.concatenate([np.full(samples, x[0]), x[:-samples]])
 
 
+def saturated(case: Case) -> None:
+    """Let the motor's torque fall by a tenth towards the largest current of all logs."""
+    column = case.current[case.joint]
+    largest = max(np.abs(log[column].to_numpy()).max() for log in case.logs)
+    case.change(column, lambda x: x * (1 + 0.1 * (x / largest) ** 2))
+
+
 def frozen(x: np.ndarray) -> np.ndarray:
     """Stop at the middle."""
     return np.where(np.arange(len(x)) < len(x) // 2, x, x[len(x) // 2])
@@ -168,7 +175,7 @@ FAULTS: dict[str, Spoil] = {
     "magnitude of a current": current(np.abs),
     "two currents swapped": lambda case: case.swap(case.current),
     "a current clipped at 60 %": current(lambda x: np.clip(x, -0.6 * np.abs(x).max(), 0.6 * np.abs(x).max())),
-    "a current saturates (10 %)": current(lambda x: x * (1 + 0.1 * (x / np.abs(x).max()) ** 2)),
+    "a current saturates (10 %)": saturated,
     "a current averaged over 51 samples": current(lowpassed),
     "spikes in a current": current(spikes),
     "a current 5 samples late": current(late(5)),
