@@ -1,8 +1,8 @@
 """Parameters of the model by kind, body and run, what each kind is, and the rigid body that ten parameters describe.
 
 ``KINDS`` is the table of the kinds. Another friction term takes a row there, and its formula in
-:mod:`gtau.estimation.regression.rows`; a term of the friction on all samples also takes a field of
-:class:`gtau.estimation.friction.selection.Structure`.
+:mod:`gtau.estimation.regression.rows`. Results keep a term only with a field of its own in
+:class:`gtau.estimation.friction.selection.Structure`, by which the friction on all samples selects it.
 """
 
 from __future__ import annotations

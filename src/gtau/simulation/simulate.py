@@ -23,7 +23,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.floating import refuse_floating
-from gtau.robots.parameter import Parameter, parameter_of
+from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.reading.experiment import RobotName
@@ -53,6 +53,7 @@ from gtau.simulation.trajectories import (
     require_joints,
 )
 
+RUBBING = (*kinds_where(lambda kind: kind.nonnegative and kind.friction), DAMPING)
 HELD = 10  # samples after which the controller updates its inertia matrix
 NAME = r"\w[\w.-]*"
 
@@ -126,7 +127,7 @@ class Simulation(Keys):
         for name, value in parameters.items():
             parameter = parameter_of(name)
             kind, rest = parameter.kind, Parameter("fs", parameter.body)
-            if kind in ("fv", "fs", "fl", DAMPING) and value < 0:
+            if kind in RUBBING and value < 0:
                 raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
             if kind == "fb" and parameters.get(rest, 0.0) + value < 0:
                 raise ValueError(

@@ -166,7 +166,8 @@ class Effect:
     name : str
         In ``model.json``, reports and messages.
     torques : callable
-        From a window of a fit to the torques of the columns, each of unit size.
+        From a window of a fit to the torques of the columns, each of size 1 in the column's unit; zero for joints that
+        the effect does not act on.
     columns : callable
         From a fit to its columns; none where the effect does not apply to the robot.
     say : callable
@@ -177,7 +178,7 @@ class Effect:
     description : bool
         Whether it contradicts the user's description of robot and logs; otherwise it is physics that the model lacks.
     function : bool
-        Whether its columns are the knots of one function, which has no size of a single column.
+        Whether its columns, such as knots, or a sine and a cosine, have one size together: their rms torque.
     in_runs : bool
         Whether it has another size in each run, which drifts from run to run.
     harmless : float

@@ -18,7 +18,7 @@ from gtau.signals.storage import spans
 
 
 class Sliding(NamedTuple):
-    """State of a joint, numbers, arrays or expressions, on which its friction depends.
+    """State of a joint on which its friction depends: numbers, arrays, or expressions of CasADi (so ``abs``, no NumPy).
 
     ``speed`` in rad/s or m/s; ``direction`` is the sign of the speed, or the state of presliding; ``load`` the size of
     the torque that the joint transmits, N m or N; ``falling`` is ``exp(-|speed| / v_s)``, 0 without a v_s; ``above``
