@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, effects fit the noise and are not tried
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
 LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
-HARMLESS_SHARE = 0.3  # share of the residual variance that an effect explains, up to which it is information
+HARMLESS_SHARE = 0.3  # share of the residual variance that a description explains, up to which it is information
+LARGE_SHARE = 0.1  # the same of physics that is larger than a motor can be
 
 FEW_ROWS = "too few rows for tests"
 DESCRIPTIONS = {effect.name for effect in EFFECTS if effect.description}
@@ -138,7 +139,7 @@ def _contradicting(
         if effect.description
         and not effect.beyond
         and effect.likelihood > CONTRADICTED
-        and effect.share > HARMLESS_SHARE
+        and effect.share > (HARMLESS_SHARE if effect.effect in DESCRIPTIONS else LARGE_SHARE)
         and abs(effect.size) > descriptions.REFUTED_STD * effect.std
     ]
     return tuple(sorted(against, key=lambda effect: -effect.share))

@@ -69,7 +69,10 @@ def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress 
 
 
 def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None:
-    """Fit again with velocities and accelerations of another clock; None where none explains nearly all."""
+    """Fit again with velocities and accelerations of another clock; None where none explains nearly all.
+
+    Nor where the middle of the runs, on which it is judged, does not determine the gains.
+    """
     from scipy.optimize import minimize_scalar
 
     if not fit.dataset.windows():
@@ -88,7 +91,11 @@ def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None
         except GtauError:
             return 0.0  # with it, the data do not determine the gains
 
-    unaltered, end = slowed(1.0), np.log(FASTEST)
+    end = np.log(FASTEST)
+    try:
+        unaltered = slowed(1.0)
+    except GtauError:
+        return None
     log_factor = float(minimize_scalar(remaining, bounds=(-end, end), options={"xatol": CLOSE_ENOUGH}).x)
     factor, other = float(np.exp(log_factor)), slowed(np.exp(log_factor))
     if 1 - residual_ratio(other, unaltered) < EXPLAINED:
