@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.documents.files import write_table
 from gtau.estimation.compare import EstimatorComparison
-from gtau.findings.words import counted, percent_text
+from gtau.findings import counted, percent_text
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series, intervals
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 

@@ -14,8 +14,7 @@ from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Grade
-from gtau.findings.words import percent_text, percents
+from gtau.findings import Grade, percent_text, percents
 from gtau.report.evidence import RunEvidence, findings_section, preparation_words, same_in_several, worst_joint
 from gtau.report.gains import (
     GOOD_OUTCOMES,

@@ -32,7 +32,7 @@ from gtau.errors import GtauError
 from gtau.estimation.effects.effect import hats
 from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings.words import to_width
+from gtau.findings import to_width
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.watch.detectors import FEWEST, mean_of

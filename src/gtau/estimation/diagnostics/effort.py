@@ -26,8 +26,7 @@ from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.rows import stream_rows
-from gtau.findings import Finding
-from gtau.findings.words import listed
+from gtau.findings import Finding, listed
 from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.signals.preparation.prepared_run import SampleWindow
 

@@ -29,8 +29,7 @@ from gtau.estimation.effects.known.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding, Grade
-from gtau.findings.words import MOST_PERCENT, percent, percent_text
+from gtau.findings import MOST_PERCENT, Finding, Grade, percent, percent_text
 from gtau.model.base_parameters import regrouped, whole_mass
 from gtau.robots.parameter import unit_of
 

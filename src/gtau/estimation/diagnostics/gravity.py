@@ -28,8 +28,7 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.findings import Finding, Grade
-from gtau.findings.words import percent
+from gtau.findings import Finding, Grade, percent
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import BY_LOAD
 

@@ -26,8 +26,7 @@ from gtau.estimation.estimators.newton import DELAY_MOTION
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.findings import Finding, Grade
-from gtau.findings.words import listed, percent
+from gtau.findings import Finding, Grade, listed, percent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.bandwidth import end_of_commands

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 
 from gtau.errors import GtauError
-from gtau.findings.words import counted
+from gtau.findings import counted
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.reading.units import WrittenUnit, read_unit, split_unit

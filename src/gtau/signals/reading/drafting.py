@@ -14,8 +14,7 @@ from zlib import crc32
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError, printable
-from gtau.findings import Finding, Grade
-from gtau.findings.words import counted
+from gtau.findings import Finding, Grade, counted
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS

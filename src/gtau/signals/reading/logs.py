@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, short
 from gtau.extensions import find
-from gtau.findings import Finding
-from gtau.findings.words import moment
+from gtau.findings import Finding, moment
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.column_names import split_name

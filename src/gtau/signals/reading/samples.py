@@ -11,8 +11,7 @@ from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
-from gtau.findings import Finding
-from gtau.findings.words import counted
+from gtau.findings import Finding, counted
 from gtau.signals.channel import Channel
 from gtau.signals.reading.formats import ALL, LogTable, listed_joints, reading, repair
 from gtau.signals.storage import Store, blocks, stored_like

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade
-from gtau.findings.words import counted
+from gtau.findings import Finding, Grade, counted
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds, long_runs
 from gtau.signals.storage import block, blocks, spans, steps

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade
-from gtau.findings.words import counted, moment
+from gtau.findings import Finding, Grade, counted, moment
 from gtau.signals.reading.formats import reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
