@@ -17,7 +17,7 @@ them alone, so that memory does not grow with the logs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -138,7 +138,8 @@ class Posterior:
     """Estimates of d and ``u / s``, and what their covariance follows from.
 
     ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own`` (m,) are each channel's, with
-    ``variance``; they move by ``-response`` (m, k + shared) with the common ones, and vary by ``inverse`` beside that.
+    ``variance``; they move by ``-response`` (m, k + shared) with the common ones, and ``root`` (m, m) factors how they
+    vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its slope by the sizes.
     """
 
     common: np.ndarray
@@ -147,12 +148,11 @@ class Posterior:
     response: tuple[np.ndarray, ...]
     root: tuple[np.ndarray, ...]
     loss: float
-    slope: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    slope: np.ndarray
 
     def variance(self, channel: int) -> np.ndarray:
         """Posterior variances (m,) of a channel's own effects, in units of their ``s``."""
-        B = self.response[channel]
-        return np.asarray(np.sum(self.root[channel] ** 2, axis=0) + np.einsum("ij,ij->i", B @ self.covariance, B))
+        return _variance(self.root[channel], self.response[channel], self.covariance)
 
     def move(self, common: np.ndarray, own: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Estimate quantities (f,), linear in the common (f, .) and the own effects (f, m), with covariance (f, f)."""
@@ -173,7 +173,7 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     from scipy.linalg import cholesky, solve_triangular
 
     sizes, m, k = np.exp(log_s), len(model.own), model.unknowns
-    own, border = sizes[model.own], np.concatenate([np.ones(k), sizes[model.shared], [1.0]])
+    own_sizes, border = sizes[model.own], np.concatenate([np.ones(k), sizes[model.shared], [1.0]])
     count = len(border) - 1
     S = np.zeros((count + 1, count + 1))
     at = [*range(k), count]
@@ -181,11 +181,11 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     S[range(k, count), range(k, count)] += 1.0
     determinant, roots, sides = 0.0, [], []
     for gram in grams:
-        A = gram[:m, :m] * own[:, None] * own
+        A = gram[:m, :m] * own_sizes[:, None] * own_sizes
         A[range(m), range(m)] += 1.0
         A[range(m), range(m)] *= 1 + ROUNDING
         L = cholesky(A, lower=True, check_finite=False)
-        V = solve_triangular(L, gram[:m, m:] * own[:, None] * border, lower=True, check_finite=False)
+        V = solve_triangular(L, gram[:m, m:] * own_sizes[:, None] * border, lower=True, check_finite=False)
         S += gram[m:, m:] * border[:, None] * border - V.T @ V
         determinant += 2 * float(np.log(np.diag(L)).sum())
         roots.append(L)
@@ -206,11 +206,15 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
         effects.append(-inverse.T @ (V[:, count] + V[:, :count] @ common))
         responses.append(inverse.T @ V[:, :count])
         inverses.append(inverse)
-    found = Posterior(common, covariance, tuple(effects), tuple(responses), tuple(inverses), 0.0)
-    for channel, u in enumerate(effects):
-        slope = slope + np.bincount(model.own, 1 - u**2 - found.variance(channel), minlength=groups)
+        variance = _variance(inverse, responses[-1], covariance)
+        slope = slope + np.bincount(model.own, 1 - effects[-1] ** 2 - variance, minlength=groups)
     prior = (sizes / model.largest) ** 2
-    return replace(found, loss=0.5 * (square + determinant + float(prior.sum())), slope=slope + prior)
+    loss = 0.5 * (square + determinant + float(prior.sum()))
+    return Posterior(common, covariance, tuple(effects), tuple(responses), tuple(inverses), loss, slope + prior)
+
+
+def _variance(root: np.ndarray, response: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sum(root**2, axis=0) + np.einsum("ij,ij->i", response @ covariance, response))
 
 
 def find_sizes(
@@ -261,22 +265,25 @@ def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     log_s = log_s if near is None else np.maximum(near.log_s, log_s)  # a small size has no slope to grow by
     noise = model.noise or (Noise(),) * len(model.rows)
     for _ in range(PASSES):
-        grams = tuple(of.whitened(rows) for of, rows in zip(noise, model.rows, strict=True))
+        grams = _grams(model, noise)
         log_s = find_sizes(model, grams, log_s)
         at, sizes = posterior(model, grams, log_s), np.exp(log_s)
-        before, noise = (
-            noise,
-            tuple(
-                noise_of(model.rows[c], model.coefficients(sizes, at, c), _used(model, grams[c], sizes, at, c))
-                for c in channels
-            ),
+        before = noise
+        noise = tuple(
+            noise_of(model.rows[c], model.coefficients(sizes, at, c), _used(model, grams[c], sizes, at, c))
+            for c in channels
         )
         change = [abs(np.log(new.std / old.std)) for new, old in zip(noise, before, strict=True)]
         if max(change) < SETTLED:
             break
     model = replace(model, noise=noise)
-    grams = tuple(of.whitened(rows) for of, rows in zip(noise, model.rows, strict=True))
+    grams = _grams(model, noise)
     return MixedFit(model, grams, log_s, posterior(model, grams, log_s))
+
+
+def _grams(model: MixedModel, noise: Sequence[Noise]) -> tuple[np.ndarray, ...]:
+    """Combine the rows of each channel into products of rows with unit noise."""
+    return tuple(channel.whitened(rows) for channel, rows in zip(noise, model.rows, strict=True))
 
 
 def _used(model: MixedModel, gram: np.ndarray, sizes: np.ndarray, at: Posterior, channel: int) -> float:
@@ -284,5 +291,6 @@ def _used(model: MixedModel, gram: np.ndarray, sizes: np.ndarray, at: Posterior,
     m, scale = len(model.own), np.concatenate([sizes[model.own], np.ones(model.unknowns), sizes[model.shared]])
     A = gram[:-1, :-1] * scale[:, None] * scale
     B, C = at.response[channel], at.covariance
-    own = float(np.sum((at.root[channel] @ A[:m, :m]) * at.root[channel])) + float(np.sum((B.T @ A[:m, :m] @ B) * C))
-    return own - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))
+    root, within = at.root[channel], A[:m, :m]
+    own_effects = float(np.sum((root @ within) * root)) + float(np.sum((B.T @ within @ B) * C))
+    return own_effects - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))
