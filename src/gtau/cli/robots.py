@@ -82,7 +82,8 @@ def robot(
     with progress_bar() as progress:
         model = InverseDynamics(described)
         parameters = base_parameters(model, progress=progress)
-    document, page = partial(robot_document, model, parameters), partial(robot_page, model, parameters, verbose)
+    document = partial(robot_document, model, parameters)
+    page = partial(robot_page, model, parameters, verbose)
     answer(json_, document, page, filter(None, (save, figure)))
 
 

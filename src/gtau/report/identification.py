@@ -191,7 +191,8 @@ def counts(result: IdentifiedModel) -> str:
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
     missing = len(missed(result))
     required = f" {missing} of {len(result.requirements)} requirements missed." if missing else ""
-    total, what = len(result.drive_gains), "torque scales" if result.kind == "torque" else "drive gains"
+    total = len(result.drive_gains)
+    what = "torque scales" if result.kind == "torque" else "drive gains"
     return f"{count} of {total} {what} {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
 
 

@@ -281,7 +281,8 @@ def simulate(
     experiment.unlink(missing_ok=True)  # it would refer to a mix of new and old logs
     try:
         for run in described:
-            simulated, log = make_run(simulation, model, run, partial(progress, run.name)), out / f"{run.name}.csv"
+            simulated = make_run(simulation, model, run, partial(progress, run.name))
+            log = out / f"{run.name}.csv"
             write_log(simulated.run, log)
             written.append(log)
     except KeyboardInterrupt:

@@ -185,7 +185,9 @@ def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log, the model loaded with its payload; raises GtauError."""
     G, rows, speed = normal_equations(model, run)
     (quantities, _), charts = quantities_of(model), charts_of(model)
-    total, blocks, friction = G.sum(axis=(0, 1)), np.arange(len(G)), _columns_of(quantities, "friction")
+    total = G.sum(axis=(0, 1))
+    blocks = np.arange(len(G))
+    friction = _columns_of(quantities, "friction")
     C, usable = _combinations(total, quantities)
     residual, uneven = residuals_of(G, rows, friction, blocks >= 0)
     k, p, K = len(C), len(quantities), len(charts)

@@ -89,7 +89,8 @@ class Examination:
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """Examine a fit; ``progress`` is called as the work goes on."""
-    rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.values)
+    rows = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared)
+    unknowns = len(fit.solution.values)
     if rows < FEWEST_FOR_TESTS * unknowns:
         few = Finding(
             FEW_ROWS,

@@ -102,7 +102,8 @@ def effort_of(dataset: Dataset, slowest: float) -> tuple[str, tuple[Finding, ...
     if not joints:
         return AS_STATED, (), False
     shares = np.array([unexplained(joint.basis, joint.effort) for joint in joints])  # (n, n + 1)
-    logged, counts = np.diag(shares), np.array([_independent(joint, j) for j, joint in enumerate(joints)])
+    logged = np.diag(shares)
+    counts = np.array([_independent(joint, j) for j, joint in enumerate(joints)])
     rows, wrenches = float(counts.sum()), _wrenches(dataset)
 
     def likelier(after: np.ndarray, before: np.ndarray = logged) -> float:
@@ -151,7 +152,9 @@ def _permuted(shares: np.ndarray, counts: np.ndarray) -> Iterator[Reading]:
     from scipy.optimize import linear_sum_assignment
 
     joints, order = linear_sum_assignment(counts[:, None] * np.log(np.maximum(shares[:, :-1], TINY)))
-    altered, assigned, logged = np.flatnonzero(order != joints), shares[joints, order], np.diag(shares)
+    altered = np.flatnonzero(order != joints)
+    assigned = shares[joints, order]
+    logged = np.diag(shares)
     if len(altered) and np.all((assigned < SWAPPED * logged)[altered]):
         yield SWAPPED_CHANNELS, assigned, logged, altered.tolist(), 0
 

@@ -164,7 +164,8 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
     """Describe a fit with another gravity, on the joints that it explains, or on the one that it explains best."""
     problem, before = unaltered.problem, unaltered.solution.sigma
     joints = problem.joints
-    shares, ratio = before / problem.balance(unaltered.solution.theta), other.solution.sigma / before
+    shares = before / problem.balance(unaltered.solution.theta)
+    ratio = other.solution.sigma / before
     most = max(np.sqrt(LEFT), ratio[: len(joints)].min())
     unexplained = {
         joint: [float(share), float(share * left)]
@@ -224,9 +225,12 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
     gravity = np.array(dataset.robot.gravity)
     if not gravity.any():
         return
-    model, regressor, torques = dataset.model, dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    model = dataset.model
+    regressor = dataset.model.gravity_torques(dataset.base.standard)
+    torques = np.zeros(n)
     for run, window in dataset.windows():
-        motion, parameters = window_motion(model, window), fit.system.motion(run, fit.solution.theta)
+        motion = window_motion(model, window)
+        parameters = fit.system.motion(run, fit.solution.theta)
         along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
         torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
     felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))

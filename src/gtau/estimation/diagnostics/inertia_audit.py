@@ -150,7 +150,9 @@ def audit_inertias(fit: Fit, estimates: Estimates, loaded: bool) -> tuple[Fit | 
     with a body that is not declared is not audited: the file is not blamed for what it lacks.
     """
     bare: Fit | None = fit
-    covariance, freedom, prior = estimates.covariance, estimates.effective_freedom, fit.dataset.prior_inertias
+    covariance = estimates.covariance
+    freedom = estimates.effective_freedom
+    prior = fit.dataset.prior_inertias
     if prior:
         dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
         bare = refitted(fit, dataset=dataset)
@@ -261,7 +263,9 @@ def _parameters(
 
 def _links(fit: Fit, identified: np.ndarray, file: np.ndarray) -> Iterator[AuditedLink]:
     """Name the links that explain the larger torque error of the file, one after the other."""
-    base, names, stated = fit.dataset.base, fit.dataset.model.parameter_names, stated_inertias(fit.dataset.robot)
+    base = fit.dataset.base
+    names = fit.dataset.model.parameter_names
+    stated = stated_inertias(fit.dataset.robot)
     rows = _rows(fit)
     torque = rows @ (identified - file)
     members: dict[str, list[int]] = {}

@@ -271,7 +271,8 @@ def frozen_encoders(fit: Fit) -> list[Finding]:
     moving = np.array([np.subtract(*extremes(run.position)) < 0 for run in runs])
     acting = np.array([np.subtract(*extremes(run.command))[:n] < 0 for run in runs])
     frozen = np.argwhere(acting & ~moving).tolist()
-    shares, findings = unexplained_by_run(fit) if frozen else np.zeros(0), list[tuple[float, Finding]]()
+    shares = unexplained_by_run(fit) if frozen else np.zeros(0)
+    findings = list[tuple[float, Finding]]()
     for run, joint in frozen:
         usual = shares[moving[:, joint]].max(axis=0, initial=0.0)
         least = np.where(usual > 0, np.maximum(UNSEEN_RATIO * usual, UNSEEN_MISFIT), MISFIT)

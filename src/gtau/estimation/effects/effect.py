@@ -88,7 +88,8 @@ class FitWindow:
         Wrong zeros and scales of positions, and elastic joints, add such torques.
         """
         model, window = self.fit.dataset.model, self.window
-        before, labels = self.torques_along(self.motion, self.values), instants(window.run.name, window.time)
+        before = self.torques_along(self.motion, self.values)
+        labels = instants(window.run.name, window.time)
         columns = []
         for q, qd, qdd in moved:
             other = replace(window, q=q, qd=qd, qdd=qdd, part_of=None)

@@ -288,7 +288,8 @@ def _grams(model: MixedModel, noise: Sequence[Noise]) -> tuple[np.ndarray, ...]:
 
 def _used(model: MixedModel, gram: np.ndarray, sizes: np.ndarray, at: Posterior, channel: int) -> float:
     """Compute how many rows of a channel its own effects and its share in the common ones take up: tr(C X^T X)."""
-    m, scale = len(model.own), np.concatenate([sizes[model.own], np.ones(model.unknowns), sizes[model.shared]])
+    m = len(model.own)
+    scale = np.concatenate([sizes[model.own], np.ones(model.unknowns), sizes[model.shared]])
     A = gram[:-1, :-1] * scale[:, None] * scale
     B, C = at.response[channel], at.covariance
     root, within = at.root[channel], A[:m, :m]

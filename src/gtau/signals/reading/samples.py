@@ -70,7 +70,8 @@ class Part(Keys):
                 continue
             # Rows without a time go with the rows before them.
             elapsed = np.maximum.accumulate(np.where(known, time, -np.inf) - first)
-            start, stop = np.searchsorted(elapsed, self.begin), np.searchsorted(elapsed, self.end, side="right")
+            start = np.searchsorted(elapsed, self.begin)
+            stop = np.searchsorted(elapsed, self.end, side="right")
             yield row + int(start), values[start:stop]
             if stop < len(values):
                 return
@@ -127,7 +128,8 @@ class Samples:
         count = len(self.time)
         unit = 10.0 ** np.floor(np.log10((self.time[-1] - self.time[0]) / count))
         last, first = (self.time[min(max(at, 0), count - 1)] - self.origin for at in (begin - 1, end))
-        until, since = f"to: {np.floor(last / unit) * unit:.9g}", f"from: {np.ceil(first / unit) * unit:.9g}"
+        until = f"to: {np.floor(last / unit) * unit:.9g}"
+        since = f"from: {np.ceil(first / unit) * unit:.9g}"
         if begin < MIN_SAMPLES:
             return since
         return until if count - end < MIN_SAMPLES else f"two runs of that log, one with '{until}', one with '{since}'"
@@ -284,7 +286,8 @@ def with_signs(
             notes.append(reading("unsigned register", text=text, joints=names))
         if registers:
             signed[kind] = stored_like(array, (_signed(part, registers, counts) for part in blocks(array)))
-    position, command = signed.get("position", samples.position), signed.get("command", samples.command)
+    position = signed.get("position", samples.position)
+    command = signed.get("command", samples.command)
     return replace(samples, position=position, command=command)
 
 

@@ -190,7 +190,8 @@ def uniform(
         )
     if missing:
         more = f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
-        text, advice = f"interpolated {counted(missing, 'missing sample')}{more}", "log every cycle of the controller"
+        text = f"interpolated {counted(missing, 'missing sample')}{more}"
+        advice = "log every cycle of the controller"
         notes.append(repair("missing samples", missing / count, text=text, advice=advice))
     notes += clock_notes
     for signal, held in holds.items():
@@ -244,7 +245,8 @@ def _resampled(
     later = np.concatenate([[True], np.diff(known) > 0])
     fresh = later & holds[POSITIONS].fresh(position)
     bridged = max(BRIDGED * clock.period, clock.longest_step, 1.5 * holds[POSITIONS].period * clock.period)
-    lacking, masked = _gaps(known[later], grid, clock.longest_step), _gaps(known[fresh], grid, bridged)
+    lacking = _gaps(known[later], grid, clock.longest_step)
+    masked = _gaps(known[fresh], grid, bridged)
     # Lines for the commands: a spline would overshoot where the current is noisy.
     values = np.empty((len(grid), command.shape[1]))
     for group, columns in _groups(samples):
