@@ -142,11 +142,9 @@ def payload(
             _refuse_controller(to, frame, result, file)
         with said_if_refused(guessed):
             weighed = weigh(result, experiment, gains=gains.value, progress=progress)
-    bodies, notes = [], []
-    if frame or to or find_spec("clarabel"):
-        bodies = [payload.in_frame(frame, file) for payload in weighed]
-    else:
-        notes.append(str(missing_extra("a centre of mass", "clarabel", "consistency")))
+    has_bodies = bool(frame or to or find_spec("clarabel"))
+    bodies = [payload.in_frame(frame, file) for payload in weighed] if has_bodies else []
+    notes = [] if has_bodies else [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
     notes += [f"{guess.what}; {guess.advice}".removesuffix("; ") for guess in guessed]
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)

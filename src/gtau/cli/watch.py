@@ -82,12 +82,7 @@ def watch(
 
     sources = logs or []
     actions = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
-    if follow and len(sources) != 1:
-        raise GtauError("--follow takes one folder or one growing text log; give it alone.")
-    if not (sources or any(actions.values())):
-        raise GtauError("there is no log to compare; give logs.")
-    if power and (follow or not sources):
-        raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
+    _refuse_logs(sources, follow, power, alone=any(actions.values()))
     settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
     with progress_bar() as progress:
         given = [] if follow else logs_of(sources)
@@ -107,6 +102,16 @@ def watch(
     statuses = blocks(watched, sources[0], read, block, busy=_busy) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
+
+
+def _refuse_logs(sources: list[Path], follow: bool, power: bool, alone: bool) -> None:
+    """Refuse logs, or none, that the options do not go with; an action may stand ``alone``."""
+    if follow and len(sources) != 1:
+        raise GtauError("--follow takes one folder or one growing text log; give it alone.")
+    if not (sources or alone):
+        raise GtauError("there is no log to compare; give logs.")
+    if power and (follow or not sources):
+        raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
 
 
 def _busy(log: str) -> AbstractContextManager[object]:

@@ -276,13 +276,8 @@ def normal_equations(
     ``parts`` receives the joint, position, direction and values ``[columns | y]`` (K, p + 1) of the rows (K,).
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
-    if model.robot.floating:
-        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
     name = f"run '{run.name}'"
-    if run.kind != model.kind:
-        raise GtauError(
-            f"{name} holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the same kind."
-        )
+    _refuse_other_kind(model, run)
     run = run.ordered(idm.actuated, link_side=False)
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
@@ -324,6 +319,17 @@ def normal_equations(
             "give a longer log."
         )
     return G, rows, way / np.maximum(count, 1)
+
+
+def _refuse_other_kind(model: IdentifiedModel, run: Run) -> None:
+    """Refuse a robot whose base floats, and a log of another kind than the model's."""
+    if model.robot.floating:
+        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
+    if run.kind != model.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; "
+            "give a log of the same kind."
+        )
 
 
 def _columns(

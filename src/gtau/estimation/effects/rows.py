@@ -220,27 +220,15 @@ def linear_at(
     count: the values without changes of friction between runs, whose sizes the mixed model estimates whole.
     """
     fit, problem = rows.fit, rows.fit.system.problem
-    channels, size = len(problem.channels), problem.n_theta + FIXED
-    theta, gains, delays = split(values, channels)
-    T = to_gains(values, channels, fit.free_gains)
+    size = problem.n_theta + FIXED
+    T = to_gains(values, len(problem.channels), fit.free_gains)
     per_run, root = rows.in_runs
     free = np.setdiff1d(np.arange(T.shape[1]), per_run)  # the parameters come first in both orders
     origin = values.copy()
     origin[per_run] = 0.0
     own_groups, shared_groups = rows.groups(shared=False), rows.groups(shared=True)
     own, shared = len(own_groups), len(shared_groups)
-    maps = []
-    for j in range(channels):
-        M = np.zeros((size, T.shape[1] + 1))
-        M[: problem.n_theta, : problem.n_theta] = -np.eye(problem.n_theta) / gains[j]
-        if fit.free_gains and problem.unknown_gains[j]:
-            M[: problem.n_theta, problem.n_theta + j] = -theta
-            M[problem.n_theta, problem.n_theta + j] = -1.0
-        if problem.longest_delays[j] > 0:
-            M[-2:, T.shape[1] - channels + j] = -1.0, delays[j]
-        M[: problem.n_theta, -1] = -origin[: problem.n_theta] / gains[j]
-        M[problem.n_theta :, -1] = -1 / gains[j], 1.0, -delays[j], delays[j] ** 2 / 2
-        maps.append(M)
+    maps = _channel_maps(fit, values, origin, T.shape[1])
     e_known, J_known = _known(rows, values)
     square = J_known.T @ J_known
     inside = slice(own, own + size)
@@ -268,6 +256,29 @@ def linear_at(
     model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, largest, noise)
     slopes = np.hstack([T @ basis, np.zeros((len(values), shared))])
     return model, slopes, origin
+
+
+def _channel_maps(fit: Fit, values: np.ndarray, origin: np.ndarray, columns: int) -> list[np.ndarray]:
+    """Map each channel's columns of the problem to the ``columns`` of the Jacobian and its residuals: (., columns + 1).
+
+    The Jacobian is taken at the ``values`` (k,), the residuals at the ``origin`` (k,).
+    """
+    problem, n = fit.system.problem, fit.system.problem.n_theta
+    channels = len(problem.channels)
+    theta, gains, delays = split(values, channels)
+    maps = []
+    for j, (gain, delay) in enumerate(zip(gains, delays, strict=True)):
+        M = np.zeros((n + FIXED, columns + 1))
+        M[:n, :n] = -np.eye(n) / gain
+        if fit.free_gains and problem.unknown_gains[j]:
+            M[:n, n + j] = -theta
+            M[n, n + j] = -1.0
+        if problem.longest_delays[j] > 0:
+            M[-2:, columns - channels + j] = -1.0, delay
+        M[:n, -1] = -origin[:n] / gain
+        M[n:, -1] = -1 / gain, 1.0, -delay, delay**2 / 2
+        maps.append(M)
+    return maps
 
 
 def _known(rows: EffectRows, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -176,10 +176,10 @@ def complete(
         for store, added in zip(stores, (*arrays, *places), strict=True):
             store.append(added)
     time, position, command, rows, incomplete, empty = (store.array() for store in stores)
+    if len(empty) <= MAX_MISSING * (len(time) + len(incomplete) + len(empty)):
+        # faults like others, such as a last row that was cut
+        incomplete, empty = np.sort(np.concatenate([incomplete, empty])), empty[:0]
     count, without = len(time) + len(incomplete), len(empty)
-    if without <= MAX_MISSING * (count + without):  # faults like others, such as a last row that was cut
-        incomplete = np.sort(np.concatenate([incomplete, empty]))
-        count, without = count + without, 0
     if not count and (part.skip or part.label):
         raise GtauError(
             f"{name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: {part.end:g} s); "
@@ -189,29 +189,40 @@ def complete(
     if without:
         text = f"left out {counted(without, 'row')} that hold only other signals"
         notes.append(reading("rows of other signals", text=text))
-    for column in (column for column, number in zip(columns, numbers.tolist(), strict=True) if not number):
-        entry, remedy = table.texts.get(column, ""), "give the column that holds them"
-        if column == columns[-1] and entry[:1].isdigit():
-            remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
-        begins = f" (it begins with '{entry}')" if entry else ""
-        raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
+    if not numbers.all():
+        _refuse_without_numbers(name, columns[int(np.argmin(numbers))], columns[-1], table)
     lost = len(incomplete)
     if lost > MAX_MISSING * count:
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
         remedy = "correct or delete them"
         if lost - leading <= MAX_MISSING * count:
             remedy = f"leave out its first rows (skip: {part.skip + leading})"
-        column = bad_column or columns[0]
-        entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
-        raise GtauError(
-            f"{name} has {lost} of {count} rows with missing or non-numeric values (first in "
-            f"{table.places(incomplete, 1)}, column '{column}'{entry}); {remedy}, or record the log again."
-        )
+        shares = f"{name} has {lost} of {count} rows"
+        raise _incomplete(shares, table, bad_column or columns[0], table.places(incomplete, 1), remedy)
     if lost:
         text = f"dropped {counted(lost, 'row')} with missing or non-numeric values ({table.places(incomplete, lost)})"
         notes.append(repair("rows without numbers", lost / count, text=text))
     origin = float(time[0]) - part.begin if len(time) else 0.0
     return Samples(name, channels, columns, table, part, origin, time, position, command, rows)
+
+
+def _incomplete(rows: str, table: LogTable, column: str, first: str, remedy: str) -> GtauError:
+    """Make the error for too many incomplete ``rows``, the ``first`` of them in this column."""
+    entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
+    return GtauError(
+        f"{rows} with missing or non-numeric values (first in {first}, column '{column}'{entry}); {remedy}, or record "
+        "the log again."
+    )
+
+
+def _refuse_without_numbers(name: str, column: str, time: str, table: LogTable) -> None:
+    """Refuse a column without numbers, with its first text; a ``time`` may be one."""
+    entry = table.texts.get(column, "")
+    remedy = "give the column that holds them"
+    if column == time and entry[:1].isdigit():
+        remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
+    begins = f" (it begins with '{entry}')" if entry else ""
+    raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -194,21 +194,26 @@ def uniform(
         advice = "log every cycle of the controller"
         notes.append(repair("missing samples", missing / count, text=text, advice=advice))
     notes += clock_notes
-    for signal, held in holds.items():
-        if held.period > 1:
-            rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
-            text = f"the {signal} are held: updated at about {rate}; interpolated between updates"
-            advice = f"log the {signal} at the rate at which they change"
-            notes.append(Finding("held signal", text=text, advice=advice, grade=Grade.WARNING))
-        elif held.stale:
-            text = f"{held.stale} samples of the {signal} are stale (repeat the previous one): interpolated"
-            advice = "log in the controller's own cycle"
-            notes.append(repair("stale samples", held.stale / count, text=text, advice=advice))
+    notes += _held_notes(clock, holds, count)
     if delay:
         text = f"moved the commands {delay * 1e3:.4g} ms forward, as preparation.delay says"
         notes.append(reading("moved commands", text=text))
     position, command, valid = (rows.array() for rows in stores)
     return replace(samples, time=time, position=position, command=command), valid
+
+
+def _held_notes(clock: Clock, holds: Holds, count: int) -> Iterator[Finding]:
+    """Note the signals that repeat samples, among ``count`` in all."""
+    for signal, held in holds.items():
+        if held.period > 1:
+            rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
+            text = f"the {signal} are held: updated at about {rate}; interpolated between updates"
+            advice = f"log the {signal} at the rate at which they change"
+            yield Finding("held signal", text=text, advice=advice, grade=Grade.WARNING)
+        elif held.stale:
+            text = f"{held.stale} samples of the {signal} are stale (repeat the previous one): interpolated"
+            advice = "log in the controller's own cycle"
+            yield repair("stale samples", held.stale / count, text=text, advice=advice)
 
 
 def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
