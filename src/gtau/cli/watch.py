@@ -76,7 +76,6 @@ def watch(
     from gtau.report.watch import power_page, power_rows
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.identify import read_log
-    from gtau.watch.follow import follow as blocks
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
 
@@ -87,7 +86,7 @@ def watch(
     with progress_bar() as progress:
         given = [] if follow else logs_of(sources)
         result = load(model)
-        tolerances = None if experiment is None else read_experiment(experiment).tolerances
+        tolerances = read_experiment(experiment).tolerances if experiment else None
         read = partial(read_log, result, experiment=experiment, payload=payload)
         watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
         if power:
@@ -99,7 +98,7 @@ def watch(
     for action, subject in actions.items():
         if subject is not None:
             getattr(watched, action)(subject)
-    statuses = blocks(watched, sources[0], read, block, busy=_busy) if follow else _taken(watched, given, read)
+    statuses = _followed(watched, sources[0], read, block) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
 
@@ -114,9 +113,14 @@ def _refuse_logs(sources: list[Path], follow: bool, power: bool, alone: bool) ->
         raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
 
 
-def _busy(log: str) -> AbstractContextManager[object]:
-    """Say every few seconds that a followed log is being read, but nothing while waiting for the next one."""
-    return progress_lines(f"reading {log}", EVERY)
+def _followed(watched: Watch, source: Path, read: Read, block: float) -> Iterator[Status]:
+    from gtau.watch import follow
+
+    def busy(log: str) -> AbstractContextManager[object]:
+        """Say every few seconds that a log is being read, but nothing while waiting for the next one."""
+        return progress_lines(f"reading {log}", EVERY)
+
+    return follow.follow(watched, source, read, block, busy=busy)
 
 
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:

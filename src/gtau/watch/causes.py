@@ -327,7 +327,7 @@ def _position_fault(
     free, part = np.zeros((len(friction) + 1, len(friction) + 1)), np.repeat([0, 1], NODES)
     fit = fit_mixed(MixedModel(products, free, part, np.zeros(0, dtype=int), np.full(2, LOOSE)))
     k = int(np.argmax([fit.lost_without([0]), fit.lost_without([1])]))
-    squares, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own[0][part == k])
+    squares, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own_effects[0][part == k])
     squares[joint] = np.mean((columns @ fit.model.coefficients(fit.sizes, fit.at, 0)) ** 2)
     name = run.joints[joint]
     unit = torque_unit(model.robot, name)

@@ -101,15 +101,15 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             shown_as="model",
         )
         return Examination(findings=(few,))
-    held, found, as_well = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
-    mixed, findings = None, list(found)
+    held, alterations, as_well = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
+    mixed, findings = None, list(alterations)
     effects = contradicting = tuple[EstimatedEffect, ...]()
     try:
         if (mixed := estimate_effects(fit)) is not None:
             effects = estimated_effects(mixed)
             contradicting = _contradicting(effects, contradictions(mixed))
         frozen = list(frozen_encoders(fit))
-        tried = _other_descriptions(fit, held, bool(found), effects, bool(frozen), progress)
+        tried = _other_descriptions(fit, held, bool(alterations), effects, bool(frozen), progress)
         # one that leaves more of the residuals than the user's explains a single joint at most
         if refit := next((other for other in tried if other is not None and other.share > 0), None):
             # what is linear about the wrong description explains nothing, and what columns would hold is its effect

@@ -256,7 +256,7 @@ def _said(
             yield contradiction(LATE_CURRENTS, (name,), text, advice, size=float(before[j]))
         return
     # means as the likelihood weighs them, so that what is likelier leaves less
-    left, whole = (
+    after_share, before_share = (
         float(np.exp(np.average(np.log(np.maximum(shares[altered], TINY)), weights=counts[altered])))
         for shares in (after, before)
     )
@@ -269,10 +269,10 @@ def _said(
         if _wrenches(dataset):  # wrong wrenches make single currents look wrong
             advice = f"{WRENCHES}; otherwise {advice}"
     text = (
-        f"the {signal}s of {listed(names)} look {how}: {100 * left:.2g} % is unexplained {read}, {100 * whole:.2g} % "
-        "as logged"
+        f"the {signal}s of {listed(names)} look {how}: {100 * after_share:.2g} % is unexplained {read}, "
+        f"{100 * before_share:.2g} % as logged"
     )
-    yield contradiction(kind, names, text, advice, size=1 - left / whole)
+    yield contradiction(kind, names, text, advice, size=1 - after_share / before_share)
 
 
 def _wrenches(dataset: Dataset) -> bool:

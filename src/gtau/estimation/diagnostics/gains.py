@@ -184,8 +184,7 @@ def refuted_descriptions(
             if abs(move) > accuracy:
                 turned = ", which reverses its sign" if -MOST_PERCENT / 100 < move < -1 else ""
                 text = f"{explained_share(part)} and move the gain by {{own}}"
-                own = percent(move, "+.2g") + turned
-                yield refuted(fit, part, (gain.joint,), text, own)
+                yield refuted(fit, part, (gain.joint,), text, percent(move, "+.2g") + turned)
         harmless = part.effect == TORQUE_SCALE.name and abs(part.size) - 3 * part.std <= OTHER_SCALE
         if not (fit.free_gains or harmless) and part.cause.values.get("remains", 0.0) < least:
             yield refuted(fit, part, part.cause.joints or motors(fit), explained_share(part))
@@ -309,5 +308,5 @@ def wide_gains(
                 "use a heavier payload, longer runs, or motions in which the joint lifts or accelerates it more; "
                 "if other joints are weak too, check which runs carry the payload, on which body, and gravity"
             )
-        own = f"+-{percent_text(100 * gain.half, 100 * accuracy)} %"
-        yield Finding(kind, (gain.joint,), causes=causes, text=text, own=own, advice=advice, grade=Grade.WEAK)
+        width = f"+-{percent_text(100 * gain.half, 100 * accuracy)} %"
+        yield Finding(kind, (gain.joint,), causes=causes, text=text, own=width, advice=advice, grade=Grade.WEAK)

@@ -168,9 +168,9 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
     ratio = other.solution.sigma / before
     most = max(np.sqrt(LEFT), ratio[: len(joints)].min())
     unexplained = {
-        joint: [float(share), float(share * left)]
-        for joint, share, left in zip(joints, shares, ratio, strict=False)
-        if left <= most
+        joint: [float(share), float(share * remaining)]
+        for joint, share, remaining in zip(joints, shares, ratio, strict=False)
+        if remaining <= most
     }
     joint, (declared, after) = max(unexplained.items(), key=lambda entry: entry[1][0])
     rest = f", which leaves {100 * after:.2g} % of '{joint}' unexplained instead of {100 * declared:.2g} %,"

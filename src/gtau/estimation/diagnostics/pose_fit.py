@@ -302,12 +302,12 @@ def _candidates(fit: PoseFit) -> list[Candidate]:
         if not np.isfinite(effect).all() or size <= GEOMETRY_FREE**2 * (column @ column):
             continue
         change = float(effect @ residual / size)
-        left = residual - change * effect
-        std = float(fit.scatter((effect * left)[None])[0]) / size
-        candidates.append((float(left @ left), k, change, std, None))
+        rest = residual - change * effect
+        std = float(fit.scatter((effect * rest)[None])[0]) / size
+        candidates.append((float(rest @ rest), k, change, std, None))
     candidates.sort(key=lambda candidate: candidate[0])
-    for place, (rest, k, *_) in enumerate(candidates[:TRIED]):
-        likely = 1 - rest / fit.rest > GEOMETRY_SHARE * GEOMETRY_LIKELY
+    for place, (squares, k, *_) in enumerate(candidates[:TRIED]):
+        likely = 1 - squares / fit.rest > GEOMETRY_SHARE * GEOMETRY_LIKELY
         if likely and (fitted := fit_poses(fit, (*fit.chosen, k))):
             candidates[place] = fitted.rest, k, float(fitted.change[k]), float(fitted.std[-1]), fitted
     return sorted(candidates, key=lambda candidate: candidate[0])

@@ -77,7 +77,7 @@ def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None)
         model, slopes, origin = linear_at(rows, values, noise)
         mixed = near = fit_mixed(model, near)
         noise = mixed.model.noise
-        unmoved = [np.zeros((len(values), len(model.own)))] * len(rows.products)
+        unmoved = [np.zeros((len(values), len(model.own_groups)))] * len(rows.products)
         step, covariance = mixed.at.move(slopes @ np.diag(_scale(mixed)), unmoved)
         gains, values = values[gain_rows], origin + step
         moved = values[gain_rows]
@@ -95,7 +95,7 @@ def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None)
 
 
 def _scale(mixed: MixedFit) -> np.ndarray:
-    return np.concatenate([np.ones(mixed.model.unknowns), mixed.sizes[mixed.model.shared]])
+    return np.concatenate([np.ones(mixed.model.unknowns), mixed.sizes[mixed.model.shared_groups]])
 
 
 def _random(mixed: MixedFit, slopes: np.ndarray) -> np.ndarray:
@@ -127,7 +127,7 @@ def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
                 all_sizes[0][common != 0] = size / column.plausible
             else:
                 j = result.rows.fit.system.problem.joints.index(column.joint)
-                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own[j][layout.places]
+                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own_effects[j][layout.places]
             share, moves, torque = explained(*all_sizes)
             if effect.function:
                 size, std = torque, torque * std / abs(size)
@@ -194,7 +194,7 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
 def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[EffectColumn, np.ndarray, list[np.ndarray]]]:
     """List what of an effect has a size of its own, as functionals of the common and of each channel's own effects."""
     mixed, fit, effect = result.mixed, result.rows.fit, layout.effect
-    nothing = [np.zeros(len(mixed.model.own)) for _ in mixed.model.rows]
+    nothing = [np.zeros(len(mixed.model.own_groups)) for _ in mixed.model.rows]
     common, scale = np.zeros(len(mixed.at.common)), mixed.sizes[number]
     if effect.shared:
         first = mixed.model.unknowns + len(result.rows.in_runs[0]) + layout.places.start
@@ -206,7 +206,7 @@ def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[Effec
     for j, joint in enumerate(fit.system.problem.joints):
         if joint not in fit.dataset.robot.motors:
             continue
-        u, std = mixed.at.own[j][layout.places], np.sqrt(mixed.at.variance(j)[layout.places])
+        u, std = mixed.at.own_effects[j][layout.places], np.sqrt(mixed.at.variance(j)[layout.places])
         parts, about = [part.copy() for part in nothing], ""
         if effect.in_runs:  # of the run that differs most from the mean of all
             modes = run_modes(len(fit.dataset.runs))
@@ -225,7 +225,7 @@ class Influence:
 
     def __init__(self, result: Mixed) -> None:
         self.result, model = result, result.mixed.model
-        m, k = len(model.own), model.unknowns
+        m, k = len(model.own_groups), model.unknowns
         self.unknown = slice(m, m + k)
         self.plain = [part.plain for part in model.rows]
         J = model.known[:k, :k] + sum(part[self.unknown, self.unknown] for part in self.plain)

@@ -109,7 +109,7 @@ class MixedModel:
         Of each channel: its m own columns, k of the Jacobian, those that all channels share, and the residuals.
     known : ndarray
         Products of further equations ``[J | e]`` of the unknowns, of unit variance, (k + 1, k + 1).
-    own, shared : ndarray
+    own_groups, shared_groups : ndarray
         Group of each own column, (m,), and of each shared one.
     largest : ndarray
         Of each group, the standard deviation of s before the data: a half-normal prior.
@@ -117,8 +117,8 @@ class MixedModel:
 
     rows: tuple[LagProducts, ...]
     known: np.ndarray
-    own: np.ndarray
-    shared: np.ndarray
+    own_groups: np.ndarray
+    shared_groups: np.ndarray
     largest: np.ndarray
     noise: tuple[Noise, ...] = ()
 
@@ -129,22 +129,22 @@ class MixedModel:
 
     def coefficients(self, sizes: np.ndarray, at: Posterior, channel: int) -> np.ndarray:
         """Return the coefficients (p,) that combine a channel's columns into its residuals."""
-        scale = np.concatenate([sizes[self.own], np.ones(self.unknowns), sizes[self.shared], [1.0]])
-        return scale * np.concatenate([at.own[channel], at.common, [1.0]])
+        scale = np.concatenate([sizes[self.own_groups], np.ones(self.unknowns), sizes[self.shared_groups], [1.0]])
+        return scale * np.concatenate([at.own_effects[channel], at.common, [1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """Estimates of d and ``u / s``, and what their covariance follows from.
 
-    ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own`` (m,) are each channel's, with
-    ``variance``; they move by ``-response`` (m, k + shared) with the common ones, and ``root`` (m, m) factors how they
-    vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its slope by the sizes.
+    ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own_effects`` (m,) are each channel's,
+    with ``variance``; they move by ``-response`` (m, k + shared) with the common ones, and ``root`` (m, m) factors how
+    they vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its slope by the log sizes.
     """
 
     common: np.ndarray
     covariance: np.ndarray
-    own: tuple[np.ndarray, ...]
+    own_effects: tuple[np.ndarray, ...]
     response: tuple[np.ndarray, ...]
     root: tuple[np.ndarray, ...]
     loss: float
@@ -158,7 +158,7 @@ class Posterior:
         """Estimate quantities (f,), linear in the common (f, .) and the own effects (f, m), with covariance (f, f)."""
         value, slopes = common @ self.common, common.copy()
         added = np.zeros((len(common), len(common)))
-        for F, u, B, root in zip(own, self.own, self.response, self.root, strict=True):
+        for F, u, B, root in zip(own, self.own_effects, self.response, self.root, strict=True):
             value = value + F @ u
             slopes -= F @ B
             added += (F @ root.T) @ (F @ root.T).T
@@ -172,8 +172,8 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     """
     from scipy.linalg import cholesky, solve_triangular
 
-    sizes, m, k = np.exp(log_s), len(model.own), model.unknowns
-    own_sizes, border = sizes[model.own], np.concatenate([np.ones(k), sizes[model.shared], [1.0]])
+    sizes, m, k = np.exp(log_s), len(model.own_groups), model.unknowns
+    own_sizes, border = sizes[model.own_groups], np.concatenate([np.ones(k), sizes[model.shared_groups], [1.0]])
     count = len(border) - 1
     S = np.zeros((count + 1, count + 1))
     at = [*range(k), count]
@@ -200,14 +200,14 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     determinant += float(np.log(values[kept]).sum())
     effects, responses, inverses = [], [], []
     groups = len(log_s)
-    slope = np.bincount(model.shared, 1 - common[k:] ** 2 - np.diag(covariance)[k:], minlength=groups)
+    slope = np.bincount(model.shared_groups, 1 - common[k:] ** 2 - np.diag(covariance)[k:], minlength=groups)
     for L, V in zip(roots, sides, strict=True):
         inverse = solve_triangular(L, np.eye(m), lower=True, check_finite=False)
         effects.append(-inverse.T @ (V[:, count] + V[:, :count] @ common))
         responses.append(inverse.T @ V[:, :count])
         inverses.append(inverse)
         variance = _variance(inverse, responses[-1], covariance)
-        slope = slope + np.bincount(model.own, 1 - effects[-1] ** 2 - variance, minlength=groups)
+        slope = slope + np.bincount(model.own_groups, 1 - effects[-1] ** 2 - variance, minlength=groups)
     prior = (sizes / model.largest) ** 2
     loss = 0.5 * (square + determinant + float(prior.sum()))
     return Posterior(common, covariance, tuple(effects), tuple(responses), tuple(inverses), loss, slope + prior)
@@ -288,8 +288,8 @@ def _grams(model: MixedModel, noise: Sequence[Noise]) -> tuple[np.ndarray, ...]:
 
 def _used(model: MixedModel, gram: np.ndarray, sizes: np.ndarray, at: Posterior, channel: int) -> float:
     """Compute how many rows of a channel its own effects and its share in the common ones take up: tr(C X^T X)."""
-    m = len(model.own)
-    scale = np.concatenate([sizes[model.own], np.ones(model.unknowns), sizes[model.shared]])
+    m = len(model.own_groups)
+    scale = np.concatenate([sizes[model.own_groups], np.ones(model.unknowns), sizes[model.shared_groups]])
     A = gram[:-1, :-1] * scale[:, None] * scale
     B, C = at.response[channel], at.covariance
     root, within = at.root[channel], A[:m, :m]

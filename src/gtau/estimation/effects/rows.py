@@ -227,11 +227,11 @@ def linear_at(
     origin = values.copy()
     origin[per_run] = 0.0
     own_groups, shared_groups = rows.groups(shared=False), rows.groups(shared=True)
-    own, shared = len(own_groups), len(shared_groups)
+    n_own, n_shared = len(own_groups), len(shared_groups)
     maps = _channel_maps(fit, values, origin, T.shape[1])
     e_known, J_known = _known(rows, values)
     square = J_known.T @ J_known
-    inside = slice(own, own + size)
+    inside = slice(n_own, n_own + size)
     for M, part in zip(maps, rows.products, strict=True):
         square += M[:, :-1].T @ part.plain[inside, inside] @ M[:, :-1]
     back = _whitening(square[np.ix_(free, free)])
@@ -241,12 +241,12 @@ def linear_at(
     basis[per_run, unknowns:] = root
     linear = []
     for M, part in zip(maps, rows.products, strict=True):
-        common = own + basis.shape[1]
-        B = np.zeros((part.products.shape[1], common + shared + 1))
-        B[:own, :own] = np.eye(own)
-        B[inside, own:common] = M[:, :-1] @ basis
+        common = n_own + basis.shape[1]
+        B = np.zeros((part.products.shape[1], common + n_shared + 1))
+        B[:n_own, :n_own] = np.eye(n_own)
+        B[inside, n_own:common] = M[:, :-1] @ basis
         B[inside, -1] = M[:, -1]
-        B[inside.stop :, common:-1] = np.eye(shared)
+        B[inside.stop :, common:-1] = np.eye(n_shared)
         linear.append(LagProducts(B.T @ part.products @ B, part.counts))
     known = np.column_stack([J_known[:, free] @ back, e_known])
     # a change of friction between runs has no effect on known parameters
@@ -254,7 +254,7 @@ def linear_at(
     common_groups = np.append(friction_groups, shared_groups)
     largest = np.array([LARGEST if layout.effect.description else 1.0 for layout in rows.layouts] + [1.0])
     model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, largest, noise)
-    slopes = np.hstack([T @ basis, np.zeros((len(values), shared))])
+    slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
     return model, slopes, origin
 
 

@@ -158,24 +158,8 @@ def complete(
     part: Part,
 ) -> Samples:
     """Collect the complete samples of a part of a log; its ``parts`` are blocks with the number of their first row."""
-    n, wide = len(_joints_of(channels)), len(columns) - 1  # columns before the time
-    stores = Store(), Store((n,)), Store((wide - n,)), *(Store(dtype=int) for _ in range(3))
-    numbers = np.zeros(wide + 1, dtype=int)  # in each column
-    begin, bad_column = -1, ""
-    for row, values in part.of(parts):
-        begin = row if begin < 0 else begin
-        finite = np.isfinite(values)
-        kept = finite.all(axis=1)
-        nothing = ~finite[:, :wide].any(axis=1)
-        some = ~kept & ~nothing
-        if some.any() and not bad_column:
-            bad_column = columns[int(np.argmin(finite[np.argmax(some)]))]
-        numbers += finite.sum(axis=0)
-        arrays = values[kept, wide], values[kept, :n], values[kept, n:wide]
-        places = (row + np.flatnonzero(which) for which in (kept, some, nothing))
-        for store, added in zip(stores, (*arrays, *places), strict=True):
-            store.append(added)
-    time, position, command, rows, incomplete, empty = (store.array() for store in stores)
+    arrays, numbers, begin, bad_column = _sorted_rows(part.of(parts), columns, len(_joints_of(channels)))
+    time, position, command, rows, incomplete, empty = arrays
     if len(empty) <= MAX_MISSING * (len(time) + len(incomplete) + len(empty)):
         # faults like others, such as a last row that was cut
         incomplete, empty = np.sort(np.concatenate([incomplete, empty])), empty[:0]
@@ -204,6 +188,34 @@ def complete(
         notes.append(repair("rows without numbers", lost / count, text=text))
     origin = float(time[0]) - part.begin if len(time) else 0.0
     return Samples(name, channels, columns, table, part, origin, time, position, command, rows)
+
+
+def _sorted_rows(
+    parts: Iterable[tuple[int, np.ndarray]], columns: tuple[str, ...], n: int
+) -> tuple[list[np.ndarray], np.ndarray, int, str]:
+    """Sort rows with ``n`` positions, commands and the time by whether they are complete.
+
+    Returns time, positions and commands of complete rows and the numbers of complete, incomplete and empty ones; how
+    many numbers each of the ``columns`` has; the first row, -1 without any; and the column where a row lacks a number.
+    """
+    wide = len(columns) - 1  # columns before the time
+    stores = Store(), Store((n,)), Store((wide - n,)), *(Store(dtype=int) for _ in range(3))
+    numbers = np.zeros(wide + 1, dtype=int)
+    begin, bad_column = -1, ""
+    for row, values in parts:
+        begin = row if begin < 0 else begin
+        finite = np.isfinite(values)
+        kept = finite.all(axis=1)
+        nothing = ~finite[:, :wide].any(axis=1)
+        some = ~kept & ~nothing
+        if some.any() and not bad_column:
+            bad_column = columns[int(np.argmin(finite[np.argmax(some)]))]
+        numbers += finite.sum(axis=0)
+        arrays = values[kept, wide], values[kept, :n], values[kept, n:wide]
+        places = (row + np.flatnonzero(which) for which in (kept, some, nothing))
+        for store, added in zip(stores, (*arrays, *places), strict=True):
+            store.append(added)
+    return [store.array() for store in stores], numbers, begin, bad_column
 
 
 def _incomplete(rows: str, table: LogTable, column: str, first: str, remedy: str) -> GtauError:
