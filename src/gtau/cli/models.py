@@ -63,9 +63,9 @@ def validate(
         from gtau.estimation.experiment_runs import read_validation
         from gtau.estimation.results.conclusions import without_temperature
         from gtau.estimation.results.model_file import load
-        from gtau.report.evidence import predicted, settings_of
+        from gtau.report.evidence import inputs_of, predicted, settings_of
+        from gtau.report.render.html import write_report
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
-        from gtau.report.write import inputs_of, write_report
         from gtau.uses.identify import experiment_of as experiment_for
 
         result = load(model)
@@ -128,9 +128,9 @@ def payload(
         raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
         from gtau.estimation.results.model_file import load, payload_documents
-        from gtau.report.evidence import settings_of
+        from gtau.report.evidence import inputs_of, settings_of
+        from gtau.report.render.html import write_report
         from gtau.report.validation import bodies_document, weighing_page
-        from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh
 

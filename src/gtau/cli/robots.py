@@ -129,7 +129,7 @@ def excite(
         from gtau.excitation.design_file import read_design
         from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages
-        from gtau.report.write import REPORT, write_report
+        from gtau.report.render.html import REPORT, write_report
 
         task, assumed = read_design(design)
 
