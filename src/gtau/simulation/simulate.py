@@ -22,7 +22,7 @@ from gtau.estimation.results.model_file import load
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.floating import refuse_floating
+from gtau.robots.geometry import refuse_floating
 from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, Robot
