@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, EstimatedEffect
-from gtau.estimation.effects.known import EFFECTS
+from gtau.estimation.effects.effect import EffectColumn, EstimatedEffect
 from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, Noise, fit_mixed, posterior
 from gtau.estimation.effects.rows import EffectRows, Layout, effect_rows, linear_at, run_modes, weights_of
 from gtau.estimation.estimators.estimator import Fit
@@ -52,25 +51,25 @@ class Mixed:
         return replace(fit, solution=solution)
 
 
-def estimate_effects(fit: Fit, effects: Sequence[Effect] = EFFECTS) -> Mixed | None:
+def estimate_effects(fit: Fit) -> Mixed | None:
     """Estimate all effects together; None where no window has rows. Raises GtauError at a singularity.
 
     Where they move a gain, they move the torques that their columns are made of: these are then made again.
     """
-    mixed = _estimate(fit, effects)
+    mixed = _estimate(fit)
     if mixed is None or not fit.free_gains:
         return mixed
     gains = mixed.values[fit.system.problem.gain_rows]
     if not NONLINEAR < float(np.max(np.abs(gains / fit.gains - 1))) < FAR:
         return mixed
-    return _estimate(mixed.applied(fit), effects, mixed.mixed)
+    return _estimate(mixed.applied(fit), mixed.mixed)
 
 
-def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None) -> Mixed | None:
+def _estimate(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
     windows = fit.dataset.windows(WINDOWS)
     if not windows:
         return None
-    rows = effect_rows(fit, windows, effects)
+    rows = effect_rows(fit, windows)
     values, gain_rows = fit.solution.values, fit.system.problem.gain_rows
     noise: tuple[Noise, ...] = ()
     for _ in range(STEPS):

@@ -168,9 +168,9 @@ class EffectRows:
         return places, root
 
 
-def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS) -> EffectRows:
+def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
     """Evaluate the columns of all effects along windows of the runs, in one pass; raises GtauError at a singularity."""
-    acting = [(effect, columns) for effect in effects if (columns := tuple(effect.columns(fit)))]
+    acting = [(effect, columns) for effect in EFFECTS if (columns := tuple(effect.columns(fit)))]
     modes, starts, layouts = run_modes(len(fit.dataset.runs)), {False: 0, True: 0}, []
     for effect, columns in acting:
         start = starts[effect.shared]
