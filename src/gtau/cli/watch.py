@@ -73,7 +73,6 @@ def watch(
         return
     refuse_as_folder(out)
     from gtau.estimation.results.model_file import load
-    from gtau.report.watch import power_page, power_rows
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.identify import read_log
     from gtau.watch.follow import logs_of
@@ -93,7 +92,7 @@ def watch(
             progress(f"reading {given[-1].name}", 0, 1)
             watched.imagine(read(given[-1]))
     if power:
-        answer(json_, lambda: power_rows(watched), lambda: power_page(watched))
+        _show_power(watched, json_)
         return
     for action, subject in actions.items():
         if subject is not None:
@@ -111,6 +110,12 @@ def _refuse_logs(sources: list[Path], follow: bool, power: bool, alone: bool) ->
         raise GtauError("there is no log to compare; give logs.")
     if power and (follow or not sources):
         raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
+
+
+def _show_power(watched: Watch, as_json: bool) -> None:
+    from gtau.report.watch import power_page, power_rows
+
+    answer(as_json, lambda: power_rows(watched), lambda: power_page(watched))
 
 
 def _followed(watched: Watch, source: Path, read: Read, block: float) -> Iterator[Status]:
