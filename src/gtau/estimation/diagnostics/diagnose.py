@@ -52,18 +52,11 @@ DESCRIPTIONS = {effect.name for effect in EFFECTS if effect.description}
 class Examination:
     """Evidence of the data against a fit.
 
-    Attributes
-    ----------
-    effects : tuple of EstimatedEffect
-        What the model or the description may lack, with a size, the best supported first; the other description alone
-        with which the same rows were fitted again.
-    contradicting : tuple of EstimatedEffect
-        Descriptions that explain the data better than the user's, the best first.
-    findings : tuple of Finding
-        What the columns of some joints hold instead of their currents or torques, frozen encoders, and tests that
-        refused these data.
-    mixed : Mixed, optional
-        The estimates beside all effects; None where there are too few rows.
+    ``effects`` are what the model or the description may lack, with a size, the best supported first, or the other
+    description alone with which the same rows were fitted again; ``contradicting`` are descriptions that explain the
+    data better than the user's, the best first. ``findings`` say what the columns of some joints hold instead of their
+    currents or torques, which encoders are frozen, and which tests refused these data. ``mixed`` are the estimates
+    beside all effects; None where there are too few rows.
     """
 
     effects: tuple[EstimatedEffect, ...] = ()

@@ -101,18 +101,12 @@ def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
 
 @dataclass(frozen=True, eq=False)
 class MixedModel:
-    """Products of ``[own | J | shared | e]`` of each channel, and the groups whose sizes are found.
+    """Products of the ``rows`` ``[own | J | shared | e]`` of each channel, and the groups whose sizes are found.
 
-    Attributes
-    ----------
-    rows : tuple of LagProducts
-        Of each channel: its m own columns, k of the Jacobian, those that all channels share, and the residuals.
-    known : ndarray
-        Products of further equations ``[J | e]`` of the unknowns, of unit variance, (k + 1, k + 1).
-    own_groups, shared_groups : ndarray
-        Group of each own column, (m,), and of each shared one.
-    largest : ndarray
-        Of each group, the standard deviation of s before the data: a half-normal prior.
+    Its m own columns, k of the Jacobian, those that all channels share, and the residuals. ``known`` (k + 1, k + 1) are
+    products of further equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and
+    ``shared_groups`` the groups of the columns; ``largest`` the standard deviation of s of each group before the data:
+    a half-normal prior.
     """
 
     rows: tuple[LagProducts, ...]
