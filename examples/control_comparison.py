@@ -16,7 +16,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.progress import Progress
 from gtau.result import Result, identify
-from gtau.robots.floating import refuse_floating
+from gtau.robots.geometry import refuse_floating
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.experiment import check_robot, read_experiment
 from gtau.signals.reading.statements import Payload

@@ -12,7 +12,7 @@ from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravit
 from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
-from gtau.robots.floating import float_base
+from gtau.robots.geometry import float_base
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 

@@ -19,7 +19,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
-from gtau.robots.floating import float_base
+from gtau.robots.geometry import float_base
 from gtau.robots.readers.native import write_native
 from gtau.robots.robot import STANDARD_GRAVITY as G
 from gtau.robots.robot import Robot

@@ -16,8 +16,7 @@ from gtau.estimation.diagnostics.verdict import GOOD, WRENCHES, wrenches_first
 from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.results.conclusions import not_separated
-from gtau.findings import Finding, Grade, finding_document
-from gtau.findings.words import listed, percent, percents
+from gtau.findings import Finding, Grade, finding_document, listed, percent, percents
 
 ZERO = Finding("encoder zeros", ("left",), text="an error in the zero of encoder 'left'", advice="compare the zeros")
 

@@ -32,8 +32,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.estimation.results.conclusions import INFLATED, headline, reasons
 from gtau.estimation.results.estimate import Estimate
-from gtau.findings import Finding, Grade, by_severity
-from gtau.findings.words import percent_text
+from gtau.findings import Finding, Grade, by_severity, percent_text
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.parameter import parameter_of

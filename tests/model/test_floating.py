@@ -15,7 +15,7 @@ from gtau.model.base_parameters import base_parameters, independent_columns
 from gtau.model.home import close_home
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
-from gtau.robots.floating import float_base
+from gtau.robots.geometry import float_base
 from gtau.robots.robot import INERTIAL, Attachment, Joint, Pose, Robot, Spring
 
 

@@ -13,8 +13,7 @@ from gtau.errors import GtauError
 from gtau.model.base_parameters import base_parameters, symmetric_order
 from gtau.model.home import close_home, load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.floating import turning
-from gtau.robots.geometry import identical_legs
+from gtau.robots.geometry import identical_legs, turning
 from gtau.robots.placement import pose_of
 from gtau.robots.robot import Attachment, Closure, Coupling, Joint, Mdh, Platform, Pose, Robot
 

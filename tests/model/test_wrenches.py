@@ -14,7 +14,7 @@ from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import poses
 from gtau.model.singularities import random_motion
-from gtau.robots.floating import float_base
+from gtau.robots.geometry import float_base
 from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import Robot
 

@@ -23,8 +23,7 @@ from gtau.report.render.charts import robot_figure
 from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document, robot_page
 from gtau.report.robot_figure import sketch_of
-from gtau.robots.floating import float_base
-from gtau.robots.geometry import oddities, tool_note
+from gtau.robots.geometry import float_base, oddities, tool_note
 from gtau.robots.readers.native import native_text, parse_native
 from gtau.robots.readers.read import catalog_names
 from gtau.robots.robot import GROUND, Joint, Limits, Mdh, Robot

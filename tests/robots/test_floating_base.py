@@ -14,7 +14,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.floating import refuse_floating
+from gtau.robots.geometry import refuse_floating
 from gtau.robots.readers.native import read_native, write_native
 from gtau.robots.robot import Robot
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.floating import float_base
+from gtau.robots.geometry import float_base
 from gtau.signals.reading.body_columns import BaseColumns, at_origins
 from gtau.signals.reading.units import BaseUnits
 

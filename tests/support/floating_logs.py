@@ -17,7 +17,7 @@ from free_flyer import free_flyer_model, free_state, pinocchio_state
 from scipy.spatial.transform import Rotation
 
 from gtau.result import Result
-from gtau.robots.floating import float_base
+from gtau.robots.geometry import float_base
 from gtau.robots.readers.native import write_native
 from gtau.robots.robot import INERTIAL, Joint, Mdh, Pose, Robot
 

@@ -205,7 +205,8 @@ def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, pro
         x = np.array(round_.motion.get("series", {}).get("x", ()))
         if round_.played is None or x.size != task.size:
             continue
-        series, played = round_.motion["series"], _as_played(task, round_.folder, round_.played.speed)
+        series = round_.motion["series"]
+        played = _as_played(task, round_.folder, round_.played.speed)
         torques = [np.abs(played.W @ load).max(axis=1) for load in task.information.cautious]
         torque = np.maximum(task.limits.torque, (1 + 1e-3) * np.max(torques, axis=0))
         slowed = replace(task.series, base_frequency=round_.played.speed / series["period"])

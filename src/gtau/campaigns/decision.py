@@ -25,8 +25,7 @@ from gtau.estimation.experiment_runs import options_of
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design_file import DesignFile
-from gtau.findings import Grade
-from gtau.findings.words import to_width
+from gtau.findings import Grade, to_width
 from gtau.progress import Progress
 from gtau.signals.reading.logs import read_log
 from gtau.uses.identify import identify

@@ -62,7 +62,8 @@ def _gains(judged: list[Judged]) -> Section | None:
         for round_, decision in judged
         if (gain := decision["gains"].get(joint))
     ]
-    now, changed = judged[-1][1]["inputs"].items(), f"{DESIGN}, the accuracy, a log or the rounds set aside"
+    now = judged[-1][1]["inputs"].items()
+    changed = f"{DESIGN}, the accuracy, a log or the rounds set aside"
     earlier = [round_.folder.name for round_, decision in judged if not decision["inputs"].items() <= now]
     notes = tuple(f"round {name} was judged before a change of {changed}" for name in earlier)
     words = "+-: half the 95 % interval; random, model: standard deviations; % of the gain"

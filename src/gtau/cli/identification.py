@@ -115,8 +115,7 @@ def identify(
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.experiment_runs import Options, read, read_validation
         from gtau.estimation.results.model_file import to_document
-        from gtau.report.identification import full_page, summary_page
-        from gtau.report.write import write_identification
+        from gtau.report.identification import full_page, summary_page, write_identification
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.identify import identify_subject, with_requirements
 
@@ -158,8 +157,9 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
     with progress_bar() as progress:
         from gtau.estimation.compare import compare as run
         from gtau.estimation.compare import to_document
+        from gtau.report.evidence import inputs_of
         from gtau.report.fleet import comparison_page
-        from gtau.report.write import inputs_of, write_report
+        from gtau.report.render.html import write_report
         from gtau.signals.reading.experiment import read_experiment
 
         comparison = run(experiment, progress=progress)
@@ -200,7 +200,7 @@ def fleet(
     from gtau.fleet.fleet import fleet_table, identify_fleet, read_fleet
     from gtau.fleet.workers import dask_workers, processes
     from gtau.report.fleet import fleet_document, fleet_page, write_fleet
-    from gtau.report.write import write_report
+    from gtau.report.render.html import write_report
 
     if estimator_of(method).gains == Gains.GIVEN:
         raise GtauError(f"--method {method} uses given drive gains; choose one that estimates them.")
@@ -242,7 +242,7 @@ def campaign(
     with progress_bar() as progress:
         from gtau.campaigns.campaign import campaign as run
         from gtau.campaigns.page import campaign_page
-        from gtau.report.write import write_report
+        from gtau.report.render.html import write_report
 
         state = run(folder, robot, payload, accuracy, progress, partial(stop_request, ""))
         report = write_report(campaign_page(state), folder, seconds())

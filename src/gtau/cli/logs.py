@@ -190,7 +190,8 @@ def check(
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
         from gtau.report.check import check_document, check_page, write_check, write_preparation
-        from gtau.report.write import inputs_of, write_report
+        from gtau.report.evidence import inputs_of
+        from gtau.report.render.html import write_report
 
         checked = check(experiment, method=method, progress=progress)
     checked = replace(checked, notes=(*checked.notes, *guessed))

@@ -63,9 +63,9 @@ def validate(
         from gtau.estimation.experiment_runs import read_validation
         from gtau.estimation.results.conclusions import without_temperature
         from gtau.estimation.results.model_file import load
-        from gtau.report.evidence import predicted, settings_of
+        from gtau.report.evidence import inputs_of, predicted, settings_of
+        from gtau.report.render.html import write_report
         from gtau.report.validation import validation_document, validation_page, validation_report, write_torques
-        from gtau.report.write import inputs_of, write_report
         from gtau.uses.identify import experiment_of as experiment_for
 
         result = load(model)
@@ -128,9 +128,9 @@ def payload(
         raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
         from gtau.estimation.results.model_file import load, payload_documents
-        from gtau.report.evidence import settings_of
+        from gtau.report.evidence import inputs_of, settings_of
+        from gtau.report.render.html import write_report
         from gtau.report.validation import bodies_document, weighing_page
-        from gtau.report.write import inputs_of, write_report
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh
 
@@ -142,11 +142,9 @@ def payload(
             _refuse_controller(to, frame, result, file)
         with said_if_refused(guessed):
             weighed = weigh(result, experiment, gains=gains.value, progress=progress)
-    bodies, notes = [], []
-    if frame or to or find_spec("clarabel"):
-        bodies = [payload.in_frame(frame, file) for payload in weighed]
-    else:
-        notes.append(str(missing_extra("a centre of mass", "clarabel", "consistency")))
+    has_bodies = bool(frame or to or find_spec("clarabel"))
+    bodies = [payload.in_frame(frame, file) for payload in weighed] if has_bodies else []
+    notes = [] if has_bodies else [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
     notes += [f"{guess.what}; {guess.advice}".removesuffix("; ") for guess in guessed]
     written: list[Path] = []
     exact = exact_gains(result, described, gains.value)

@@ -82,7 +82,8 @@ def robot(
     with progress_bar() as progress:
         model = InverseDynamics(described)
         parameters = base_parameters(model, progress=progress)
-    document, page = partial(robot_document, model, parameters), partial(robot_page, model, parameters, verbose)
+    document = partial(robot_document, model, parameters)
+    page = partial(robot_page, model, parameters, verbose)
     answer(json_, document, page, filter(None, (save, figure)))
 
 
@@ -128,7 +129,7 @@ def excite(
         from gtau.excitation.design_file import read_design
         from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages
-        from gtau.report.write import REPORT, write_report
+        from gtau.report.render.html import REPORT, write_report
 
         task, assumed = read_design(design)
 

@@ -73,45 +73,59 @@ def watch(
         return
     refuse_as_folder(out)
     from gtau.estimation.results.model_file import load
-    from gtau.report.watch import power_page, power_rows
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.identify import read_log
-    from gtau.watch.follow import follow as blocks
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
 
     sources = logs or []
     actions = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
-    if follow and len(sources) != 1:
-        raise GtauError("--follow takes one folder or one growing text log; give it alone.")
-    if not (sources or any(actions.values())):
-        raise GtauError("there is no log to compare; give logs.")
-    if power and (follow or not sources):
-        raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
+    _refuse_logs(sources, follow, power, alone=any(actions.values()))
     settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
     with progress_bar() as progress:
         given = [] if follow else logs_of(sources)
         result = load(model)
-        tolerances = None if experiment is None else read_experiment(experiment).tolerances
+        tolerances = read_experiment(experiment).tolerances if experiment else None
         read = partial(read_log, result, experiment=experiment, payload=payload)
         watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
         if power:
             progress(f"reading {given[-1].name}", 0, 1)
             watched.imagine(read(given[-1]))
     if power:
-        answer(json_, lambda: power_rows(watched), lambda: power_page(watched))
+        _show_power(watched, json_)
         return
     for action, subject in actions.items():
         if subject is not None:
             getattr(watched, action)(subject)
-    statuses = blocks(watched, sources[0], read, block, busy=_busy) if follow else _taken(watched, given, read)
+    statuses = _followed(watched, sources[0], read, block) if follow else _taken(watched, given, read)
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
 
 
-def _busy(log: str) -> AbstractContextManager[object]:
-    """Say every few seconds that a followed log is being read, but nothing while waiting for the next one."""
-    return progress_lines(f"reading {log}", EVERY)
+def _refuse_logs(sources: list[Path], follow: bool, power: bool, alone: bool) -> None:
+    """Refuse logs, or none, that the options do not go with; an action may stand ``alone``."""
+    if follow and len(sources) != 1:
+        raise GtauError("--follow takes one folder or one growing text log; give it alone.")
+    if not (sources or alone):
+        raise GtauError("there is no log to compare; give logs.")
+    if power and (follow or not sources):
+        raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
+
+
+def _show_power(watched: Watch, as_json: bool) -> None:
+    from gtau.report.watch import power_page, power_rows
+
+    answer(as_json, lambda: power_rows(watched), lambda: power_page(watched))
+
+
+def _followed(watched: Watch, source: Path, read: Read, block: float) -> Iterator[Status]:
+    from gtau.watch import follow
+
+    def busy(log: str) -> AbstractContextManager[object]:
+        """Say every few seconds that a log is being read, but nothing while waiting for the next one."""
+        return progress_lines(f"reading {log}", EVERY)
+
+    return follow.follow(watched, source, read, block, busy=busy)
 
 
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:
@@ -129,8 +143,8 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
 
     A report is written at the end, at Ctrl-C, and when the state of a followed robot changes.
     """
+    from gtau.report.render.html import write_report
     from gtau.report.watch import status_words, watch_page, watch_report
-    from gtau.report.write import write_report
 
     history = watched.history.path
     inputs = tuple(("log" if k else "model", file) for k, file in enumerate(files))
@@ -160,8 +174,8 @@ def _told(watched: Watch, statuses: Iterator[Status], files: tuple[Path, ...], a
 
 def _fleet(folder: Path, as_json: bool) -> None:
     """Write one page for all histories in a folder."""
+    from gtau.report.render.html import write_report
     from gtau.report.watch import STATES, fleet_lines, fleet_page
-    from gtau.report.write import write_report
 
     lines = fleet_lines(folder)
     page = fleet_page(lines)

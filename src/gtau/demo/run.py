@@ -22,9 +22,9 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
+from gtau.report.identification import write_identification
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.render.terminal import plain
-from gtau.report.write import write_identification
 from gtau.signals.reading.experiment import read_experiment
 from gtau.simulation.closed_loop import write_log
 from gtau.simulation.simulate import make_run, read_simulation

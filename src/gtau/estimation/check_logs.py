@@ -21,13 +21,12 @@ from gtau.estimation.diagnostics.log_checks import (
     smoothed_commands,
 )
 from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravity, doubtful_payloads, units_and_signs
-from gtau.estimation.estimators.estimator import Estimator
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
-from gtau.estimation.regression.dataset import Dataset, preparation_of, robot_notes
+from gtau.estimation.regression.dataset import preparation_of, robot_notes
 from gtau.estimation.regression.plausibility import prepare_runs, sensors_of
 from gtau.estimation.regression.rows import instants
 from gtau.estimation.results.conclusions import near_singularities, not_separated
@@ -167,11 +166,7 @@ def check(
     subject = replace(subject, runs=used)
     with _noted(notes):
         require_inputs(subject)
-    notes += doubtful_commands(used, robot)
-    notes += smoothed_commands(used)
-    notes += doubtful_currents(used, robot.base)
-    notes += doubtful_gravity(robot)
-    notes += doubtful_payloads(robot, (run.payload for run in used))
+    notes += _doubts(robot, used)
     preparation = preparation_of(Equations(model, sensors_of(robot, used)), used)
     checked = []
     distances = cache(lambda: singular_distances(model))  # made once, where a run is so far without a fault
@@ -183,19 +178,12 @@ def check(
             notes += [note.from_source(run.name) for note in (*run.notes, *prepared.notes)]
             notes += near_singularities(checked[-1].nearest)
     progress("checking logs", len(read), len(read))
-    geometry = None
-    if experiment is not None:
-        with _noted(notes):
-            readable = [entry for entry, runs in zip(experiment.runs, read, strict=False) if runs]
-            if geometry := geometry_of(experiment, readable, model, progress):
-                notes.append(geometry.note)
+    geometry = None if experiment is None else _geometry(experiment, read, model, notes, progress)
     for_use = [log for log in checked if not log.validation]
     notes += few_rows(for_use)
     if not any(note.severity == Grade.ERROR for note in notes):
-        subject = replace(subject, runs=[log.run for log in for_use])
         known = {note.kind for note in notes}
-        estimator = estimator_for(options, used)
-        together = _together(subject, estimator, reduced(subject, estimator, progress, preparation))
+        together = _together(replace(subject, runs=[log.run for log in for_use]), preparation, progress)
         notes += [note for note in together if not note.decisive or note.kind not in known]
     return ExperimentCheck(robot, preparation, tuple(checked), tuple(notes), geometry)
 
@@ -224,6 +212,22 @@ def _read(
         yield tuple(usable)
 
 
+def _geometry(
+    experiment: Experiment,
+    read: Sequence[tuple[Run, ...]],
+    model: InverseDynamics,
+    notes: list[Finding],
+    progress: Progress,
+) -> GeometryTest | None:
+    """Test the robot's geometry by the poses in the logs that could be ``read``, with a note on it."""
+    with _noted(notes):
+        readable = [entry for entry, runs in zip(experiment.runs, read, strict=False) if runs]
+        if geometry := geometry_of(experiment, readable, model, progress):
+            notes.append(geometry.note)
+            return geometry
+    return None
+
+
 @contextmanager
 def _noted(notes: list[Finding], kind: str = "refused", source: str = "") -> Generator[None]:
     """Note a refusal instead of raising it; what several logs have in common is listed once, with all their names."""
@@ -244,8 +248,19 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
             yield Finding("usable rows", (joint,), text=text, advice=advice, grade=Grade.ERROR)
 
 
-def _together(subject: Subject, estimator: Estimator, dataset: Dataset) -> list[Finding]:
+def _doubts(robot: Robot, runs: Sequence[Run]) -> Iterator[Finding]:
+    """Find what looks wrong in the logs of some runs, or in what is said of them."""
+    yield from doubtful_commands(runs, robot)
+    yield from smoothed_commands(runs)
+    yield from doubtful_currents(runs, robot.base)
+    yield from doubtful_gravity(robot)
+    yield from doubtful_payloads(robot, (run.payload for run in runs))
+
+
+def _together(subject: Subject, preparation: Preparation, progress: Progress) -> list[Finding]:
     """List findings that need all runs together."""
+    estimator = estimator_for(subject.options, subject.runs)
+    dataset = reduced(subject, estimator, progress, preparation)
     system = dataset.system()
     notes = [*command_lag(dataset, system), *not_separated(system.unexcited)]
     payloads = [run.payload for run in dataset.runs if run.payload is not None]
@@ -301,11 +316,6 @@ def _check(
     highest, fastest, strongest = np.max(ends, axis=0)[1:]
     speeds = np.sqrt(np.diag(prepared.speeds))
     figures = np.stack([lowest, highest, speeds, fastest, rms[:n], strongest, used.mean(axis=0)], axis=1).tolist()
-    wrench_rms = np.sqrt((power / rows)[run.given].reshape(-1, 2, 3).sum(axis=2)).tolist()
-    wrenches = tuple(
-        WrenchCheck(frame.body, "world" if frame.in_world else "body", force, moment)
-        for frame, (moment, force) in zip(run.wrenches, wrench_rms, strict=True)
-    )
     joints = tuple(
         JointCheck(joint, (low, high), speed, speed_max, spectrum, *rest)
         for joint, spectrum, (low, high, speed, speed_max, *rest) in zip(run.joints, spectra(run), figures, strict=True)
@@ -314,10 +324,17 @@ def _check(
         run=run,
         validation=validation,
         joints=joints,
-        wrenches=wrenches,
+        wrenches=tuple(_wrench_checks(run, (power / rows)[run.given])),
         position=positions.array(),
         used=used,
         distances=distances_along(prepared, decimator, values),
         nearest=tuple(nearest_poses(prepared, decimator, values)),
         preparation=prepared.preparation,
     )
+
+
+def _wrench_checks(run: Run, squares: np.ndarray) -> Iterator[WrenchCheck]:
+    """Describe the wrenches of a run by the mean ``squares`` (6 k,) of their components, moments first."""
+    rms = np.sqrt(squares.reshape(-1, 2, 3).sum(axis=2)).tolist()
+    for frame, (moment, force) in zip(run.wrenches, rms, strict=True):
+        yield WrenchCheck(frame.body, "world" if frame.in_world else "body", force, moment)

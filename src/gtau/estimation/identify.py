@@ -30,8 +30,7 @@ from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
 from gtau.estimation.results.conclusions import SCALE_UNTESTED
 from gtau.estimation.results.result import NO_BODIES, IdentifiedModel
-from gtau.findings import Finding, Grade
-from gtau.findings.words import listed
+from gtau.findings import Finding, Grade, listed
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Drive, data_sheet_notes

@@ -137,7 +137,9 @@ class Clearance:
     @cached_property
     def _programs(self) -> dict[str, tuple[Program, Program]]:
         """Pose of every body (orientation in column order), and the gradient by c of a point's weighted coordinates."""
-        c, point, weights = ca.SX.sym("c", self.layout.n_c), ca.SX.sym("point", 3), ca.SX.sym("weights", 3)
+        c = ca.SX.sym("c", self.layout.n_c)
+        point = ca.SX.sym("point", 3)
+        weights = ca.SX.sym("weights", 3)
         programs = {}
         for body, frame in frames(self.layout, c).items():
             if body in self.shapes and body not in FIXED:

@@ -199,7 +199,8 @@ def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]
         distances = [np.min([near.distance for near in by_pair.values()], axis=0) for by_pair in nearest]
         obstacles = [first if first == FLOOR else f"'{first}'" for first, _ in nearest[0]]
         what = f"distance of '{body}' from {', '.join(obstacles)}"
-        values, rows = np.concatenate(distances) / clearance.least, partial(_nearing, parts, clearance, nearest)
+        values = np.concatenate(distances) / clearance.least
+        rows = partial(_nearing, parts, clearance, nearest)
         yield ConstraintUsage("distance", what, clearance.least, "m", values, rows, True)
 
 

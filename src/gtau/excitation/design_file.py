@@ -22,7 +22,7 @@ from gtau.excitation.trajectory import FourierSeries, in_platform_space
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
-from gtau.robots.floating import refuse_floating
+from gtau.robots.geometry import refuse_floating
 from gtau.robots.robot import TRANSLATIONS, Limits, Pose, Robot
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload

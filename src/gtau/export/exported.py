@@ -19,7 +19,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.model_file import load
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.extensions import find, homes, names
-from gtau.robots.floating import refuse_floating
+from gtau.robots.geometry import refuse_floating
 
 HOME = ("gtau.exports", "gtau.export")  # group of entry points, and the package of the built-in kinds
 MODELS = 16  # default number of draws written as models

@@ -18,7 +18,7 @@ from gtau.documents.validation import PATH, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.payload_body import PayloadBody
 from gtau.export.exported import Exported, refuse_unknown, written
-from gtau.findings.words import to_width
+from gtau.findings import to_width
 from gtau.robots.parameter import RigidBody
 from gtau.robots.placement import angles_of
 

@@ -45,7 +45,9 @@ UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints
 
 def export(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME.urdf``, ``NAME_drives.yaml``, and ``NAME.yaml`` where there are loops, into ``out``."""
-    model, robot, name = consistent_model(result, "URDF"), result.robot, identifier(result.robot.name)
+    model = consistent_model(result, "URDF")
+    robot = result.robot
+    name = identifier(result.robot.name)
     texts = {f"{name}.urdf": '<?xml version="1.0"?>\n' + xml_text(_robot_element(model))}
     texts[f"{name}_drives.yaml"] = drives_text(model)
     if robot.closures:

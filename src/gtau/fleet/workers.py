@@ -174,7 +174,8 @@ def dask_workers(
 
         def submit(function: Function, item: Any) -> Future[Any]:
             # Not client.get_executor(): it takes a result whose worker dies as it arrives for an exception.
-            task, answer = client.submit(_work, installed(), function, item, pure=False), Future[Any]()
+            task = client.submit(_work, installed(), function, item, pure=False)
+            answer = Future[Any]()
             client.loop.add_callback(_hand_on, task, answer)
             return answer
 

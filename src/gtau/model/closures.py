@@ -93,7 +93,9 @@ def newton_step(layout: Coordinates) -> tuple[ca.SX, list[ca.SX]]:
 def closed_motion(layout: Coordinates) -> tuple[list[ca.SX], list[ca.SX]]:
     """Express eqs. (5) to (8): from closed c, and qd and qdd, to condition, yd and ydd (n_y,), and J (n_y, n)."""
     given, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
-    actuated, passive, unit = layout.actuated.tolist(), layout.passive.tolist(), layout.unit[layout.passive]
+    actuated = layout.actuated.tolist()
+    passive = layout.passive.tolist()
+    unit = layout.unit[layout.passive]
     _, velocity, gamma = closure_expressions(layout, _on_unit_quaternions(layout, given), yd)
     G_p, G_a = _scaled(layout, velocity, yd)
     qd = ca.SX.sym("qd", len(actuated))

@@ -64,7 +64,7 @@ def load_robot(
     base : "fixed", "floating" or mapping, optional
         ``"fixed"`` fixes a floating base where the file has it; ``{"rpy": [roll, pitch, yaw]}``, rad, fixes it turned
         so in a world whose z axis points up, or mounts a robot so that is fixed already; ``"floating"`` lets the base
-        move freely, by six joints without motors (see :mod:`gtau.robots.floating`).
+        move freely, by six joints without motors (see :mod:`gtau.robots.geometry`).
     joints : sequence of str, optional
         Patterns (``FL_*``) of the joints that move; the others are held. All move if left out.
     held : mapping of str to float, optional

@@ -239,7 +239,9 @@ class InverseDynamics:
         if key in self._regressors:
             return self._regressors[key]
         inputs, J = self.symbols
-        still, gravity, values = ca.SX(self.layout.n_y, 1), ca.SX.sym("g", 3), ca.SX.sym("chi", len(names))
+        still = ca.SX(self.layout.n_y, 1)
+        gravity = ca.SX.sym("g", 3)
+        values = ca.SX.sym("chi", len(names))
         chi = dict.fromkeys(self.parameter_names, ca.SX(1, 1)) | dict(zip(names, ca.vertsplit(values), strict=True))
         tau = torques(self.layout, inputs[0], still, still, J, chi, gravity)
         self._regressors[key] = Regressor(("x", "y", "z"), inputs, ca.jacobian(tau, gravity), (values,))

@@ -319,7 +319,9 @@ def accelerations(
     """Express the acceleration of every body less gravity, which acts as an acceleration of the base."""
     accelerations = {GROUND: Twist(ca.SX(3, 1), -gravity)}
     for k, joint in enumerate(layout.robot.joints):
-        before, at, axis = accelerations[joint.antecedent], frame[joint.name], constant(np.array(joint.axis))
+        before = accelerations[joint.antecedent]
+        at = frame[joint.name]
+        axis = constant(np.array(joint.axis))
         omega = twist[joint.antecedent].angular
         angular = at.R.T @ before.angular
         linear = before.linear + ca.cross(before.angular, at.p) + ca.cross(omega, ca.cross(omega, at.p))

@@ -89,7 +89,9 @@ def _around(errors: LoopErrors, home: np.ndarray, moving: np.ndarray) -> Iterato
         return float(np.linalg.svd(errors(c)[1][:, moving], compute_uv=False)[-1])
 
     home = closed(errors, home, moving)
-    rng, motors, least = np.random.default_rng(0), np.setdiff1d(errors.looped, moving), STRETCHED * smallest(home)
+    rng = np.random.default_rng(0)
+    motors = np.setdiff1d(errors.looped, moving)
+    least = STRETCHED * smallest(home)
     yield home
     for _ in range(POSES - 1):
         step = np.zeros(errors.layout.n_y)
@@ -207,7 +209,9 @@ def _varied(
     layout: Coordinates, places: Mapping[str, Attachment], joints: list[Joint], pairs: list[tuple[int, int, bool]]
 ) -> ca.Function:
     """Compile from c and changes (6 places,): errors of loops and axes with their Jacobians, and slopes by changes."""
-    c, yd, change = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("change", 6 * len(places))
+    c = ca.SX.sym("c", layout.n_c)
+    yd = ca.SX.sym("yd", layout.n_y)
+    change = ca.SX.sym("change", 6 * len(places))
     computed = layout.robot.file.rounding is not None
     parts = ca.vertsplit(change, 6)
     placements = {

@@ -10,8 +10,7 @@ from typing import Any
 from gtau.estimation.check_logs import WEIGHING, ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.results.estimate import write_distances
-from gtau.findings import Finding, Grade, by_severity, note_document
-from gtau.findings.words import counted
+from gtau.findings import Finding, Grade, by_severity, counted, note_document
 from gtau.report.chart import Chart
 from gtau.report.evidence import findings_section, preparation_words, same_in_several
 from gtau.report.motion import (

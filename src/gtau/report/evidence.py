@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,11 +12,12 @@ import numpy as np
 from gtau.errors import GtauError, quoted
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, by_severity
-from gtau.findings.words import moment
+from gtau.findings import Finding, by_severity, moment
 from gtau.progress import Progress, silent
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label
+from gtau.report.render.html import Inputs
 from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.formats import reading
 from gtau.signals.run import Run
 from gtau.uses.prediction import Prediction, predict, torque_errors
@@ -178,3 +180,13 @@ def settings_of(result: IdentifiedModel) -> dict[str, str]:
 def worst_joint(errors: Sequence[TorqueError]) -> TorqueError | None:
     """Return the torque error that is largest relative to the torque of its joint."""
     return max(errors, key=lambda error: error.relative, default=None)
+
+
+def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = True) -> Inputs:
+    """List an experiment file, its robot file and its logs; without ``runs`` only the validation logs."""
+    experiment = experiment or read_experiment(path)
+    source = experiment.robot
+    robot = Path(source if isinstance(source, str) else source.file)
+    listed: Sequence = (*(experiment.runs if runs else ()), *experiment.validation)
+    logs = tuple(("log", log) for run in listed for log in run.log)
+    return (("experiment", path), *((("robot", robot),) if robot.exists() else ()), *logs)

@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.documents.files import write_table
 from gtau.estimation.compare import EstimatorComparison
-from gtau.findings.words import counted, percent_text
+from gtau.findings import counted, percent_text
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series, intervals
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 
@@ -80,11 +80,13 @@ def _verdict(fleet: FleetTable) -> Section:
         words, style = "No robot could be identified.", "bad"
     elif outliers:
         apart = f"{counted(len(outliers), 'drive gain')} of {counted(len(robots), 'robot')}"
-        words, style = f"{apart} differ{'s' * (len(outliers) == 1)} from the rest of the fleet.", "weak"
+        words = f"{apart} differ{'s' * (len(outliers) == 1)} from the rest of the fleet."
+        style = "weak"
     elif any(joint.comparable for joint in fleet.joints):
         words, style = "No drive gain is an outlier in the fleet.", "good"
     else:
-        words, style = "The robots are identified, but they are too few to detect outliers.", "neutral"
+        words = "The robots are identified, but they are too few to detect outliers."
+        style = "neutral"
     facts = {"identified": len(fleet.robots), "refused": len(fleet.refused), "outliers": len(outliers)}
     verdict = Text(words, tuple(_remarks(fleet)), style)  # type: ignore[arg-type]
     return Section("Verdict", verdict, Facts(facts), id="verdict")
@@ -219,7 +221,8 @@ def _charts(comparison: EstimatorComparison, prior: Mapping[str, float]) -> list
     shown = {method: (g.tolist(), h.tolist()) for method, (g, h) in rows.items() if g is not None and h is not None}
     charts = []
     for j, (joint, unit) in enumerate(zip(comparison.joints, _units(comparison), strict=True) if shown else ()):
-        values, halves = [gains[j] for gains, _ in shown.values()], [half[j] for _, half in shown.values()]
+        values = [gains[j] for gains, _ in shown.values()]
+        halves = [half[j] for _, half in shown.values()]
         given, axis = ("prior", [prior.get(joint)] * len(shown)), f"{joint_label(joint)}, {unit}"
         charts.append(Chart((intervals(list(shown), values, halves, axis, other=given),)))
     return charts

@@ -11,8 +11,7 @@ from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Grade
-from gtau.findings.words import percent_text, to_width
+from gtau.findings import Grade, percent_text, to_width
 from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, table_of

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -14,9 +15,18 @@ from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Grade
-from gtau.findings.words import percent_text, percents
-from gtau.report.evidence import RunEvidence, findings_section, preparation_words, same_in_several, worst_joint
+from gtau.findings import Grade, percent_text, percents
+from gtau.progress import Progress, silent
+from gtau.report.evidence import (
+    RunEvidence,
+    findings_section,
+    gather,
+    inputs_of,
+    preparation_words,
+    same_in_several,
+    settings_of,
+    worst_joint,
+)
 from gtau.report.gains import (
     GOOD_OUTCOMES,
     all_sources,
@@ -28,11 +38,14 @@ from gtau.report.gains import (
 from gtau.report.motion import logs_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, table_of
 from gtau.report.parameters import friction_section, inertias_section, parameters_section
+from gtau.report.render.html import write_report
 from gtau.report.robot import geometry_section
 from gtau.report.torques import determination, fit_table, torques_section
 from gtau.report.uncertainty import PAPER, correlation_section, effects_section, residuals_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.drafting import DRAFT
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.run import Run
 
 NOTES = 5  # most findings on the short page
 MOVED = 0.5  # standard deviations; smaller moves are not listed
@@ -192,7 +205,8 @@ def counts(result: IdentifiedModel) -> str:
     more = "".join(f", {count} {'is' if count == 1 else 'are'} {outcome.value}" for outcome, count in others)
     missing = len(missed(result))
     required = f" {missing} of {len(result.requirements)} requirements missed." if missing else ""
-    total, what = len(result.drive_gains), "torque scales" if result.kind == "torque" else "drive gains"
+    total = len(result.drive_gains)
+    what = "torque scales" if result.kind == "torque" else "drive gains"
     return f"{count} of {total} {what} {'is' if count == 1 else 'are'} {first.value}{more}.{required}"
 
 
@@ -289,3 +303,17 @@ def _growth(*losses: float) -> str:
     """Describe the growth of torque residuals, of several joints together, by losses in per cent."""
     loss = 100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in losses])) - 1)
     return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
+
+
+def write_identification(
+    result: IdentifiedModel,
+    validation: Sequence[Run],
+    path: Path,
+    experiment: Experiment,
+    folder: Path,
+    seconds: float,
+    progress: Progress = silent,
+) -> Path:
+    """Write the report of an identification of the ``experiment`` in ``path``, with its ``validation`` runs."""
+    page = report_page(result, gather(result, result.data, validation, progress), experiment.expected_gains)
+    return write_report(page, folder, seconds, inputs_of(path, experiment), settings_of(result))

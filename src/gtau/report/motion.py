@@ -171,7 +171,8 @@ def speed_chart(run: Run, robot: Robot, preparation: Preparation) -> Chart | Non
     rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
     lines: dict[str, list[Series]] = {}
     for j, (joint, spectrum) in enumerate(zip(run.joints, spectra(run), strict=True)):
-        unit, shown = f"speed, {position_unit(robot, joint)}/s/√Hz", spectrum.speed > LOWEST * spectrum.speed.max()
+        unit = f"speed, {position_unit(robot, joint)}/s/√Hz"
+        shown = spectrum.speed > LOWEST * spectrum.speed.max()
         shown &= spectrum.frequency > 0
         drawn = (spectrum.frequency[shown], np.sqrt(spectrum.speed[shown]), colour(j))
         lines.setdefault(unit, []).extend([Series(joint_label(joint), *drawn)] if shown.any() else [])

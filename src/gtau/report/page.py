@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gtau.findings.words import to_width
+from gtau.findings import to_width
 from gtau.report.chart import Chart
 from gtau.robots.robot import Robot
 

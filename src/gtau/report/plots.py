@@ -25,7 +25,7 @@ from gtau.report.identification import full_page, report_page, summary_page, ver
 from gtau.report.motion import TIME, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text
 from gtau.report.render.charts import figure_of, robot_figure
-from gtau.report.render.html import frame
+from gtau.report.render.html import frame, stamped
 from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
@@ -36,7 +36,6 @@ from gtau.report.uncertainty import (
     residual_panels,
     singular_values_chart,
 )
-from gtau.report.write import stamped
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.uses.prediction import Prediction, predict

@@ -141,7 +141,8 @@ def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float
     if not variance > 0:
         return None
     step = np.median([step for step, _, _ in runs])
-    value, band = products / np.maximum(pairs, 1) / variance, float(ndtri(0.975) / np.sqrt(pairs[0]))
+    value = products / np.maximum(pairs, 1) / variance
+    band = float(ndtri(0.975) / np.sqrt(pairs[0]))
     return step * np.arange(lags + 1), value, band
 
 

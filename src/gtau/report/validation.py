@@ -11,8 +11,7 @@ from gtau.estimation.results.conclusions import headline as headline_of_model
 from gtau.estimation.results.model_file import torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, Grade
-from gtau.findings.words import percents, to_width
+from gtau.findings import Finding, Grade, percents, to_width
 from gtau.report.check import unique_names
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import gains_section, payloads_section

@@ -14,8 +14,7 @@ import numpy as np
 
 from gtau.documents.validation import some_of, unknown
 from gtau.errors import GtauError
-from gtau.robots.floating import turning
-from gtau.robots.geometry import moved_ends
+from gtau.robots.geometry import moved_ends, turning
 from gtau.robots.parameter import Parameter, lumped, rigid_body, stated_inertias
 from gtau.robots.placement import euler_angles, pose_of, rounded, turn
 from gtau.robots.robot import GROUND, INERTIAL, Attachment, Closure, Coupling, Joint, Pose, Robot, Spring

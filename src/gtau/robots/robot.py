@@ -180,7 +180,7 @@ class Robot:
 
     Every antecedent precedes its followers. ``gravity`` is the acceleration of gravity in base axes, m/s2.
     ``named_tool`` is the body that carries a payload, if the robot's file names it (see :attr:`tool`), and ``floating``
-    the link that is a floating base (see :mod:`gtau.robots.floating`). ``file`` is further content of the file.
+    the link that is a floating base (see :mod:`gtau.robots.geometry`). ``file`` is further content of the file.
     """
 
     name: str

@@ -129,7 +129,9 @@ class Plant:
             return qd, ca.MX.zeros(n), ca.MX(0, n)
         layout = self.layout
         passive, actuated = layout.passive.tolist(), layout.actuated.tolist()
-        pose, speeds, rates = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y), ca.SX.sym("qd", n)
+        pose = ca.SX.sym("c", layout.n_c)
+        speeds = ca.SX.sym("yd", layout.n_y)
+        rates = ca.SX.sym("qd", n)
         _, velocity, gamma = closure_expressions(layout, pose, speeds)
         G = ca.jacobian(velocity, speeds)
         J, _ = solve(G[:, passive], -G[:, actuated], refine=False)

@@ -22,7 +22,7 @@ from gtau.estimation.results.model_file import load
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.floating import refuse_floating
+from gtau.robots.geometry import refuse_floating
 from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, Robot
@@ -281,7 +281,8 @@ def simulate(
     experiment.unlink(missing_ok=True)  # it would refer to a mix of new and old logs
     try:
         for run in described:
-            simulated, log = make_run(simulation, model, run, partial(progress, run.name)), out / f"{run.name}.csv"
+            simulated = make_run(simulation, model, run, partial(progress, run.name))
+            log = out / f"{run.name}.csv"
             write_log(simulated.run, log)
             written.append(log)
     except KeyboardInterrupt:

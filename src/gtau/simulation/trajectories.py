@@ -230,7 +230,9 @@ def _unchecked(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajector
         moves = moves_through(points, envelope(robot, described.share), described.rest)
         return moves, float(moves.starts[-1] + moves.spans[-1] + described.rest)
     if (series := motion.fourier) is not None:
-        center, amplitude, phase = in_order(series.center), in_order(series.amplitude), in_order(series.phase)
+        center = in_order(series.center)
+        amplitude = in_order(series.amplitude)
+        phase = in_order(series.phase)
         return Sines(center, amplitude, phase, np.array(series.frequency), series.duration), series.duration
     assert motion.csv is not None
     return _from_csv(motion.csv, robot)

@@ -30,8 +30,7 @@ from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
-from gtau.robots.floating import refuse_floating
-from gtau.robots.geometry import characteristic_length
+from gtau.robots.geometry import characteristic_length, refuse_floating
 from gtau.robots.parameter import BY_LOAD, Parameter, torque_unit
 from gtau.robots.placement import WRENCH, WrenchFrame
 from gtau.robots.robot import Placement

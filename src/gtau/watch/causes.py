@@ -32,7 +32,7 @@ from gtau.errors import GtauError
 from gtau.estimation.effects.effect import hats
 from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings.words import to_width
+from gtau.findings import to_width
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
 from gtau.watch.detectors import FEWEST, mean_of
@@ -327,7 +327,7 @@ def _position_fault(
     free, part = np.zeros((len(friction) + 1, len(friction) + 1)), np.repeat([0, 1], NODES)
     fit = fit_mixed(MixedModel(products, free, part, np.zeros(0, dtype=int), np.full(2, LOOSE)))
     k = int(np.argmax([fit.lost_without([0]), fit.lost_without([1])]))
-    squares, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own[0][part == k])
+    squares, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own_effects[0][part == k])
     squares[joint] = np.mean((columns @ fit.model.coefficients(fit.sizes, fit.at, 0)) ** 2)
     name = run.joints[joint]
     unit = torque_unit(model.robot, name)

@@ -185,7 +185,9 @@ def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
     """Compute the statistics of a finished log, the model loaded with its payload; raises GtauError."""
     G, rows, speed = normal_equations(model, run)
     (quantities, _), charts = quantities_of(model), charts_of(model)
-    total, blocks, friction = G.sum(axis=(0, 1)), np.arange(len(G)), _columns_of(quantities, "friction")
+    total = G.sum(axis=(0, 1))
+    blocks = np.arange(len(G))
+    friction = _columns_of(quantities, "friction")
     C, usable = _combinations(total, quantities)
     residual, uneven = residuals_of(G, rows, friction, blocks >= 0)
     k, p, K = len(C), len(quantities), len(charts)
@@ -274,13 +276,8 @@ def normal_equations(
     ``parts`` receives the joint, position, direction and values ``[columns | y]`` (K, p + 1) of the rows (K,).
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
-    if model.robot.floating:
-        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
     name = f"run '{run.name}'"
-    if run.kind != model.kind:
-        raise GtauError(
-            f"{name} holds {run.kind}s, but the model was identified from {model.kind}s; give a log of the same kind."
-        )
+    _refuse_other_kind(model, run)
     run = run.ordered(idm.actuated, link_side=False)
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
@@ -322,6 +319,17 @@ def normal_equations(
             "give a longer log."
         )
     return G, rows, way / np.maximum(count, 1)
+
+
+def _refuse_other_kind(model: IdentifiedModel, run: Run) -> None:
+    """Refuse a robot whose base floats, and a log of another kind than the model's."""
+    if model.robot.floating:
+        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
+    if run.kind != model.kind:
+        raise GtauError(
+            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; "
+            "give a log of the same kind."
+        )
 
 
 def _columns(

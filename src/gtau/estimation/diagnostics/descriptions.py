@@ -30,8 +30,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
 from gtau.estimation.regression.priors import require_scale
-from gtau.findings import Finding
-from gtau.findings.words import listed, to_width
+from gtau.findings import Finding, listed, to_width
 from gtau.progress import Progress
 from gtau.robots.parameter import Parameter, payload_label
 from gtau.robots.robot import Coupling, Robot

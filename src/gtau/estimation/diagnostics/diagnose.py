@@ -53,18 +53,11 @@ DESCRIPTIONS = {effect.name for effect in EFFECTS if effect.description}
 class Examination:
     """Evidence of the data against a fit.
 
-    Attributes
-    ----------
-    effects : tuple of EstimatedEffect
-        What the model or the description may lack, with a size, the best supported first; the other description alone
-        with which the same rows were fitted again.
-    contradicting : tuple of EstimatedEffect
-        Descriptions that explain the data better than the user's, the best first.
-    findings : tuple of Finding
-        What the columns of some joints hold instead of their currents or torques, frozen encoders, and tests that
-        refused these data.
-    mixed : Mixed, optional
-        The estimates beside all effects; None where there are too few rows.
+    ``effects`` are what the model or the description may lack, with a size, the best supported first, or the other
+    description alone with which the same rows were fitted again; ``contradicting`` are descriptions that explain the
+    data better than the user's, the best first. ``findings`` say what the columns of some joints hold instead of their
+    currents or torques, which encoders are frozen, and which tests refused these data. ``mixed`` are the estimates
+    beside all effects; None where there are too few rows.
     """
 
     effects: tuple[EstimatedEffect, ...] = ()
@@ -90,7 +83,8 @@ class Examination:
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:
     """Examine a fit; ``progress`` is called as the work goes on."""
-    rows, unknowns = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared), len(fit.solution.values)
+    rows = usable_rows(fit.dataset.windows(WINDOWS), fit.dataset.prepared)
+    unknowns = len(fit.solution.values)
     if rows < FEWEST_FOR_TESTS * unknowns:
         few = Finding(
             FEW_ROWS,
@@ -101,15 +95,15 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             shown_as="model",
         )
         return Examination(findings=(few,))
-    held, found, as_well = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
-    mixed, findings = None, list(found)
+    held, alterations, as_well = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
+    mixed, findings = None, list(alterations)
     effects = contradicting = tuple[EstimatedEffect, ...]()
     try:
         if (mixed := estimate_effects(fit)) is not None:
             effects = estimated_effects(mixed)
             contradicting = _contradicting(effects, contradictions(mixed))
         frozen = list(frozen_encoders(fit))
-        tried = _other_descriptions(fit, held, bool(found), effects, bool(frozen), progress)
+        tried = _other_descriptions(fit, held, bool(alterations), effects, bool(frozen), progress)
         # one that leaves more of the residuals than the user's explains a single joint at most
         if refit := next((other for other in tried if other is not None and other.share > 0), None):
             # what is linear about the wrong description explains nothing, and what columns would hold is its effect

@@ -26,8 +26,7 @@ from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.rows import stream_rows
-from gtau.findings import Finding
-from gtau.findings.words import listed
+from gtau.findings import Finding, listed
 from gtau.robots.robot import DRIVE, INERTIAL
 from gtau.signals.preparation.prepared_run import SampleWindow
 
@@ -103,7 +102,8 @@ def effort_of(dataset: Dataset, slowest: float) -> tuple[str, tuple[Finding, ...
     if not joints:
         return AS_STATED, (), False
     shares = np.array([unexplained(joint.basis, joint.effort) for joint in joints])  # (n, n + 1)
-    logged, counts = np.diag(shares), np.array([_independent(joint, j) for j, joint in enumerate(joints)])
+    logged = np.diag(shares)
+    counts = np.array([_independent(joint, j) for j, joint in enumerate(joints)])
     rows, wrenches = float(counts.sum()), _wrenches(dataset)
 
     def likelier(after: np.ndarray, before: np.ndarray = logged) -> float:
@@ -152,7 +152,9 @@ def _permuted(shares: np.ndarray, counts: np.ndarray) -> Iterator[Reading]:
     from scipy.optimize import linear_sum_assignment
 
     joints, order = linear_sum_assignment(counts[:, None] * np.log(np.maximum(shares[:, :-1], TINY)))
-    altered, assigned, logged = np.flatnonzero(order != joints), shares[joints, order], np.diag(shares)
+    altered = np.flatnonzero(order != joints)
+    assigned = shares[joints, order]
+    logged = np.diag(shares)
     if len(altered) and np.all((assigned < SWAPPED * logged)[altered]):
         yield SWAPPED_CHANNELS, assigned, logged, altered.tolist(), 0
 
@@ -254,7 +256,7 @@ def _said(
             yield contradiction(LATE_CURRENTS, (name,), text, advice, size=float(before[j]))
         return
     # means as the likelihood weighs them, so that what is likelier leaves less
-    left, whole = (
+    after_share, before_share = (
         float(np.exp(np.average(np.log(np.maximum(shares[altered], TINY)), weights=counts[altered])))
         for shares in (after, before)
     )
@@ -267,10 +269,10 @@ def _said(
         if _wrenches(dataset):  # wrong wrenches make single currents look wrong
             advice = f"{WRENCHES}; otherwise {advice}"
     text = (
-        f"the {signal}s of {listed(names)} look {how}: {100 * left:.2g} % is unexplained {read}, {100 * whole:.2g} % "
-        "as logged"
+        f"the {signal}s of {listed(names)} look {how}: {100 * after_share:.2g} % is unexplained {read}, "
+        f"{100 * before_share:.2g} % as logged"
     )
-    yield contradiction(kind, names, text, advice, size=1 - left / whole)
+    yield contradiction(kind, names, text, advice, size=1 - after_share / before_share)
 
 
 def _wrenches(dataset: Dataset) -> bool:

@@ -29,8 +29,7 @@ from gtau.estimation.effects.known.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding, Grade
-from gtau.findings.words import MOST_PERCENT, percent, percent_text
+from gtau.findings import MOST_PERCENT, Finding, Grade, percent, percent_text
 from gtau.model.base_parameters import regrouped, whole_mass
 from gtau.robots.parameter import unit_of
 
@@ -184,8 +183,8 @@ def refuted_descriptions(
             move = part.moves[gain.joint] / 100
             if abs(move) > accuracy:
                 turned = ", which reverses its sign" if -MOST_PERCENT / 100 < move < -1 else ""
-                text, own = f"{explained_share(part)} and move the gain by {{own}}", percent(move, "+.2g") + turned
-                yield refuted(fit, part, (gain.joint,), text, own)
+                text = f"{explained_share(part)} and move the gain by {{own}}"
+                yield refuted(fit, part, (gain.joint,), text, percent(move, "+.2g") + turned)
         harmless = part.effect == TORQUE_SCALE.name and abs(part.size) - 3 * part.std <= OTHER_SCALE
         if not (fit.free_gains or harmless) and part.cause.values.get("remains", 0.0) < least:
             yield refuted(fit, part, part.cause.joints or motors(fit), explained_share(part))
@@ -238,7 +237,8 @@ def gains_without_value(fit: Fit, gains: Sequence[JudgedGain]) -> Iterator[Findi
     for gain in gains:
         kind, text = "sign open", "the 95 % interval includes zero"  # which leaves not even the sign
         if gain.std > LOST_GAIN:
-            kind, text = "lost in noise", f"the relative standard deviation is {percent(gain.std, '.0f')}"
+            kind = "lost in noise"
+            text = f"the relative standard deviation is {percent(gain.std, '.0f')}"
         if gain.std > LOST_GAIN or gain.half >= 1:
             yield Finding(kind, (gain.joint,), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
 
@@ -266,7 +266,8 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
         if name not in places:
             continue
         place, value = places[name], estimates[name]
-        std, columns = float(stds[place]), np.array([np.linalg.norm(R[:, place]) for R in problem.triangles])
+        std = float(stds[place])
+        columns = np.array([np.linalg.norm(R[:, place]) for R in problem.triangles])
         felt = float(np.max(abs(value) * columns / signals)) > IMPOSSIBLE_SHARE
         if felt and judge_parameter(value, std, terms).outcome == Grade.CONTRADICTORY:
             unit = unit_of(name.kind, dataset.robot, name.body)
@@ -291,7 +292,8 @@ def wide_gains(
         most = max(sized, key=lambda effect: abs(effect.moves[gain.joint] * effect.std / effect.size), default=None)
         kind, text, advice = WIDE_RANDOM, interval, unloaded_advice(fit)
         if estimates.scale[gain.row, gain.row] > NAMED_SHARE * (random + model):
-            kind, text = WIDE_SCALE, f"{interval}, limited by the uncertainty of the scale reference"
+            kind = WIDE_SCALE
+            text = f"{interval}, limited by the uncertainty of the scale reference"
             advice = "calibrate the sensors, or weigh the payload, more accurately"
             if fit.dataset.scaled_by_file:
                 stated = fit.dataset.prior_inertias or 0.0
@@ -306,5 +308,5 @@ def wide_gains(
                 "use a heavier payload, longer runs, or motions in which the joint lifts or accelerates it more; "
                 "if other joints are weak too, check which runs carry the payload, on which body, and gravity"
             )
-        own = f"+-{percent_text(100 * gain.half, 100 * accuracy)} %"
-        yield Finding(kind, (gain.joint,), causes=causes, text=text, own=own, advice=advice, grade=Grade.WEAK)
+        width = f"+-{percent_text(100 * gain.half, 100 * accuracy)} %"
+        yield Finding(kind, (gain.joint,), causes=causes, text=text, own=width, advice=advice, grade=Grade.WEAK)

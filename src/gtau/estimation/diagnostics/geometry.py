@@ -89,9 +89,11 @@ class GeometryTest:
             for kind, both in self.distances.items()
         ]
         before, after = map(" and ".join, zip(*sizes, strict=True))
-        pose, changes = f"the logged pose of '{self.body}'", " and ".join(map(str, self.explained_by))
+        pose = f"the logged pose of '{self.body}'"
+        changes = " and ".join(map(str, self.explained_by))
         if self.outcome == "confirmed":
-            text, shown_as = f"{pose} confirms the robot's geometry to {before} rms", "robot description"
+            text = f"{pose} confirms the robot's geometry to {before} rms"
+            shown_as = "robot description"
             return Finding(
                 "confirmed geometry", subject=self.body, text=text, grade=Grade.INFORMATION, shown_as=shown_as
             )

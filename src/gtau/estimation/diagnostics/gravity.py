@@ -28,8 +28,7 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.findings import Finding, Grade
-from gtau.findings.words import percent
+from gtau.findings import Finding, Grade, percent
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import BY_LOAD
 
@@ -172,12 +171,13 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
     """Describe a fit with another gravity, on the joints that it explains, or on the one that it explains best."""
     problem, before = unaltered.problem, unaltered.solution.sigma
     joints = problem.joints
-    shares, ratio = before / problem.balance(unaltered.solution.theta), other.solution.sigma / before
+    shares = before / problem.balance(unaltered.solution.theta)
+    ratio = other.solution.sigma / before
     most = max(np.sqrt(LEFT), ratio[: len(joints)].min())
     unexplained = {
-        joint: [float(share), float(share * left)]
-        for joint, share, left in zip(joints, shares, ratio, strict=False)
-        if left <= most
+        joint: [float(share), float(share * remaining)]
+        for joint, share, remaining in zip(joints, shares, ratio, strict=False)
+        if remaining <= most
     }
     joint, (declared, after) = max(unexplained.items(), key=lambda entry: entry[1][0])
     rest = f", which leaves {100 * after:.2g} % of '{joint}' unexplained instead of {100 * declared:.2g} %,"
@@ -232,9 +232,12 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
     gravity = np.array(dataset.robot.gravity)
     if not gravity.any():
         return
-    model, regressor, torques = dataset.model, dataset.model.gravity_torques(dataset.base.standard), np.zeros(n)
+    model = dataset.model
+    regressor = dataset.model.gravity_torques(dataset.base.standard)
+    torques = np.zeros(n)
     for run, window in dataset.windows():
-        motion, parameters = window_motion(model, window), fit.system.motion(run, fit.solution.theta)
+        motion = window_motion(model, window)
+        parameters = fit.system.motion(run, fit.solution.theta)
         along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
         torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
     felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))

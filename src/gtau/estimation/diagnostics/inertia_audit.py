@@ -32,23 +32,12 @@ Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]
 
 @dataclass(frozen=True)
 class AuditedParameter:
-    """A base parameter by the file and from the data.
+    """A base parameter by the file and from the data; its ``link`` is the body of its first standard parameter.
 
-    Attributes
-    ----------
-    name, link, unit : str
-        The link is the body of its first standard parameter.
-    standing : {"agrees", "contradicted", "not identifiable", "not stated"}
-        Not identifiable where its 95 % interval is wider than +-100 % of what the file's link weighs there (m, m r or
-        m r^2), or there is none; not stated where it regroups a rotor inertia that the file does not state.
-    stated : float or None
-        What the file's parameters add up to; None of a rotor inertia that it does not state.
-    value, std : float or None
-        From the data alone.
-    interval : tuple of float or None
-        95 %.
-    z : float or None
-        Difference from the file over its standard deviation, which includes the prior's where the file was one.
+    It is not identifiable where its 95 % ``interval`` is wider than +-100 % of what the file's link weighs there (m,
+    m r or m r^2), or there is none; not stated where it regroups a rotor inertia that the file does not state.
+    ``stated`` is what the file's parameters add up to, ``value`` and ``std`` are from the data alone, and ``z`` is the
+    difference over its standard deviation, which includes the prior's where the file was one.
     """
 
     name: str
@@ -77,17 +66,10 @@ class AuditedLink:
 class InertiaAudit:
     """Comparison of the robot file's inertias with the data.
 
-    Attributes
-    ----------
-    stated, identified : dict
-        Torque error of each joint with the file's inertias and with the identified ones, per cent of its rms torque,
-        over the rows used.
-    parameters : tuple of AuditedParameter
-        All base parameters that regroup inertias.
-    links : tuple of AuditedLink
-        Links that explain why the file predicts worse, the first explains most; none where nothing is contradicted.
-    prior : float
-        Relative standard deviation of the file's inertias where they were priors, else 0.
+    ``stated`` and ``identified`` are the torque errors of each joint with the file's inertias and with the identified
+    ones, per cent of its rms torque, over the rows used; ``parameters`` all base parameters that regroup inertias.
+    ``links`` explain why the file predicts worse, the first explains most; none where nothing is contradicted.
+    ``prior`` is the relative standard deviation of the file's inertias where they were priors, else 0.
     """
 
     stated: Mapping[str, float]
@@ -150,7 +132,9 @@ def audit_inertias(fit: Fit, estimates: Estimates, loaded: bool) -> tuple[Fit | 
     with a body that is not declared is not audited: the file is not blamed for what it lacks.
     """
     bare: Fit | None = fit
-    covariance, freedom, prior = estimates.covariance, estimates.effective_freedom, fit.dataset.prior_inertias
+    covariance = estimates.covariance
+    freedom = estimates.effective_freedom
+    prior = fit.dataset.prior_inertias
     if prior:
         dataset = replace(fit.dataset, priors=fit.dataset.stated_priors, prior_inertias=0.0)
         bare = refitted(fit, dataset=dataset)
@@ -261,7 +245,9 @@ def _parameters(
 
 def _links(fit: Fit, identified: np.ndarray, file: np.ndarray) -> Iterator[AuditedLink]:
     """Name the links that explain the larger torque error of the file, one after the other."""
-    base, names, stated = fit.dataset.base, fit.dataset.model.parameter_names, stated_inertias(fit.dataset.robot)
+    base = fit.dataset.base
+    names = fit.dataset.model.parameter_names
+    stated = stated_inertias(fit.dataset.robot)
     rows = _rows(fit)
     torque = rows @ (identified - file)
     members: dict[str, list[int]] = {}

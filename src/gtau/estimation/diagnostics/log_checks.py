@@ -26,8 +26,7 @@ from gtau.estimation.estimators.newton import DELAY_MOTION
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.findings import Finding, Grade
-from gtau.findings.words import listed, percent
+from gtau.findings import Finding, Grade, listed, percent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.bandwidth import end_of_commands
@@ -272,7 +271,8 @@ def frozen_encoders(fit: Fit) -> list[Finding]:
     moving = np.array([np.subtract(*extremes(run.position)) < 0 for run in runs])
     acting = np.array([np.subtract(*extremes(run.command))[:n] < 0 for run in runs])
     frozen = np.argwhere(acting & ~moving).tolist()
-    shares, findings = unexplained_by_run(fit) if frozen else np.zeros(0), list[tuple[float, Finding]]()
+    shares = unexplained_by_run(fit) if frozen else np.zeros(0)
+    findings = list[tuple[float, Finding]]()
     for run, joint in frozen:
         usual = shares[moving[:, joint]].max(axis=0, initial=0.0)
         least = np.where(usual > 0, np.maximum(UNSEEN_RATIO * usual, UNSEEN_MISFIT), MISFIT)

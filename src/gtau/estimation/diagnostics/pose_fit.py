@@ -102,7 +102,8 @@ def guessed_frames(poses: Poses, body: BodyPose) -> Frames:
     R_t, p_t, R_m = np.tile(np.eye(3), (runs, 1, 1)), np.zeros((runs, 3)), np.eye(3)
     if columns.source == "tracker" and len(columns.axes) == 3:
         for k in range(runs):
-            logged, computed = poses.values[run == k][:, np.argsort(columns.axes)], body.position[run == k]
+            logged = poses.values[run == k][:, np.argsort(columns.axes)]
+            computed = body.position[run == k]
             centres = logged.mean(axis=0), computed.mean(axis=0)
             R_t[k] = Rotation.align_vectors(logged - centres[0], computed - centres[1])[0].as_matrix()
             p_t[k] = centres[0] - R_t[k] @ centres[1]
@@ -137,7 +138,8 @@ class PoseFit:
     @cached_property
     def free(self) -> np.ndarray:
         """Entries of ``moved`` that are unknown (7 + 6 runs,)."""
-        source, turns = self.poses.columns.source, any(unit == "rad" for _, unit in self.poses.components)
+        source = self.poses.columns.source
+        turns = any(unit == "rad" for _, unit in self.poses.components)
         marker, tracker = source != "controller", source == "tracker"
         # where only a position is logged, nobody sees how a marker is turned
         return np.repeat([True, marker, marker and turns, tracker], [1, 3, 3, len(self.moved) - 7])
@@ -300,12 +302,12 @@ def _candidates(fit: PoseFit) -> list[Candidate]:
         if not np.isfinite(effect).all() or size <= GEOMETRY_FREE**2 * (column @ column):
             continue
         change = float(effect @ residual / size)
-        left = residual - change * effect
-        std = float(fit.scatter((effect * left)[None])[0]) / size
-        candidates.append((float(left @ left), k, change, std, None))
+        rest = residual - change * effect
+        std = float(fit.scatter((effect * rest)[None])[0]) / size
+        candidates.append((float(rest @ rest), k, change, std, None))
     candidates.sort(key=lambda candidate: candidate[0])
-    for place, (rest, k, *_) in enumerate(candidates[:TRIED]):
-        likely = 1 - rest / fit.rest > GEOMETRY_SHARE * GEOMETRY_LIKELY
+    for place, (squares, k, *_) in enumerate(candidates[:TRIED]):
+        likely = 1 - squares / fit.rest > GEOMETRY_SHARE * GEOMETRY_LIKELY
         if likely and (fitted := fit_poses(fit, (*fit.chosen, k))):
             candidates[place] = fitted.rest, k, float(fitted.change[k]), float(fitted.std[-1]), fitted
     return sorted(candidates, key=lambda candidate: candidate[0])

@@ -281,7 +281,9 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     other = refitted(fit, [changed if load and load.name == payload.name else load for load in stated], method=method)
     if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # without this value nothing gives the scale, or it cannot be separated from what is not declared
-    problem, theta, stds = other.problem, other.solution.theta, np.sqrt(np.diag(other.solution.jackknife))
+    problem = other.problem
+    theta = other.solution.theta
+    stds = np.sqrt(np.diag(other.solution.jackknife))
     columns = [
         problem.unknowns.places[label]
         for load in other.system.payloads

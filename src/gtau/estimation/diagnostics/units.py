@@ -29,8 +29,7 @@ from gtau.estimation.diagnostics.verdict import (
 from gtau.estimation.effects.effect import Levels
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding
-from gtau.findings.words import listed, write_limits
+from gtau.findings import Finding, listed, write_limits
 from gtau.robots.parameter import gain_unit, parameter_of, torque_unit
 from gtau.robots.robot import GROUND, Robot
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload

@@ -9,8 +9,7 @@ import numpy as np
 
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.regression.problem import Estimates, Problem
-from gtau.findings import Finding, Grade
-from gtau.findings.words import percent
+from gtau.findings import Finding, Grade, percent
 from gtau.robots.parameter import Parameter
 
 WEAK_PARAMETER = 0.2  # relative standard deviation of a parameter

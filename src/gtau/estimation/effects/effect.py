@@ -88,7 +88,8 @@ class FitWindow:
         Wrong zeros and scales of positions, and elastic joints, add such torques.
         """
         model, window = self.fit.dataset.model, self.window
-        before, labels = self.torques_along(self.motion, self.values), instants(window.run.name, window.time)
+        before = self.torques_along(self.motion, self.values)
+        labels = instants(window.run.name, window.time)
         columns = []
         for q, qd, qdd in moved:
             other = replace(window, q=q, qd=qd, qdd=qdd, part_of=None)
@@ -137,16 +138,10 @@ def hats(x: np.ndarray, knots: np.ndarray) -> np.ndarray:
 class EffectColumn:
     """One column of an effect.
 
-    Attributes
-    ----------
-    plausible : float
-        Standard deviation of the sizes that experience allows, in its ``unit``.
-    joint, subject : str
-        What it is about: a joint, for columns that act on each joint with a size of its own left empty, or a body.
-    about : str
-        What sets it apart from the other columns of the effect, such as an axis or a run.
-    largest : float
-        Size beyond which the column is no longer what the effect adds, as torques are linear in small changes alone.
+    ``plausible`` is the standard deviation of the sizes that experience allows, in its ``unit``. It is about a
+    ``joint``, empty for columns that act on each joint with a size of its own, or a body (``subject``); ``about`` sets
+    it apart from the other columns of the effect, such as an axis or a run. Beyond the size ``largest`` it is no longer
+    what the effect adds, as torques are linear in small changes alone.
     """
 
     plausible: float
@@ -203,27 +198,13 @@ class Effect:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EstimatedEffect:
-    """An effect as the data show it, beside all others.
+    """An effect as the data show it, beside all others: its name, what it is (``cause``), and what to do about it.
 
-    Attributes
-    ----------
-    effect : str
-        Its name.
-    cause : Finding
-        What it is, and what to do about it.
-    size, std, unit : float, float, str
-        Size of its largest column with the standard deviation; of a function its rms torque over the rms torque of the
-        joint.
-    likelihood : float
-        Log-likelihood that the data lose without this effect, all others being found again.
-    share : float
-        Share of the residual variance that it explains, at most 1.
-    moves : mapping
-        By how much the gain of each motor would move without it, per cent of itself.
-    description : bool
-        Whether it contradicts the description of robot and logs: as such, or by its size.
-    beyond : bool
-        Whether it is so large that it does not explain what it seems to.
+    ``size`` and ``std`` are of its largest column, or of a function its rms torque over the rms torque of the joint.
+    The data lose ``likelihood`` (its logarithm) without it, all others being found again. It explains the ``share`` of
+    the residual variance, at most 1; without it the gain of each motor would move by ``moves``, per cent of itself.
+    ``description``: it contradicts the description of robot and logs, as such or by its size; ``beyond``: it is so
+    large that it does not explain what it seems to.
     """
 
     effect: str

@@ -7,10 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, EstimatedEffect
-from gtau.estimation.effects.known import EFFECTS
-from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, fit_mixed, posterior
-from gtau.estimation.effects.rows import EffectRows, Layout, Linear, effect_rows, linear_at, run_modes, weights_of
+from gtau.estimation.effects.effect import EffectColumn, EstimatedEffect
+from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, Noise, fit_mixed, posterior
+from gtau.estimation.effects.rows import EffectRows, Layout, effect_rows, linear_at, run_modes, weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import finish
 from gtau.estimation.regression.run_blocks import WINDOWS
@@ -30,12 +29,13 @@ SEEN = 0.02  # of its plausible size: an effect below is not listed
 class Mixed:
     """Estimates of a fit with all effects beside them.
 
-    ``values`` (k,) are moved, ``covariance`` (k, k) is theirs, of which noise alone gives ``random``.
+    ``values`` (k,) are moved, ``covariance`` (k, k) is theirs, of which noise alone gives ``random``; ``slopes`` (k, .)
+    are theirs by the common columns of the mixed model.
     """
 
     rows: EffectRows
     mixed: MixedFit
-    linear: Linear
+    slopes: np.ndarray
     values: np.ndarray
     covariance: np.ndarray
     random: np.ndarray
@@ -51,58 +51,56 @@ class Mixed:
         return replace(fit, solution=solution)
 
 
-def estimate_effects(fit: Fit, effects: Sequence[Effect] = EFFECTS) -> Mixed | None:
+def estimate_effects(fit: Fit) -> Mixed | None:
     """Estimate all effects together; None where no window has rows. Raises GtauError at a singularity.
 
     Where they move a gain, they move the torques that their columns are made of: these are then made again.
     """
-    mixed = _estimate(fit, effects)
+    mixed = _estimate(fit)
     if mixed is None or not fit.free_gains:
         return mixed
     gains = mixed.values[fit.system.problem.gain_rows]
     if not NONLINEAR < float(np.max(np.abs(gains / fit.gains - 1))) < FAR:
         return mixed
-    return _estimate(mixed.applied(fit), effects, mixed.mixed)
+    return _estimate(mixed.applied(fit), mixed.mixed)
 
 
-def _estimate(fit: Fit, effects: Sequence[Effect], near: MixedFit | None = None) -> Mixed | None:
+def _estimate(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
     windows = fit.dataset.windows(WINDOWS)
     if not windows:
         return None
-    rows = effect_rows(fit, windows, effects)
+    rows = effect_rows(fit, windows)
     values, gain_rows = fit.solution.values, fit.system.problem.gain_rows
-    linear = linear_at(rows, values)
-    for step_number in range(STEPS):
-        if step_number:
-            linear = linear_at(rows, values, linear.model)
-        mixed = near = fit_mixed(linear.model, near)
-        own = [np.zeros((len(values), rows.own))] * len(rows.products)
-        step, covariance = mixed.at.move(linear.slopes @ np.diag(_scale(mixed)), own)
-        before, values = values, linear.origin + step
-        gains, moved = before[gain_rows], values[gain_rows]
-        linear = replace(linear, model=mixed.model)
+    noise: tuple[Noise, ...] = ()
+    for _ in range(STEPS):
+        model, slopes, origin = linear_at(rows, values, noise)
+        mixed = near = fit_mixed(model, near)
+        noise = mixed.model.noise
+        unmoved = [np.zeros((len(values), len(model.own_groups)))] * len(rows.products)
+        step, covariance = mixed.at.move(slopes @ np.diag(_scale(mixed)), unmoved)
+        gains, values = values[gain_rows], origin + step
+        moved = values[gain_rows]
         if np.all(np.abs(moved - gains) <= STAYS * np.abs(gains)):
             break
     # without effects the model has the delay of the plain fit: a lag stands for a part of it
     delays = fit.system.problem.unknowns.delays
     values = np.concatenate([values[: delays.start], fit.solution.values[delays]])
-    random = _random(mixed, linear)
+    random = _random(mixed, slopes[:, : model.unknowns])
     if fit.free_gains:
         known = np.diag(covariance)[gain_rows] == 0
         covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * values[gain_rows]) ** 2))
     part = np.sqrt(np.minimum(np.diag(covariance) / np.maximum(np.diag(random), 1e-300), 1.0))  # but for rounding
-    return Mixed(rows, mixed, linear, values, covariance, random * part[:, None] * part)
+    return Mixed(rows, mixed, slopes, values, covariance, random * part[:, None] * part)
 
 
 def _scale(mixed: MixedFit) -> np.ndarray:
-    return np.concatenate([np.ones(mixed.model.unknowns), mixed.sizes[mixed.model.shared]])
+    return np.concatenate([np.ones(mixed.model.unknowns), mixed.sizes[mixed.model.shared_groups]])
 
 
-def _random(mixed: MixedFit, linear: Linear) -> np.ndarray:
-    """Compute the covariance (k, k) that the noise alone gives the values."""
+def _random(mixed: MixedFit, slopes: np.ndarray) -> np.ndarray:
+    """Compute the covariance (k, k) that the noise alone gives the values, by their ``slopes`` (k, k)."""
     alone = posterior(mixed.model, mixed.grams, np.full(len(mixed.log_s), BOUNDS[0] - 10.0))
     k = mixed.model.unknowns
-    slopes = linear.slopes[:, :k]
     return np.asarray(slopes @ alone.covariance[:k, :k] @ slopes.T)
 
 
@@ -118,17 +116,17 @@ def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
         if mixed.sizes[number] < SEEN:
             continue
         effect, lost = layout.effect, mixed.lost_without([number])
-        for column, common, own in _columns(result, number, layout):
-            value, covariance = mixed.at.move(common[None], [part[None] for part in own])
+        for column, common, parts in _columns(result, number, layout):
+            value, covariance = mixed.at.move(common[None], [part[None] for part in parts])
             size, std = float(value[0]), float(np.sqrt(covariance[0, 0]))
             if not size:
                 continue
-            all_sizes = np.zeros_like(common), [np.zeros_like(part) for part in own]
+            all_sizes = np.zeros_like(common), [np.zeros_like(part) for part in parts]
             if effect.shared:
                 all_sizes[0][common != 0] = size / column.plausible
             else:
                 j = result.rows.fit.system.problem.joints.index(column.joint)
-                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own[j][layout.places]
+                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own_effects[j][layout.places]
             share, moves, torque = explained(*all_sizes)
             if effect.function:
                 size, std = torque, torque * std / abs(size)
@@ -155,8 +153,8 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
         return ()
     plausible = np.array([column.plausible for _, column, *_ in listed])
     F = np.array([common for _, _, common, _ in listed])
-    own = [np.array([parts[j] for *_, parts in listed]) for j in range(len(mixed.model.rows))]
-    mean, covariance = at.move(F / plausible[:, None], [part / plausible[:, None] for part in own])
+    F_own = [np.array([parts[j] for *_, parts in listed]) for j in range(len(mixed.model.rows))]
+    mean, covariance = at.move(F / plausible[:, None], [part / plausible[:, None] for part in F_own])
     precision = np.linalg.pinv(covariance, rcond=SPANNED, hermitian=True)
     information, score = precision - np.eye(len(listed)), precision @ mean
     explained, chosen, effects = Influence(result), list[int](), list[EstimatedEffect]()
@@ -195,10 +193,10 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
 def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[EffectColumn, np.ndarray, list[np.ndarray]]]:
     """List what of an effect has a size of its own, as functionals of the common and of each channel's own effects."""
     mixed, fit, effect = result.mixed, result.rows.fit, layout.effect
-    nothing = [np.zeros(len(mixed.model.own)) for _ in mixed.model.rows]
+    nothing = [np.zeros(len(mixed.model.own_groups)) for _ in mixed.model.rows]
     common, scale = np.zeros(len(mixed.at.common)), mixed.sizes[number]
     if effect.shared:
-        first = mixed.model.unknowns + len(result.rows.in_runs[0]) + layout.start
+        first = mixed.model.unknowns + len(result.rows.in_runs[0]) + layout.places.start
         for k, column in enumerate(layout.columns):
             functional = common.copy()
             functional[first + k] = scale * column.plausible
@@ -207,18 +205,18 @@ def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[Effec
     for j, joint in enumerate(fit.system.problem.joints):
         if joint not in fit.dataset.robot.motors:
             continue
-        u, std = mixed.at.own[j][layout.places], np.sqrt(mixed.at.variance(j)[layout.places])
-        own, about = [part.copy() for part in nothing], ""
+        u, std = mixed.at.own_effects[j][layout.places], np.sqrt(mixed.at.variance(j)[layout.places])
+        parts, about = [part.copy() for part in nothing], ""
         if effect.in_runs:  # of the run that differs most from the mean of all
             modes = run_modes(len(fit.dataset.runs))
             modes = modes - modes.mean(axis=0)
             k, run = 0, int(np.argmax(np.abs(modes @ u)))
-            own[j][layout.places] = scale * layout.columns[0].plausible * modes[run]
+            parts[j][layout.places] = scale * layout.columns[0].plausible * modes[run]
             about = fit.dataset.runs[run].name
         else:
             k = int(np.argmax(np.abs(u) / std))
-            own[j][layout.start + k] = scale * layout.columns[k].plausible
-        yield replace(layout.columns[k], joint=joint, about=about or layout.columns[k].about), common, own
+            parts[j][layout.places.start + k] = scale * layout.columns[k].plausible
+        yield replace(layout.columns[k], joint=joint, about=about or layout.columns[k].about), common, parts
 
 
 class Influence:
@@ -226,7 +224,7 @@ class Influence:
 
     def __init__(self, result: Mixed) -> None:
         self.result, model = result, result.mixed.model
-        m, k = len(model.own), model.unknowns
+        m, k = len(model.own_groups), model.unknowns
         self.unknown = slice(m, m + k)
         self.plain = [part.plain for part in model.rows]
         J = model.known[:k, :k] + sum(part[self.unknown, self.unknown] for part in self.plain)
@@ -257,7 +255,7 @@ class Influence:
         step = self.inverse @ J_c
         rest = c_c - float(J_c @ step)
         share = -(2 * (c_e - float(step @ self.e)) + rest) / self.squares
-        move = self.result.linear.slopes[:, :k] @ step
+        move = self.result.slopes[:, :k] @ step
         gains = fit.solution.gains
         moves = {
             joint: 100 * float(move[fit.system.problem.gain_rows][j] / gains[j])

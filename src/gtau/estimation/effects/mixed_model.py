@@ -17,7 +17,7 @@ them alone, so that memory does not grow with the logs.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -101,24 +101,18 @@ def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
 
 @dataclass(frozen=True, eq=False)
 class MixedModel:
-    """Products of ``[own | J | shared | e]`` of each channel, and the groups whose sizes are found.
+    """Products of the ``rows`` ``[own | J | shared | e]`` of each channel, and the groups whose sizes are found.
 
-    Attributes
-    ----------
-    rows : tuple of LagProducts
-        Of each channel: its m own columns, k of the Jacobian, those that all channels share, and the residuals.
-    known : ndarray
-        Products of further equations ``[J | e]`` of the unknowns, of unit variance, (k + 1, k + 1).
-    own, shared : ndarray
-        Group of each own column, (m,), and of each shared one.
-    largest : ndarray
-        Of each group, the standard deviation of s before the data: a half-normal prior.
+    Its m own columns, k of the Jacobian, those that all channels share, and the residuals. ``known`` (k + 1, k + 1) are
+    products of further equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and
+    ``shared_groups`` the groups of the columns; ``largest`` the standard deviation of s of each group before the data:
+    a half-normal prior.
     """
 
     rows: tuple[LagProducts, ...]
     known: np.ndarray
-    own: np.ndarray
-    shared: np.ndarray
+    own_groups: np.ndarray
+    shared_groups: np.ndarray
     largest: np.ndarray
     noise: tuple[Noise, ...] = ()
 
@@ -129,36 +123,36 @@ class MixedModel:
 
     def coefficients(self, sizes: np.ndarray, at: Posterior, channel: int) -> np.ndarray:
         """Return the coefficients (p,) that combine a channel's columns into its residuals."""
-        scale = np.concatenate([sizes[self.own], np.ones(self.unknowns), sizes[self.shared], [1.0]])
-        return scale * np.concatenate([at.own[channel], at.common, [1.0]])
+        scale = np.concatenate([sizes[self.own_groups], np.ones(self.unknowns), sizes[self.shared_groups], [1.0]])
+        return scale * np.concatenate([at.own_effects[channel], at.common, [1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
     """Estimates of d and ``u / s``, and what their covariance follows from.
 
-    ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own`` (m,) are each channel's, with
-    ``variance``; they move by ``-response`` (m, k + shared) with the common ones, and vary by ``inverse`` beside that.
+    ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own_effects`` (m,) are each channel's,
+    with ``variance``; they move by ``-response`` (m, k + shared) with the common ones, and ``root`` (m, m) factors how
+    they vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its slope by the log sizes.
     """
 
     common: np.ndarray
     covariance: np.ndarray
-    own: tuple[np.ndarray, ...]
+    own_effects: tuple[np.ndarray, ...]
     response: tuple[np.ndarray, ...]
     root: tuple[np.ndarray, ...]
     loss: float
-    slope: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    slope: np.ndarray
 
     def variance(self, channel: int) -> np.ndarray:
         """Posterior variances (m,) of a channel's own effects, in units of their ``s``."""
-        B = self.response[channel]
-        return np.asarray(np.sum(self.root[channel] ** 2, axis=0) + np.einsum("ij,ij->i", B @ self.covariance, B))
+        return _variance(self.root[channel], self.response[channel], self.covariance)
 
     def move(self, common: np.ndarray, own: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Estimate quantities (f,), linear in the common (f, .) and the own effects (f, m), with covariance (f, f)."""
         value, slopes = common @ self.common, common.copy()
         added = np.zeros((len(common), len(common)))
-        for F, u, B, root in zip(own, self.own, self.response, self.root, strict=True):
+        for F, u, B, root in zip(own, self.own_effects, self.response, self.root, strict=True):
             value = value + F @ u
             slopes -= F @ B
             added += (F @ root.T) @ (F @ root.T).T
@@ -172,8 +166,8 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     """
     from scipy.linalg import cholesky, solve_triangular
 
-    sizes, m, k = np.exp(log_s), len(model.own), model.unknowns
-    own, border = sizes[model.own], np.concatenate([np.ones(k), sizes[model.shared], [1.0]])
+    sizes, m, k = np.exp(log_s), len(model.own_groups), model.unknowns
+    own_sizes, border = sizes[model.own_groups], np.concatenate([np.ones(k), sizes[model.shared_groups], [1.0]])
     count = len(border) - 1
     S = np.zeros((count + 1, count + 1))
     at = [*range(k), count]
@@ -181,11 +175,11 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     S[range(k, count), range(k, count)] += 1.0
     determinant, roots, sides = 0.0, [], []
     for gram in grams:
-        A = gram[:m, :m] * own[:, None] * own
+        A = gram[:m, :m] * own_sizes[:, None] * own_sizes
         A[range(m), range(m)] += 1.0
         A[range(m), range(m)] *= 1 + ROUNDING
         L = cholesky(A, lower=True, check_finite=False)
-        V = solve_triangular(L, gram[:m, m:] * own[:, None] * border, lower=True, check_finite=False)
+        V = solve_triangular(L, gram[:m, m:] * own_sizes[:, None] * border, lower=True, check_finite=False)
         S += gram[m:, m:] * border[:, None] * border - V.T @ V
         determinant += 2 * float(np.log(np.diag(L)).sum())
         roots.append(L)
@@ -200,17 +194,21 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     determinant += float(np.log(values[kept]).sum())
     effects, responses, inverses = [], [], []
     groups = len(log_s)
-    slope = np.bincount(model.shared, 1 - common[k:] ** 2 - np.diag(covariance)[k:], minlength=groups)
+    slope = np.bincount(model.shared_groups, 1 - common[k:] ** 2 - np.diag(covariance)[k:], minlength=groups)
     for L, V in zip(roots, sides, strict=True):
         inverse = solve_triangular(L, np.eye(m), lower=True, check_finite=False)
         effects.append(-inverse.T @ (V[:, count] + V[:, :count] @ common))
         responses.append(inverse.T @ V[:, :count])
         inverses.append(inverse)
-    found = Posterior(common, covariance, tuple(effects), tuple(responses), tuple(inverses), 0.0)
-    for channel, u in enumerate(effects):
-        slope = slope + np.bincount(model.own, 1 - u**2 - found.variance(channel), minlength=groups)
+        variance = _variance(inverse, responses[-1], covariance)
+        slope = slope + np.bincount(model.own_groups, 1 - effects[-1] ** 2 - variance, minlength=groups)
     prior = (sizes / model.largest) ** 2
-    return replace(found, loss=0.5 * (square + determinant + float(prior.sum())), slope=slope + prior)
+    loss = 0.5 * (square + determinant + float(prior.sum()))
+    return Posterior(common, covariance, tuple(effects), tuple(responses), tuple(inverses), loss, slope + prior)
+
+
+def _variance(root: np.ndarray, response: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    return np.asarray(np.sum(root**2, axis=0) + np.einsum("ij,ij->i", response @ covariance, response))
 
 
 def find_sizes(
@@ -261,28 +259,33 @@ def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     log_s = log_s if near is None else np.maximum(near.log_s, log_s)  # a small size has no slope to grow by
     noise = model.noise or (Noise(),) * len(model.rows)
     for _ in range(PASSES):
-        grams = tuple(of.whitened(rows) for of, rows in zip(noise, model.rows, strict=True))
+        grams = _grams(model, noise)
         log_s = find_sizes(model, grams, log_s)
         at, sizes = posterior(model, grams, log_s), np.exp(log_s)
-        before, noise = (
-            noise,
-            tuple(
-                noise_of(model.rows[c], model.coefficients(sizes, at, c), _used(model, grams[c], sizes, at, c))
-                for c in channels
-            ),
+        before = noise
+        noise = tuple(
+            noise_of(model.rows[c], model.coefficients(sizes, at, c), _used(model, grams[c], sizes, at, c))
+            for c in channels
         )
         change = [abs(np.log(new.std / old.std)) for new, old in zip(noise, before, strict=True)]
         if max(change) < SETTLED:
             break
     model = replace(model, noise=noise)
-    grams = tuple(of.whitened(rows) for of, rows in zip(noise, model.rows, strict=True))
+    grams = _grams(model, noise)
     return MixedFit(model, grams, log_s, posterior(model, grams, log_s))
+
+
+def _grams(model: MixedModel, noise: Sequence[Noise]) -> tuple[np.ndarray, ...]:
+    """Combine the rows of each channel into products of rows with unit noise."""
+    return tuple(channel.whitened(rows) for channel, rows in zip(noise, model.rows, strict=True))
 
 
 def _used(model: MixedModel, gram: np.ndarray, sizes: np.ndarray, at: Posterior, channel: int) -> float:
     """Compute how many rows of a channel its own effects and its share in the common ones take up: tr(C X^T X)."""
-    m, scale = len(model.own), np.concatenate([sizes[model.own], np.ones(model.unknowns), sizes[model.shared]])
+    m = len(model.own_groups)
+    scale = np.concatenate([sizes[model.own_groups], np.ones(model.unknowns), sizes[model.shared_groups]])
     A = gram[:-1, :-1] * scale[:, None] * scale
     B, C = at.response[channel], at.covariance
-    own = float(np.sum((at.root[channel] @ A[:m, :m]) * at.root[channel])) + float(np.sum((B.T @ A[:m, :m] @ B) * C))
-    return own - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))
+    root, within = at.root[channel], A[:m, :m]
+    own_effects = float(np.sum((root @ within) * root)) + float(np.sum((B.T @ within @ B) * C))
+    return own_effects - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))

@@ -18,7 +18,7 @@ import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques
 from gtau.estimation.effects.known import EFFECTS
-from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, lag_products
+from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, Noise, lag_products
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import jacobian_of_known, split, to_gains, weighted
 from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
@@ -28,7 +28,6 @@ from gtau.estimation.regression.run_blocks import Windows
 LARGEST = 3.0  # plausible sizes: what contradicts a description may be larger than physics
 UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which nothing determines it
 RANK = 1e-6  # of the largest singular value: directions below it are left out of a least-squares step
-FRICTION_OF_RUN = "friction of a run"
 FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs
 ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (experience; 1 and 10 change no interval
 # of the experiments in docs/evidence/coverage.md by more than a fifth)
@@ -123,20 +122,14 @@ def difference_root(runs: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Places of an effect's columns: among the own (``shared`` false) or the shared ones, one after the other.
+    """The ``columns`` of an effect, and their ``places`` among the own or the ``shared`` ones, one after the other.
 
-    ``columns`` are what they are; of an effect that drifts between runs each has ``modes`` places.
+    Of an effect that drifts between runs each column has as many places as the drift has modes.
     """
 
     effect: Effect
     columns: tuple[EffectColumn, ...]
-    start: int
-    modes: int = 1
-
-    @property
-    def places(self) -> slice:
-        """Places among the own or the shared columns."""
-        return slice(self.start, self.start + len(self.columns) * self.modes)
+    places: slice
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,13 +140,14 @@ class EffectRows:
     layouts: tuple[Layout, ...]
     products: tuple[LagProducts, ...]
     known: tuple[np.ndarray, np.ndarray]
-    own: int
-    shared: int
 
-    @property
-    def groups(self) -> list[str]:
-        """Names of the groups whose sizes are found."""
-        return [layout.effect.name for layout in self.layouts] + [FRICTION_OF_RUN]
+    def groups(self, shared: bool) -> np.ndarray:
+        """List the number of the effect of each own, or each ``shared`` column."""
+        groups: list[int] = []
+        for number, layout in enumerate(self.layouts):
+            if layout.effect.shared == shared:
+                groups += [number] * (layout.places.stop - layout.places.start)
+        return np.array(groups, dtype=int)
 
     @cached_property
     def in_runs(self) -> tuple[list[int], np.ndarray]:
@@ -161,8 +155,8 @@ class EffectRows:
         names, joints = self.fit.system.problem.unknowns, self.fit.dataset.model.actuated
         levels = Levels(self.fit)
         plausible = {"fv": levels.friction_torques / levels.speeds, "fs": levels.friction_torques}
-        found = dict(zip(("fv", "fs"), levels.friction, strict=True))
-        sizes = {kind: np.where(found[kind] > 0, found[kind], plausible[kind]) for kind in found}
+        estimates = dict(zip(("fv", "fs"), levels.friction, strict=True))
+        sizes = {kind: np.where(level > 0, level, plausible[kind]) for kind, level in estimates.items()}
         places = [k for k, name in enumerate(names) if name.run is not None]
         root = np.zeros((len(places), len(places)))
         drift = difference_root(len(self.fit.dataset.runs)) if places else root
@@ -174,14 +168,15 @@ class EffectRows:
         return places, root
 
 
-def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS) -> EffectRows:
+def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
     """Evaluate the columns of all effects along windows of the runs, in one pass; raises GtauError at a singularity."""
-    acting = [(effect, columns) for effect in effects if (columns := tuple(effect.columns(fit)))]
+    acting = [(effect, columns) for effect in EFFECTS if (columns := tuple(effect.columns(fit)))]
     modes, starts, layouts = run_modes(len(fit.dataset.runs)), {False: 0, True: 0}, []
     for effect, columns in acting:
-        layout = Layout(effect, columns, starts[effect.shared], modes.shape[1] if effect.in_runs else 1)
-        starts[effect.shared] = layout.places.stop
-        layouts.append(layout)
+        start = starts[effect.shared]
+        stop = start + len(columns) * (modes.shape[1] if effect.in_runs else 1)
+        layouts.append(Layout(effect, columns, slice(start, stop)))
+        starts[effect.shared] = stop
     torques = _columns_of([effect for effect, _ in acting])
     plausible = np.array([column.plausible for _, columns in acting for column in columns])
     weights, gains = weights_of(fit), fit.solution.gains
@@ -200,7 +195,7 @@ def effect_rows(fit: Fit, windows: Windows, effects: Sequence[Effect] = EFFECTS)
             parts.append(lag_products(block[used], np.diff(used, prepend=-2) != 1))
         products = parts if products is None else [a + b for a, b in zip(products, parts, strict=True)]
     assert products is not None
-    return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows), starts[False], starts[True])
+    return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
 
 
 def _placed(
@@ -216,71 +211,74 @@ def _placed(
             yield (part[..., None] * modes).reshape(*part.shape[:2], -1) if layout.effect.in_runs else part
 
 
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """Rows linearised at some values: the mixed model, and ``slopes`` (k, .) of the values by its common columns.
+def linear_at(
+    rows: EffectRows, values: np.ndarray, noise: tuple[Noise, ...] = ()
+) -> tuple[MixedModel, np.ndarray, np.ndarray]:
+    """Linearise the residuals at estimates (k,), with the ``noise`` of the channels found before.
 
-    Steps count from the ``origin`` (k,): the values without changes of friction between runs, whose sizes the mixed
-    model estimates whole.
+    Returns the mixed model, slopes (k, .) of the values by its common columns, and the origin (k,) from which steps
+    count: the values without changes of friction between runs, whose sizes the mixed model estimates whole.
     """
-
-    model: MixedModel
-    slopes: np.ndarray
-    origin: np.ndarray
-
-
-def linear_at(rows: EffectRows, values: np.ndarray, model: MixedModel | None = None) -> Linear:
-    """Linearise the residuals at estimates (k,), with the noise of an earlier ``model``."""
     fit, problem = rows.fit, rows.fit.system.problem
-    channels, size = len(problem.channels), problem.n_theta + FIXED
-    theta, gains, delays = split(values, channels)
-    T = to_gains(values, channels, fit.free_gains)
+    size = problem.n_theta + FIXED
+    T = to_gains(values, len(problem.channels), fit.free_gains)
     per_run, root = rows.in_runs
     free = np.setdiff1d(np.arange(T.shape[1]), per_run)  # the parameters come first in both orders
     origin = values.copy()
     origin[per_run] = 0.0
-    maps = []
-    for j in range(channels):
-        M = np.zeros((size, T.shape[1] + 1))
-        M[: problem.n_theta, : problem.n_theta] = -np.eye(problem.n_theta) / gains[j]
-        if fit.free_gains and problem.unknown_gains[j]:
-            M[: problem.n_theta, problem.n_theta + j], M[problem.n_theta, problem.n_theta + j] = -theta, -1.0
-        if problem.longest_delays[j] > 0:
-            M[-2:, T.shape[1] - channels + j] = -1.0, delays[j]
-        M[: problem.n_theta, -1] = -origin[: problem.n_theta] / gains[j]
-        M[problem.n_theta :, -1] = -1 / gains[j], 1.0, -delays[j], delays[j] ** 2 / 2
-        maps.append(M)
+    own_groups, shared_groups = rows.groups(shared=False), rows.groups(shared=True)
+    n_own, n_shared = len(own_groups), len(shared_groups)
+    maps = _channel_maps(fit, values, origin, T.shape[1])
     e_known, J_known = _known(rows, values)
     square = J_known.T @ J_known
-    inside = slice(rows.own, rows.own + size)
+    inside = slice(n_own, n_own + size)
     for M, part in zip(maps, rows.products, strict=True):
         square += M[:, :-1].T @ part.plain[inside, inside] @ M[:, :-1]
     back = _whitening(square[np.ix_(free, free)])
     unknowns = back.shape[1]
     basis = np.zeros((T.shape[1], unknowns + len(per_run)))
-    basis[free, :unknowns], basis[np.ix_(per_run, range(unknowns, basis.shape[1]))] = back, root
+    basis[free, :unknowns] = back
+    basis[per_run, unknowns:] = root
     linear = []
     for M, part in zip(maps, rows.products, strict=True):
-        B = np.zeros((part.products.shape[1], rows.own + basis.shape[1] + rows.shared + 1))
-        B[: rows.own, : rows.own] = np.eye(rows.own)
-        B[inside, rows.own : rows.own + basis.shape[1]], B[inside, -1] = M[:, :-1] @ basis, M[:, -1]
-        B[inside.stop :, rows.own + basis.shape[1] : -1] = np.eye(rows.shared)
+        common = n_own + basis.shape[1]
+        B = np.zeros((part.products.shape[1], common + n_shared + 1))
+        B[:n_own, :n_own] = np.eye(n_own)
+        B[inside, n_own:common] = M[:, :-1] @ basis
+        B[inside, -1] = M[:, -1]
+        B[inside.stop :, common:-1] = np.eye(n_shared)
         linear.append(LagProducts(B.T @ part.products @ B, part.counts))
     known = np.column_stack([J_known[:, free] @ back, e_known])
     # a change of friction between runs has no effect on known parameters
     friction_groups = np.full(len(per_run), len(rows.layouts))
-    own, shared = (_groups(rows.layouts, common) for common in (False, True))
+    common_groups = np.append(friction_groups, shared_groups)
     largest = np.array([LARGEST if layout.effect.description else 1.0 for layout in rows.layouts] + [1.0])
-    noise = () if model is None else model.noise
-    made = MixedModel(tuple(linear), known.T @ known, own, np.append(friction_groups, shared), largest, noise)
-    slopes = np.hstack([T @ basis, np.zeros((len(values), rows.shared))])
-    return Linear(made, slopes, origin)
+    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, largest, noise)
+    slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
+    return model, slopes, origin
 
 
-def _groups(layouts: Sequence[Layout], shared: bool) -> np.ndarray:
-    """List the number of the effect of each own, or each ``shared`` column."""
-    sizes = [layout.places.stop - layout.start if layout.effect.shared == shared else 0 for layout in layouts]
-    return np.repeat(np.arange(len(layouts)), sizes)
+def _channel_maps(fit: Fit, values: np.ndarray, origin: np.ndarray, columns: int) -> list[np.ndarray]:
+    """Map each channel's columns of the problem to the ``columns`` of the Jacobian and its residuals: (., columns + 1).
+
+    The Jacobian is taken at the ``values`` (k,), the residuals at the ``origin`` (k,).
+    """
+    problem, n = fit.system.problem, fit.system.problem.n_theta
+    channels = len(problem.channels)
+    theta, gains, delays = split(values, channels)
+    maps = []
+    for j, (gain, delay) in enumerate(zip(gains, delays, strict=True)):
+        M = np.zeros((n + FIXED, columns + 1))
+        M[:n, :n] = -np.eye(n) / gain
+        if fit.free_gains and problem.unknown_gains[j]:
+            M[:n, n + j] = -theta
+            M[n, n + j] = -1.0
+        if problem.longest_delays[j] > 0:
+            M[-2:, columns - channels + j] = -1.0, delay
+        M[:n, -1] = -origin[:n] / gain
+        M[n:, -1] = -1 / gain, 1.0, -delay, delay**2 / 2
+        maps.append(M)
+    return maps
 
 
 def _known(rows: EffectRows, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

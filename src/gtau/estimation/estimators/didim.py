@@ -207,8 +207,7 @@ def along_simulated_motion(system: System, solve: Solve, progress: Progress) -> 
 
 def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = silent) -> Fit:
     solver = ml_or_wls(gains)
-    fit = fit_by(solver, along_simulated_motion(system, solver, progress), gains is None)
-    return replace(fit, noise_free=True)
+    return fit_by(solver, along_simulated_motion(system, solver, progress), gains is None)
 
 
 DIDIM = Estimator("didim", "parameters from the currents, the motion simulated (DIDIM)", Gains.EITHER, ml_or_wls, _fit)

@@ -79,8 +79,8 @@ class Fit:
 
     ``system`` are the equations solved: those given, or the same reweighted or along simulated motion. ``solve``
     solves them with other known payload values, ``solve_fixed`` for fewer parameters with the gains of ``solution``,
-    which were estimated if ``free_gains``. ``noise_free`` estimates have no bias from position noise; ``unweighted``
-    are the equations with every row at full weight, if the estimator weighted rows.
+    which were estimated if ``free_gains``. ``unweighted`` are the equations with every row at full weight, if the
+    estimator weighted rows.
     """
 
     system: System
@@ -88,7 +88,6 @@ class Fit:
     solve: Solve
     solve_fixed: Solve
     free_gains: bool
-    noise_free: bool = False
     unweighted: Problem | None = None
 
     @property

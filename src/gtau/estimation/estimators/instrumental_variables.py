@@ -178,7 +178,7 @@ def _fit(system: System, gains: np.ndarray | None = None, progress: Progress = s
     def solve_fixed(problem: Problem) -> Solution:
         return with_instruments(pair.of(problem.parameters), solution, free_gains=False)
 
-    return Fit(system, solution, solver, solve_fixed, free_gains, noise_free=True)
+    return Fit(system, solution, solver, solve_fixed, free_gains)
 
 
 IV = Estimator(

@@ -10,8 +10,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.findings import Finding, Grade
-from gtau.findings.words import clock_advice, write_limits
+from gtau.findings import Finding, Grade, clock_advice, write_limits
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot

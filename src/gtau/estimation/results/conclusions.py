@@ -12,8 +12,7 @@ from gtau.estimation.diagnostics.verdict import APART, LONGER
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, Grade
-from gtau.findings.words import moment, percent_text
+from gtau.findings import Finding, Grade, moment, percent_text
 from gtau.robots.parameter import TEMPERATURE_TERMS
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats import reading

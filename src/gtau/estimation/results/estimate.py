@@ -13,8 +13,7 @@ import numpy as np
 from gtau.documents.files import write_table
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.diagnostics.verdict import GOOD
-from gtau.findings import Finding
-from gtau.findings.words import to_width
+from gtau.findings import Finding, to_width
 from gtau.model.singularities import TYPES
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import SENSOR, ChannelKind

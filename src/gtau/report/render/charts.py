@@ -152,12 +152,17 @@ def _margins(panel: Panel, width: float, height: float) -> dict[str, float]:
     The room follows from the letters, as a layout by Matplotlib takes as long as the drawing itself.
     """
     rows, columns = panel.y.names.values(), panel.x.names.values()
-    left = 10 + LETTER * (_size_of_names(panel.y) * max(map(len, rows)) if rows else 55)
+    beside = 10 + LETTER * (_size_of_names(panel.y) * max(map(len, rows)) if rows else 55)
     upright = sum(len(name) + 1 for name in columns) > LEVEL
     below = LETTER * _size_of_names(panel.x) * max(map(len, columns)) if upright else 10
     bottom = 14 + below + (14 if panel.x.label else 0)
     top = 22 if panel.y.label else 8
-    return {"left": min(left / width, 0.6), "right": 1 - 10 / width, "bottom": bottom / height, "top": 1 - top / height}
+    return {
+        "left": min(beside / width, 0.6),
+        "right": 1 - 10 / width,
+        "bottom": bottom / height,
+        "top": 1 - top / height,
+    }
 
 
 def svg_of_robot(robot: Robot) -> str:

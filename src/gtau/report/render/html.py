@@ -1,27 +1,45 @@
-"""Pages as one self-contained HTML file with its styles, scripts and data."""
+"""Pages as one self-contained HTML file with its styles, scripts and data.
+
+As ``report.html`` a page says how it was made: command, hashes of input files, versions, settings and time taken.
+"""
 
 from __future__ import annotations
 
 import json
+import logging
+import platform
 import re
+import shlex
+import sys
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import cache
 from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup, escape
 
+from gtau.documents.files import write_atomically
 from gtau.report.chart import MINUS, Chart, Panel, envelope
-from gtau.report.page import BADGES, NUMERIC, Column, Item, Kind, Page, Section, Table
+from gtau.report.page import BADGES, NUMERIC, Column, Facts, Item, Kind, Page, Section, Table, Text
 
+Inputs = tuple[tuple[str, Path], ...]
+"""Files with their purpose."""
 BUCKETS = 2000  # intervals of a run, drawn by their extremes: more than the pixels of a wide screen
 BUDGET = 450_000  # numbers in all series of a page, packed to 2.4 MB
 INCH = 96  # pixels
+REPORT = "report.html"
+PACKAGES = ("numpy", "scipy", "polars", "casadi", "numba", "clarabel", "mujoco")
+LISTED = 12  # inputs; longer lists are folded
+LARGEST = 1 << 31  # bytes; larger inputs are not hashed
 FIT = (
     "new ResizeObserver(() => { try { frameElement.style.height = document.body.getBoundingClientRect().height + 16 + "
     "'px'; } catch (outside) {} }).observe(document.body);"
@@ -187,3 +205,72 @@ def spec_of(panel: Panel, arrays: Arrays, group: str, last: bool) -> dict[str, A
     if panel.y.limits[0] is not None:
         spec["from"] = panel.y.limits[0]
     return spec
+
+
+# A page as report.html, with its provenance
+
+
+def write_report(
+    page: Page, folder: Path, seconds: float, inputs: Inputs = (), settings: Mapping[str, str] | None = None
+) -> Path:
+    """Write a page to a folder, with the current command, its ``inputs``, ``settings`` and ``seconds`` taken."""
+    command = shlex.join(["gtau", *sys.argv[1:]])
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # services without a home get no warning about its cache
+    write_atomically(folder / REPORT, html(stamped(page, settings or {}, command, inputs, seconds)))
+    return folder / REPORT
+
+
+def stamped(
+    page: Page, settings: Mapping[str, str], command: str = "", inputs: Inputs = (), seconds: float | None = None
+) -> Page:
+    """Add date and version below the title of a page, and at its end the section on provenance."""
+    made = datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    packages = {"gtau": version("gtau")}
+    packages["Python"] = f"{platform.python_version()}, {platform.system()} {platform.machine()}"
+    for package in PACKAGES:
+        with suppress(PackageNotFoundError):
+            packages[package] = version(package)
+    facts = {"made on": made, "time taken": None if seconds is None else f"{seconds:.1f} s", **packages}
+    hashed = Table(
+        (Column("input"), Column("file"), Column("size"), Column("SHA-256", Kind.NAME)),
+        [(what, str(path), *_fingerprint(path)) for what, path in inputs],
+    )
+    listed = f"Inputs: {len(inputs)} files with their hashes"
+    provenance = Section(
+        "Provenance",
+        Section("The command that reproduces this report", Text(command, style="command")) if command else None,
+        Facts(facts),
+        Section("Settings", Facts(settings)) if settings else None,
+        Section(listed, hashed, folded=len(inputs) > LISTED) if inputs else None,
+        id="provenance",
+        folded=True,
+    )
+    lead = (*page.lead, f"Made on {made} by gtau {packages['gtau']}.")
+    return Page(page.title, *page.sections, provenance, lead=lead)
+
+
+def _fingerprint(path: Path) -> tuple[str, str]:
+    """Return size and SHA-256 of a file or of the files in a folder."""
+    if path.is_dir():
+        parts = sorted(part for part in path.iterdir() if part.is_file())
+        return f"{len(parts)} files", _digest(parts)
+    return (_size(path.stat().st_size), _digest([path])) if path.is_file() else ("–", "no longer exists")
+
+
+def _digest(paths: Iterable[Path]) -> str:
+    digest = sha256()
+    for path in paths:
+        if path.stat().st_size > LARGEST:
+            return f"not computed: larger than {_size(LARGEST)}"
+        with path.open("rb") as file:
+            while part := file.read(1 << 20):
+                digest.update(part)
+    return digest.hexdigest()
+
+
+def _size(size: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} GB"

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gtau.errors import GtauError, errors_at
-from gtau.robots.floating import base_joints, turning
+from gtau.robots.geometry import base_joints, turning
 from gtau.robots.parameter import Parameter, RigidBody, lumped
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
 from gtau.robots.placement import pose_of, rounded, turn

@@ -146,9 +146,9 @@ def _check_copies(root: Element, path: Path, files: Files) -> None:
             return 0.0  # MuJoCo reports the error
         return repeated * max(1.0, inside)
 
-    for whole, limit, what in ((False, MOST_BODIES, "bodies"), (True, MOST_ELEMENTS, "elements")):
+    for elements, limit, what in ((False, MOST_BODIES, "bodies"), (True, MOST_ELEMENTS, "elements")):
         once = dict(files)
-        if (most := copies(root, whole)) > limit:
+        if (most := copies(root, elements)) > limit:
             raise GtauError(
                 f"it holds {most:.0f} {what}, with the copies that <replicate> and <composite> ask for, and at most "
                 f"{limit} are read; give the file of the robot alone."

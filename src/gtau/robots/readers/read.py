@@ -21,7 +21,7 @@ from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
 from gtau.extensions import added, registered
-from gtau.robots.floating import drawn_base, float_base
+from gtau.robots.geometry import drawn_base, float_base
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
 from gtau.robots.placement import Placement, Pose, rounded
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, GivenLimits, RobotSource

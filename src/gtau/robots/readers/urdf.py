@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, field_validator
 from gtau.documents.validation import unknown, validate
 from gtau.documents.yaml_document import Document, read_yaml
 from gtau.errors import GtauError, errors_at
-from gtau.robots.floating import drawn_base
+from gtau.robots.geometry import drawn_base
 from gtau.robots.parts import listed, without_idle_pins
 from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
 from gtau.robots.readers.links import urdf_inertias, urdf_masses

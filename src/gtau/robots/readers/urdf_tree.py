@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, errors_at
-from gtau.robots.floating import turning
+from gtau.robots.geometry import turning
 from gtau.robots.placement import (
     ROUNDING,
     exact_placement,

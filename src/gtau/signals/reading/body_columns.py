@@ -1,6 +1,6 @@
 """Columns of a log on bodies: wrenches, the motion of a floating base, and a pose that tests the geometry.
 
-The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.floating`); wrenches on
+The pose of a base becomes positions of the six joints by which it moves (see :mod:`gtau.robots.geometry`); wrenches on
 the base are wrenches on a body.
 """
 

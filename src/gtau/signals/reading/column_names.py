@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from difflib import SequenceMatcher
 
 from gtau.errors import GtauError
-from gtau.findings.words import counted
+from gtau.findings import counted
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.reading.units import WrittenUnit, read_unit, split_unit
@@ -212,10 +212,10 @@ def resembling(labels: Sequence[str], joints: Sequence[str]) -> dict[str, str]:
 def _by_unit(kind: str | None, measures: str | None) -> str | None:
     """Correct the kind of a column, as its name says, by what its unit measures."""
     kept = {"position": "position velocity", "current": "current torque motor", "torque": "torque sensor motor"}
-    taken = {"position": "motor command", "current": "command", "torque": "command current position"}
+    corrected = {"position": "motor command", "current": "command", "torque": "command current position"}
     if measures is None or measures == "share":
         return kind
-    if kind in (None, measures) or measures not in {"time", *kept} or kind in taken.get(measures, "").split():
+    if kind in (None, measures) or measures not in {"time", *kept} or kind in corrected.get(measures, "").split():
         return measures
     return kind if kind in kept.get(measures, "").split() else "other"
 

@@ -308,11 +308,11 @@ def _unused(
             side[signal.key] = dict(zip(signals.position, names, strict=True))
         elif len(names) == 1:  # more are ambiguous
             side[signal.key] = names[0]
-    *taken, last = (*signals.position.values(), *signals.command.values())
-    command_kind = next((group.kind for group in command_log.groups if last in group.columns.values()), None)
+    chosen = (*signals.position.values(), *signals.command.values())
+    command_kind = next((group.kind for group in command_log.groups if chosen[-1] in group.columns.values()), None)
     logs = [command_log] if log.table.path == command_log.table.path else [log, command_log]
     known = (*labels, *labels.values())
-    moving = [name for one in logs for name in one.moving_beside((*taken, last), known, command_kind)]
+    moving = [name for one in logs for name in one.moving_beside(chosen, known, command_kind)]
     groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
     others = {name: group for name, group in groups.items() if group.kind not in ("other", "sensor")}
     explained = {*used, *motion, *wrenches}

@@ -14,8 +14,7 @@ from zlib import crc32
 from gtau.documents.files import folder_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError, printable
-from gtau.findings import Finding, Grade
-from gtau.findings.words import counted
+from gtau.findings import Finding, Grade, counted
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
@@ -169,7 +168,8 @@ def _by_log(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
     for name, mass in masses.items():
         logs = [run[0] for run in draft.logs if any(name in (str(log), log.name, log.stem) for log in run)]
         if len(logs) != 1:
-            count, names = "more than one" if logs else "no", ", ".join(run[0].name for run in draft.logs)
+            count = "more than one" if logs else "no"
+            names = ", ".join(run[0].name for run in draft.logs)
             raise GtauError(f"'{name}' names {count} log of a payload; the logs are {names}.")
         if not 0 <= mass < float("inf"):
             raise GtauError(f"the payload of '{name}' is {mass:g} kg; write its mass in kg, 0 for none.")
@@ -216,7 +216,8 @@ def _payload(draft: Draft, log: Path) -> list[str]:
     if log not in draft.payloads:
         return []
     mass, *more = draft.payloads[log]
-    entry, doubt = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}, f"{CHECK}kg, from the file name"
+    entry = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
+    doubt = f"{CHECK}kg, from the file name"
     if more:
         entry = {"name": "load", "mass": alternatives(draft.payloads[log])}
         doubt = f"{CHECK}write one of them, kg; without a payload remove this line"

@@ -157,7 +157,8 @@ class Experiment(Keys):
 
     def __repr__(self) -> str:
         robot = self.robot if isinstance(self.robot, str) else self.robot.file
-        joints, runs = ", ".join(self.signals.joints), f"runs: {len(self.runs)}, validation: {len(self.validation)}"
+        joints = ", ".join(self.signals.joints)
+        runs = f"runs: {len(self.runs)}, validation: {len(self.validation)}"
         return f"Experiment({robot!r}, joints {joints}, {runs})"
 
     @field_validator("robot")

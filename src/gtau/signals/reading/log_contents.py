@@ -95,7 +95,8 @@ def _unnamed_groups(
     if scores.get(width, 0.0) <= DERIVATIVE:
         lacks, advice = "has no header", "write a first line with names (t,q1,q2,current1,current2)"
         if not table.numbered:
-            lacks, advice = "is one array without names", "save arrays with names (t, q, current) in its place"
+            lacks = "is one array without names"
+            advice = "save arrays with names (t, q, current) in its place"
         raise GtauError(
             f"{table.path} {lacks}, and among its {len(names)} columns no positions are recognised by their "
             f"velocities; {advice}{'' if joints else ', or give the robot (--robot ROBOT)'}."

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, short
 from gtau.extensions import find
-from gtau.findings import Finding
-from gtau.findings.words import moment
+from gtau.findings import Finding, moment
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.column_names import split_name
@@ -115,7 +114,8 @@ def read_logs(
     if len(paths) not in (1, 2):
         raise GtauError(f"a run has {len(paths)} logs; give one, or two with the positions and the {signals.kind}s.")
     path, base, stamped = paths[0], signals.base, bool(signals.command_time_columns)
-    positions, commands = [*signals.position.values(), *(base.pose if base else ())], list(signals.measured)
+    positions = [*signals.position.values(), *(base.pose if base else ())]
+    commands = list(signals.measured)
     if len(paths) == 1 and (twice := set(positions) & set(commands)):
         raise GtauError(
             f"the column '{min(twice)}' is given both as a position and as a {signals.kind}; correct one of the two.",

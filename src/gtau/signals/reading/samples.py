@@ -11,8 +11,7 @@ from pydantic import ConfigDict, Field, FiniteFloat, model_validator
 
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
-from gtau.findings import Finding
-from gtau.findings.words import counted
+from gtau.findings import Finding, counted
 from gtau.signals.channel import Channel
 from gtau.signals.reading.formats import ALL, LogTable, listed_joints, reading, repair
 from gtau.signals.storage import Store, blocks, stored_like
@@ -71,7 +70,8 @@ class Part(Keys):
                 continue
             # Rows without a time go with the rows before them.
             elapsed = np.maximum.accumulate(np.where(known, time, -np.inf) - first)
-            start, stop = np.searchsorted(elapsed, self.begin), np.searchsorted(elapsed, self.end, side="right")
+            start = np.searchsorted(elapsed, self.begin)
+            stop = np.searchsorted(elapsed, self.end, side="right")
             yield row + int(start), values[start:stop]
             if stop < len(values):
                 return
@@ -128,7 +128,8 @@ class Samples:
         count = len(self.time)
         unit = 10.0 ** np.floor(np.log10((self.time[-1] - self.time[0]) / count))
         last, first = (self.time[min(max(at, 0), count - 1)] - self.origin for at in (begin - 1, end))
-        until, since = f"to: {np.floor(last / unit) * unit:.9g}", f"from: {np.ceil(first / unit) * unit:.9g}"
+        until = f"to: {np.floor(last / unit) * unit:.9g}"
+        since = f"from: {np.ceil(first / unit) * unit:.9g}"
         if begin < MIN_SAMPLES:
             return since
         return until if count - end < MIN_SAMPLES else f"two runs of that log, one with '{until}', one with '{since}'"
@@ -157,11 +158,51 @@ def complete(
     part: Part,
 ) -> Samples:
     """Collect the complete samples of a part of a log; its ``parts`` are blocks with the number of their first row."""
-    n, wide = len(_joints_of(channels)), len(columns) - 1  # columns before the time
+    arrays, numbers, begin, bad_column = _sorted_rows(part.of(parts), columns, len(_joints_of(channels)))
+    time, position, command, rows, incomplete, empty = arrays
+    if len(empty) <= MAX_MISSING * (len(time) + len(incomplete) + len(empty)):
+        # faults like others, such as a last row that was cut
+        incomplete, empty = np.sort(np.concatenate([incomplete, empty])), empty[:0]
+    count, without = len(time) + len(incomplete), len(empty)
+    if not count and (part.skip or part.label):
+        raise GtauError(
+            f"{name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: {part.end:g} s); "
+            "correct these keys."
+        )
+    refuse_short(name, count)
+    if without:
+        text = f"left out {counted(without, 'row')} that hold only other signals"
+        notes.append(reading("rows of other signals", text=text))
+    if not numbers.all():
+        _refuse_without_numbers(name, columns[int(np.argmin(numbers))], columns[-1], table)
+    lost = len(incomplete)
+    if lost > MAX_MISSING * count:
+        leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
+        remedy = "correct or delete them"
+        if lost - leading <= MAX_MISSING * count:
+            remedy = f"leave out its first rows (skip: {part.skip + leading})"
+        shares = f"{name} has {lost} of {count} rows"
+        raise _incomplete(shares, table, bad_column or columns[0], table.places(incomplete, 1), remedy)
+    if lost:
+        text = f"dropped {counted(lost, 'row')} with missing or non-numeric values ({table.places(incomplete, lost)})"
+        notes.append(repair("rows without numbers", lost / count, text=text))
+    origin = float(time[0]) - part.begin if len(time) else 0.0
+    return Samples(name, channels, columns, table, part, origin, time, position, command, rows)
+
+
+def _sorted_rows(
+    parts: Iterable[tuple[int, np.ndarray]], columns: tuple[str, ...], n: int
+) -> tuple[list[np.ndarray], np.ndarray, int, str]:
+    """Sort rows with ``n`` positions, commands and the time by whether they are complete.
+
+    Returns time, positions and commands of complete rows and the numbers of complete, incomplete and empty ones; how
+    many numbers each of the ``columns`` has; the first row, -1 without any; and the column where a row lacks a number.
+    """
+    wide = len(columns) - 1  # columns before the time
     stores = Store(), Store((n,)), Store((wide - n,)), *(Store(dtype=int) for _ in range(3))
-    numbers = np.zeros(wide + 1, dtype=int)  # in each column
+    numbers = np.zeros(wide + 1, dtype=int)
     begin, bad_column = -1, ""
-    for row, values in part.of(parts):
+    for row, values in parts:
         begin = row if begin < 0 else begin
         finite = np.isfinite(values)
         kept = finite.all(axis=1)
@@ -174,43 +215,26 @@ def complete(
         places = (row + np.flatnonzero(which) for which in (kept, some, nothing))
         for store, added in zip(stores, (*arrays, *places), strict=True):
             store.append(added)
-    time, position, command, rows, incomplete, empty = (store.array() for store in stores)
-    count, without = len(time) + len(incomplete), len(empty)
-    if without <= MAX_MISSING * (count + without):  # faults like others, such as a last row that was cut
-        incomplete = np.sort(np.concatenate([incomplete, empty]))
-        count, without = count + without, 0
-    if not count and (part.skip or part.label):
-        raise GtauError(
-            f"{name} has no rows in the selected part (skip: {part.skip}, from: {part.begin:g}, to: {part.end:g} s); "
-            "correct these keys."
-        )
-    refuse_short(name, count)
-    if without:
-        text = f"left out {counted(without, 'row')} that hold only other signals"
-        notes.append(reading("rows of other signals", text=text))
-    for column in (column for column, number in zip(columns, numbers.tolist(), strict=True) if not number):
-        entry, remedy = table.texts.get(column, ""), "give the column that holds them"
-        if column == columns[-1] and entry[:1].isdigit():
-            remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
-        begins = f" (it begins with '{entry}')" if entry else ""
-        raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
-    lost = len(incomplete)
-    if lost > MAX_MISSING * count:
-        leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
-        remedy = "correct or delete them"
-        if lost - leading <= MAX_MISSING * count:
-            remedy = f"leave out its first rows (skip: {part.skip + leading})"
-        column = bad_column or columns[0]
-        entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
-        raise GtauError(
-            f"{name} has {lost} of {count} rows with missing or non-numeric values (first in "
-            f"{table.places(incomplete, 1)}, column '{column}'{entry}); {remedy}, or record the log again."
-        )
-    if lost:
-        text = f"dropped {counted(lost, 'row')} with missing or non-numeric values ({table.places(incomplete, lost)})"
-        notes.append(repair("rows without numbers", lost / count, text=text))
-    origin = float(time[0]) - part.begin if len(time) else 0.0
-    return Samples(name, channels, columns, table, part, origin, time, position, command, rows)
+    return [store.array() for store in stores], numbers, begin, bad_column
+
+
+def _incomplete(rows: str, table: LogTable, column: str, first: str, remedy: str) -> GtauError:
+    """Make the error for too many incomplete ``rows``, the ``first`` of them in this column."""
+    entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
+    return GtauError(
+        f"{rows} with missing or non-numeric values (first in {first}, column '{column}'{entry}); {remedy}, or record "
+        "the log again."
+    )
+
+
+def _refuse_without_numbers(name: str, column: str, time: str, table: LogTable) -> None:
+    """Refuse a column without numbers, with its first text; a ``time`` may be one."""
+    entry = table.texts.get(column, "")
+    remedy = "give the column that holds them"
+    if column == time and entry[:1].isdigit():
+        remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
+    begins = f" (it begins with '{entry}')" if entry else ""
+    raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -285,7 +309,8 @@ def with_signs(
             notes.append(reading("unsigned register", text=text, joints=names))
         if registers:
             signed[kind] = stored_like(array, (_signed(part, registers, counts) for part in blocks(array)))
-    position, command = signed.get("position", samples.position), signed.get("command", samples.command)
+    position = signed.get("position", samples.position)
+    command = signed.get("command", samples.command)
     return replace(samples, position=position, command=command)
 
 

@@ -199,7 +199,8 @@ class Units(optional_keys(Optional)):  # type: ignore[misc]
         for kind in LINK_SIDE:
             units = (self.stated(kind.calibration, joint) or "N m" for joint in signals.sensors(kind))
             commands += [si_factor(unit, "torque") for unit in units]
-        force, moment = si_factor(self.wrenches.force, "force"), si_factor(self.wrenches.moment, "torque")
+        force = si_factor(self.wrenches.force, "force")
+        moment = si_factor(self.wrenches.moment, "torque")
         for wrench in signals.all_wrenches:
             commands += [force] * 3 + [moment] * len(wrench.moment or ())
         preset = PRESETS[signals.preset] if signals.preset else {}

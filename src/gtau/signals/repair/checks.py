@@ -13,8 +13,7 @@ from itertools import compress
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade
-from gtau.findings.words import counted
+from gtau.findings import Finding, Grade, counted
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import listed_joints, reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, MIN_SAMPLES, Samples, extremes, refuse_short
@@ -221,8 +220,8 @@ def _dropouts(samples: Samples, shortest: float) -> dict[int, int]:
             moved = (position[k] - position[k - 1]) / usual
             speed = (position[first - 1] - position[first - 1 - AROUND] + position[k + AROUND] - position[k]) / usual
             fast = np.abs(speed) > SLOW * np.abs(speed).max()
-            taken = 2 * AROUND * moved[fast] / speed[fast]  # samples
-            alike = fast.sum() > 1 and taken.min() > shortest and taken.max() < ALIKE**2 * taken.min()
+            lasting = 2 * AROUND * moved[fast] / speed[fast]  # samples
+            alike = fast.sum() > 1 and lasting.min() > shortest and lasting.max() < ALIKE**2 * lasting.min()
             if alike or k - first > max(FROZEN, shortest):
                 dropouts[first] = k
         start += len(step)

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade
-from gtau.findings.words import counted
+from gtau.findings import Finding, Grade, counted
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds, long_runs
 from gtau.signals.storage import block, blocks, spans, steps
@@ -200,7 +199,9 @@ MAX_CLIPPED = 0.1
 
 def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) -> Clips:
     """Find joints whose commands saturate while they move, as at a drive limit, with the levels; note coarse ones."""
-    count, clips, coarse = len(samples.time), list[tuple[int, float]](), _coarse_steps(holds, ends).tolist()
+    count = len(samples.time)
+    clips = list[tuple[int, float]]()
+    coarse = _coarse_steps(holds, ends).tolist()
     first, last = extremes(samples.position)
     travels = last - first > MOVING * holds[POSITIONS].quanta
     for j, (channel, low, high) in enumerate(zip(samples.channels, *ends, strict=True)):
@@ -226,7 +227,8 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
                     source=samples.name,
                 )
             text = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
-            advice, share = "log again with smaller accelerations, or a higher limit of the drive", at / count
+            advice = "log again with smaller accelerations, or a higher limit of the drive"
+            share = at / count
             notes.append(Finding("clipped command", joints, text=text, advice=advice, share=share, grade=Grade.WARNING))
             clips.append((j, level))
     return clips

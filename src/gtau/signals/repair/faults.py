@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError, quoted
-from gtau.findings import Finding
-from gtau.findings.words import counted, moment
+from gtau.findings import Finding, counted, moment
 from gtau.signals.reading.formats import repair
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.clock import REACH, WHITE, cubic_residuals

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade
-from gtau.findings.words import counted, moment
+from gtau.findings import Finding, Grade, counted, moment
 from gtau.signals.reading.formats import reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
@@ -191,24 +190,30 @@ def uniform(
         )
     if missing:
         more = f", and masked {masked} of them in gaps of more than {BRIDGED} samples" if masked else ""
-        text, advice = f"interpolated {counted(missing, 'missing sample')}{more}", "log every cycle of the controller"
+        text = f"interpolated {counted(missing, 'missing sample')}{more}"
+        advice = "log every cycle of the controller"
         notes.append(repair("missing samples", missing / count, text=text, advice=advice))
     notes += clock_notes
-    for signal, held in holds.items():
-        if held.period > 1:
-            rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
-            text = f"the {signal} are held: updated at about {rate}; interpolated between updates"
-            advice = f"log the {signal} at the rate at which they change"
-            notes.append(Finding("held signal", text=text, advice=advice, grade=Grade.WARNING))
-        elif held.stale:
-            text = f"{held.stale} samples of the {signal} are stale (repeat the previous one): interpolated"
-            advice = "log in the controller's own cycle"
-            notes.append(repair("stale samples", held.stale / count, text=text, advice=advice))
+    notes += _held_notes(clock, holds, count)
     if delay:
         text = f"moved the commands {delay * 1e3:.4g} ms forward, as preparation.delay says"
         notes.append(reading("moved commands", text=text))
     position, command, valid = (rows.array() for rows in stores)
     return replace(samples, time=time, position=position, command=command), valid
+
+
+def _held_notes(clock: Clock, holds: Holds, count: int) -> Iterator[Finding]:
+    """Note the signals that repeat samples, among ``count`` in all."""
+    for signal, held in holds.items():
+        if held.period > 1:
+            rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
+            text = f"the {signal} are held: updated at about {rate}; interpolated between updates"
+            advice = f"log the {signal} at the rate at which they change"
+            yield Finding("held signal", text=text, advice=advice, grade=Grade.WARNING)
+        elif held.stale:
+            text = f"{held.stale} samples of the {signal} are stale (repeat the previous one): interpolated"
+            advice = "log in the controller's own cycle"
+            yield repair("stale samples", held.stale / count, text=text, advice=advice)
 
 
 def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
@@ -245,7 +250,8 @@ def _resampled(
     later = np.concatenate([[True], np.diff(known) > 0])
     fresh = later & holds[POSITIONS].fresh(position)
     bridged = max(BRIDGED * clock.period, clock.longest_step, 1.5 * holds[POSITIONS].period * clock.period)
-    lacking, masked = _gaps(known[later], grid, clock.longest_step), _gaps(known[fresh], grid, bridged)
+    lacking = _gaps(known[later], grid, clock.longest_step)
+    masked = _gaps(known[fresh], grid, bridged)
     # Lines for the commands: a spline would overshoot where the current is noisy.
     values = np.empty((len(grid), command.shape[1]))
     for group, columns in _groups(samples):

@@ -11,7 +11,7 @@ import numpy as np
 from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.findings.words import clock_advice
+from gtau.findings import clock_advice
 
 TILT, STRENGTH = 1.0, 0.2  # degrees (experience); per cent: local gravity differs by 0.26 % from the standard at most
 STEEPEST = 12.0  # degrees: a Sawyer tilted by 4.0 degrees is found as 3.87 +- 0.18
