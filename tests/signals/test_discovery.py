@@ -573,6 +573,16 @@ def test_an_infinite_position_is_missing(tmp_path: Path) -> None:
     assert np.isnan(values[50])
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", ["nan", "inf", "1e308"])
+def test_columns_without_a_plausible_number_are_no_warnings_of_numpy(value: str, tmp_path: Path) -> None:
+    rows = [f"{k / 100},{value if k % 50 or value == 'nan' else 1},{np.cos(k / 9)}" for k in range(200)]
+    (tmp_path / "a.csv").write_text("\n".join(["t,q1,v1", *rows]))
+    draft = discover([tmp_path / "a.csv"])
+    with pytest.raises(GtauError, match="no number|implausible|non-numeric"):
+        read_parts([tmp_path / "a.csv"], draft.signals, None, Units(), lambda done: None, CHOSEN, WHOLE)
+
+
 def test_columns_are_looked_up_and_not_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Searches for each of 100,000 columns took minutes."""
 

@@ -282,7 +282,7 @@ def _kind(
 
 
 def _reach(log: LogContents, columns: Mapping[str, str]) -> float:
-    return max(float(np.nanmax(np.abs(log.values[column]))) for column in columns.values())
+    return max(float(np.nanmax(np.abs(log.values[column]), initial=0.0)) for column in columns.values())
 
 
 def _unused(

@@ -115,6 +115,7 @@ def _unnamed_groups(
 
 
 ROWS = 200_000  # of a log that are evaluated
+LARGEST = 1e100  # of a number that is evaluated, so that squares of it stay finite; reading refuses far smaller ones
 # Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
 # Positions that lag by 20 to 120 ms on sines of up to 0.9 Hz: 0.02 to 0.14, references of a quadruped 0.23; currents
 # and torques of eight measured logs 1.2 to 1270.
@@ -284,7 +285,9 @@ class LogContents:
             return None, 0.0
         time = self.seconds()
         step = (np.nanmax(time) - np.nanmin(time)) * second / max(len(time) - 1, 1)
-        fastest = max(float(np.nanmax(np.abs(self.values[column]))) for column in velocities.columns.values())
+        fastest = max(
+            float(np.nanmax(np.abs(self.values[column]), initial=0.0)) for column in velocities.columns.values()
+        )
         return 1 / (float(step) * float(np.median(rates))), fastest
 
 
@@ -304,6 +307,7 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
     parts = [values for values, _ in log.blocks(rows[:ROWS])]
     refuse_short(str(path), sum(map(len, parts)))
     table_of_rows = np.vstack(parts)
+    table_of_rows[np.abs(table_of_rows) > LARGEST] = np.nan
     return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}
 
 
@@ -334,6 +338,7 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
         groups = [replace(groups[0], kind=kind)]
     for group in groups:
         pairs = _pairs(positions, group if group.kind == "command" else None, values)
+        pairs = [(q, x) for q, x in pairs if np.isfinite(q - x).any()]
         distances = [(np.sqrt(np.nanmean((q - x) ** 2)), float(np.nanstd(q))) for q, x in pairs]
         if pairs and np.median([_correlation(*pair) for pair in pairs]) > DERIVATIVE:
             yield replace(group, kind="velocity")

@@ -211,7 +211,7 @@ def _dropouts(samples: Samples, shortest: float) -> dict[int, int]:
 
     dropouts, start = {}, 1
     for step in steps(position):
-        for k in (start + np.flatnonzero((np.abs(step) > OFTEN * usual).any(axis=1))).tolist():
+        for k in (start + np.flatnonzero((np.abs(step) / OFTEN > usual).any(axis=1))).tolist():
             first = k
             while first > 1 and repeats(first - 1):
                 first -= 1
