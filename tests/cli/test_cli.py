@@ -332,6 +332,15 @@ def test_a_shell_completes_commands() -> None:
     assert "--install-completion" in run("--help").stdout
 
 
+def test_a_path_too_long_for_the_system_is_echoed_short(tmp_path: Path) -> None:
+    (tmp_path / "a.yaml").write_text(f"robot: {'9' * 5000}\n")
+    program = "import sys; from gtau.cli import main; sys.argv = ['gtau', 'identify', 'a.yaml']; main()"
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "9... cannot be opened" in done.stderr
+    assert len(done.stderr) < 200
+
+
 def test_help_and_version() -> None:
     assert run("--help").exit_code == 0
     assert run("--version").stdout == f"gtau {gtau.__version__}\n"

@@ -8,6 +8,7 @@ import os
 import sys
 
 from gtau.cli.interruption import exit_code, interrupted, listen, report_ending
+from gtau.errors import tidy
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
@@ -60,7 +61,7 @@ def _run() -> int:
         if isinstance(error, OSError) and (error.filename or error.errno in FULL):
             where = error.filename or "the output"  # without a name it is stdout
             deed = "written ({}); free some space" if error.errno in FULL else "opened ({}); check the path"
-            typer.echo(f"gtau: {where} cannot be {deed.format(error.strerror)}.", err=True)
+            typer.echo(tidy(f"gtau: {where} cannot be {deed.format(error.strerror)}."), err=True)
             return 2
         bug = f"this is a bug in gtau ({type(error).__name__}: {error}); report it with the output of GTAU_DEBUG=1."
         typer.echo(f"gtau: {bug}", err=True)
