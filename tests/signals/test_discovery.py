@@ -579,7 +579,7 @@ def test_columns_without_a_plausible_number_are_no_warnings_of_numpy(value: str,
     rows = [f"{k / 100},{value if k % 50 or value == 'nan' else 1},{np.cos(k / 9)}" for k in range(200)]
     (tmp_path / "a.csv").write_text("\n".join(["t,q1,v1", *rows]))
     draft = discover([tmp_path / "a.csv"])
-    with pytest.raises(GtauError, match="no number|implausible|non-numeric"):
+    with pytest.raises(GtauError, match=r"no number|implausible|non-numeric"):
         read_parts([tmp_path / "a.csv"], draft.signals, None, Units(), lambda done: None, CHOSEN, WHOLE)
 
 

@@ -21,6 +21,8 @@ from gtau.signals.reading.statements import masses_in_name
         ("loaded_1983g.csv", (1.983,)),
         ("exciting_3_loaded_1983g.csv", (1.983,)),
         ("loaded_1.5kg.csv", (1.5,)),
+        ("loaded_1.200,5g.csv", (0.2005, 1.2005)),
+        ("１．２kg.csv", ()),
         ("loaded_1,5kg.csv", (1.5,)),
         ("load_1p5kg.csv", (1.5,)),
         ("load_1,500g.csv", (1.5,)),  # no payload has 1.5 g

@@ -303,7 +303,7 @@ MASS = re.compile(
     r"(?P<power>e[+-]?\d)?[-_ ]?"
     r"(?P<unit>kg(?![fm]|cm)|kilos?(?![a-z])|kilogram|(?:g|gr|gms?|grams?|grammes?|gramm)(?![a-z])|lbs?(?![a-z])|pounds?"
     r"|oz(?![a-z]))(?P<rest>\d+(?![\d.,]*[-_ ]?(?:kg|g|lb|oz)(?![a-z])))?",
-    re.IGNORECASE,
+    re.IGNORECASE | re.ASCII,
 )
 FRACTION = re.compile(r"(?:(?<![\d.,])(\d+)[-_ ]?)?(?:(?<!\d)(\d)[/⁄](\d)|([¼½¾]))")
 NO = re.compile(r"(?<![a-z])(?:no|non|without|wo|sans|ohne|un)[-_ ]?(?:(?:pay)?load(?:ed)?|mass|weight)?[-_ ]*$", re.I)
@@ -349,6 +349,8 @@ def _readings(match: re.Match[str]) -> list[float]:
         texts.append(f"{integer}.{last}")
     if len(last) == 3 and factor < 0.01 and integer and integer[0] != "0":
         texts.append(integer + last)  # thousands of grams
+    if before[-3:-2] in ([","], ["."]) and len(integer) == 3:
+        texts.append(f"{before[-4]}{integer}.{last}")  # 1.200,5
     if separator not in DECIMAL or len(before) > 2:
         texts.append(last)
     if match["point"] and not integer:
