@@ -82,6 +82,12 @@ def test_mjcf_swings_down(speed: float, tmp_path: Path) -> None:
     assert "up to 1.3 rad/s" in exported.files[0].read_text()
 
 
+def test_a_joint_whose_speed_is_not_logged_is_not_said_to_stand_still(tmp_path: Path) -> None:
+    notes = " ".join(export_mjcf(propelling(load_robot("five-bar"), worse=True), tmp_path).notes)
+    assert "left_forearm at any speed, as none is logged" in notes
+    assert "up to 0 rad/s" not in notes
+
+
 def test_a_polynomial_that_propels_makes_mujoco_diverge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is held: the same file with the identified polynomial gains energy."""
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log

@@ -99,11 +99,15 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> tuple
     )
 
 
+UNLOGGED = "at any speed, as none is logged"  # of a joint in a loop, whose line is constant
+
+
 def friction_notes(model: ConsistentModel) -> list[str]:
     """Note where exported friction is a straight line instead of the identified one, and where it is extrapolated."""
     law, notes = model.result.friction_law, []
     if model.straight:
-        listed = ", ".join(f"{joint} up to {law.logged(joint)}" for joint in model.straight)
+        within = ((joint, f"up to {law.logged(joint)}" if law.fastest(joint) else UNLOGGED) for joint in model.straight)
+        listed = ", ".join(map(" ".join, within))
         notes.append(
             "friction that bends, or has negative coefficients that would propel a joint, is no straight line: "
             f"damping and friction are the straight line nearest to it within the logged speeds ({listed}), "
