@@ -31,6 +31,12 @@ def parallel() -> list[Run]:
     return [plant.run("free", 8.0, seed=1), replace(loaded, payload=Payload(name="steel", mass=STEEL["m"]))]
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_an_absurd_mass_is_no_warning_of_numpy(parallel: list[Run]) -> None:
+    heavy = replace(parallel[1], payload=Payload(name="steel", mass=1e9))
+    assert set(kinds(identify(FIVE_BAR, [parallel[0], heavy]))) == {*FIVE_BAR.actuated}
+
+
 @pytest.fixture(scope="module")
 def serial() -> list[Run]:
     return logged(SCARA, DOWN, currents=True)

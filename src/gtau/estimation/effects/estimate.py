@@ -89,7 +89,8 @@ def _estimate(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
     if fit.free_gains:
         known = np.diag(covariance)[gain_rows] == 0
         covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * values[gain_rows]) ** 2))
-    part = np.sqrt(np.minimum(np.diag(covariance) / np.maximum(np.diag(random), 1e-300), 1.0))  # but for rounding
+    total, alone = np.diag(covariance), np.diag(random)
+    part = np.sqrt(np.divide(total, alone, out=np.ones_like(alone), where=alone > total))  # 1 but for rounding
     return Mixed(rows, mixed, slopes, values, covariance, random * part[:, None] * part)
 
 
