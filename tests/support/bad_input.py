@@ -443,6 +443,12 @@ MODELS = [
         VALIDATE,
     ),
     Case(
+        "a speed of no joint",
+        "'logged_speeds' names 'nobody', which is no joint",
+        _model(lambda text: re.sub(r'"logged_speeds": {\s*"left"', '"logged_speeds": {"nobody"', text)),
+        WEIGH,
+    ),
+    Case(
         "a gain in words",
         "model.json, drive_gains.1.value: 'high' is not a number",
         _model(lambda text: text.replace('"value": ', '"value": "high", "old": ', 1)),
