@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, LoggedRun, check_robot, read_experiment
-from gtau.signals.reading.statements import Prior, StatedGain, as_priors
+from gtau.signals.reading.statements import Drive, Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_parts
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ class Options:
     prior_gains: Mapping[str, StatedGain] | None = None
     priors: Mapping[str, Prior] | None = None
     prior_inertias: float | None = None
+    drives: Mapping[str, Drive] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.method is not None:
@@ -131,6 +132,7 @@ def describe(
         "priors": experiment.expected_parameters,
         "prior_inertias": experiment.prior_inertias,
     }
+    options = replace(options, drives=experiment.drives)
     options = replace(options, **{name: value for name, value in written.items() if getattr(options, name) is None})
     return Subject(robot, (), _with_inertias(options, robot), experiment)
 

@@ -19,6 +19,7 @@ from gtau.estimation.diagnostics.log_checks import (
     smoothed_commands,
 )
 from gtau.estimation.diagnostics.scale import sensor_scales, weigh_known
+from gtau.estimation.electrical import motor_estimates
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
 from gtau.estimation.estimators.physical_consistency import Consistency, consistent
@@ -29,6 +30,7 @@ from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.results.build import evidence, fit_record, model_estimates, sensor_estimates
 from gtau.estimation.results.conclusions import SCALE_UNTESTED
+from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.result import NO_BODIES, IdentifiedModel
 from gtau.findings import Finding, Grade, listed
 from gtau.progress import Progress, silent
@@ -172,6 +174,7 @@ def estimate(
         sensors=sensors,
         consistency=bodies,
         audit=audit,
+        motors=Named(motor_estimates(dataset, estimates)),
     )
 
 

@@ -10,6 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
+from gtau.estimation.electrical import motor_equations
 from gtau.estimation.estimators.estimator import Estimator, Gains
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.experiment_runs import Options, Subject
@@ -168,8 +169,10 @@ def reduced(
         priors=options.priors if estimator.takes_priors else {},
         prior_inertias=options.prior_inertias or 0.0,
     )
+    if estimator.takes_priors and not options.as_paper and dataset.runs[0].kind == "current":
+        dataset = replace(dataset, motors=motor_equations(dataset, options.drives))
     demanded = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")
-    if demanded and not dataset.stated_priors and not any(map(_has_scale, dataset.runs)):
+    if demanded and not (dataset.stated_priors or dataset.motors) and not any(map(_has_scale, dataset.runs)):
         return replace(dataset, priors={})
     return dataset
 

@@ -20,7 +20,7 @@ from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, position_
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
 
-GROUPS = ("base parameter", "friction", *(kind.name for kind in LINK_SIDE))
+GROUPS = ("base parameter", "friction", "motor", *(kind.name for kind in LINK_SIDE))
 LAW = [kind for kind in KINDS.values() if kind.friction and not kind.slope_of and kind.symbol not in SLOPES]
 POINTS = 3000  # most points in a panel
 CONTRADICTED = 6  # most parameters on a short page

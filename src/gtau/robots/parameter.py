@@ -104,6 +104,8 @@ KINDS: Mapping[str, ParameterKind] = {
             "fl", "proportional to the load", ("1", "1"), r"f_{\ell}", "", True, "term", dry=True, by_load=True
         ),
         ParameterKind("off", "offset", _TORQUE, friction="plain"),
+        ParameterKind("ke", "back-EMF constant", ("V s/rad", "V s/m"), latex="k_e"),
+        ParameterKind("R", "resistance", ("ohm", "ohm")),
         ParameterKind("fvt", "by temperature", _VISCOUS, friction="term", slope_of="fv"),
         ParameterKind("fst", "by temperature", _TORQUE, friction="term", dry=True, slope_of="fs"),
     )

@@ -53,16 +53,25 @@ def link_side_kind(name: str) -> ChannelKind:
 
 @dataclass(frozen=True)
 class SideSignal:
-    """A slow signal logged beside positions and commands, in one column for all joints or in one for each.
+    """A signal logged beside positions and commands, in one column for all joints or in one for each.
 
     ``key`` names it in files and on a run; the first of the ``units`` is the default. A draft offers the columns whose
-    names hold one of the ``words``, and says its ``effect``.
+    names hold one of the ``words``, and says its ``effect``. Of a ``slow`` one means over parts of the log are kept; a
+    ``position`` is a joint's, with its unit where none is stated.
     """
 
     key: str
     units: tuple[str, ...]
     words: frozenset[str]
     effect: str
+    slow: bool = True
+    position: bool = False
+
+
+VOLTAGE = "with the motor's current it gives the drive gain without a payload"
+VOLTS, SHARES, AMPERES = ("V", "mV"), ("1", "%", "‰"), ("A", "mA")
+SI = {"mV": 1e-3, "%": 1e-2, "‰": 1e-3, "mA": 1e-3, "deg": np.pi / 180, "mm": 1e-3}
+"""Factors of units of side signals, other than 1, to SI units."""
 
 
 SIDE_SIGNALS = (
@@ -71,6 +80,18 @@ SIDE_SIGNALS = (
         units=("degC", "K", "s", "min", "h"),  # or the time since the start
         words=frozenset(["temp", "temps", "temperature", "temperatures"]),
         effect="friction may depend on it",
+    ),
+    SideSignal("voltage", VOLTS, frozenset(["voltage", "voltages", "volt", "volts"]), VOLTAGE, slow=False),
+    SideSignal("duty", SHARES, frozenset(["duty", "pwm"]), f"times supply_voltage, {VOLTAGE}", slow=False),
+    SideSignal("supply_voltage", VOLTS, frozenset(["vbus", "vdc", "ubus"]), f"times duty, {VOLTAGE}", slow=False),
+    SideSignal("supply_current", AMPERES, frozenset(["ibus"]), "over duty it is the motor's current", slow=False),
+    SideSignal(
+        "goal",
+        units=("rad", "deg", "m", "mm"),
+        words=frozenset(),  # as commands of position have many names
+        effect="goal less position, times a proportional gain, is the duty",
+        slow=False,
+        position=True,
     ),
 )
 """All side signals; their keys in files, their units, their columns in drafts and their place on a run follow."""
@@ -87,6 +108,10 @@ class SideValues:
     def at(self, joint: str, time: np.ndarray) -> np.ndarray:
         """Interpolate the values of a joint linearly at other instants (N,)."""
         return np.interp(time, self.time, self.by_joint[joint])
+
+    def si(self, joint: str, time: np.ndarray) -> np.ndarray:
+        """Interpolate them in SI units."""
+        return SI.get(self.unit, 1.0) * self.at(joint, time)
 
 
 @dataclass(frozen=True)

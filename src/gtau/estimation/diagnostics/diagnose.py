@@ -228,6 +228,7 @@ def diagnose(
         *gains.unexplained_signals(fit, wrong),
         *(scale.contradictory_payload(finding.subject, motors(fit)) for finding in wrong if fit.free_gains),
         *scale.sensor_contradictions(scales, joints, accuracy),
+        *filter(None, [scale.contradictory_voltage(fit, accuracy)]),
         *scale.contradictory_priors(fit, plain, accuracy),
         # a gain without a value: what follows would judge that value
         *gains.gains_without_value(fit, judged),

@@ -1,4 +1,4 @@
-"""What the scale rests on: stated payloads, torque sensors, measured wrenches and priors, and whether the data agree.
+"""What the scale rests on: payloads, torque sensors, wrenches, priors and voltages, and whether the data agree.
 
 Currents alone leave the scale open: gains and parameters may all be twice as large. It comes from constants stated in N
 m or kg. With all of them larger by one per cent, every gain and parameter is larger by one per cent too; so the shares
@@ -33,10 +33,10 @@ from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import KNOWN, SIGNALS
 from gtau.estimation.regression.priors import require_scale
-from gtau.estimation.regression.problem import Estimates, Problem
+from gtau.estimation.regression.problem import Estimates, MotorEquation, Problem
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import whole_mass
-from gtau.robots.parameter import unit_of
+from gtau.robots.parameter import Parameter, gain_unit, unit_of
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
@@ -50,7 +50,7 @@ STEP = 1e-3  # of a source, for the derivatives of the gains
 SCALED_BY_FILE = "the inertias of the robot's file"
 SENSOR = "contradictory torque sensor"
 SENSOR_ADVICE = "check the sensor's calibration, unit and joint; a payload's mass or a known parameter may be wrong too"
-PAYLOAD, PRIOR = "contradictory payload", "contradictory prior"
+PAYLOAD, PRIOR, VOLTAGE = "contradictory payload", "contradictory prior", "contradictory voltage"
 PAYLOAD_MASS, PAYLOAD_PARAMETER = "payload mass", "payload parameter"
 
 Enlarged = Callable[[float], Problem]
@@ -83,6 +83,11 @@ def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
         values[:, -1] *= 1 + by
         return replace(problem, known=values)
 
+    def faster(by: float) -> Problem:
+        voltages = problem.voltages.copy()
+        voltages[:, 1] /= 1 + by
+        return replace(problem, voltages=voltages)
+
     loads = {load.payload.name: load.payload for load in reversed(system.payloads) if load.acts}
     for name, payload in reversed(loads.items()):
         std = payload.mass_std / payload.mass if payload.mass else 0.0
@@ -97,6 +102,17 @@ def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
         yield _wrenches(problem), wrenches, max(measured, default=0.0), wrenches
     if len(problem.known):
         yield SCALED_BY_FILE if dataset.scaled_by_file else "known parameters", known, 0.0, known
+    if len(problem.voltages):
+        yield _voltages(dataset.motors), faster, 0.0, faster
+
+
+def _voltages(motors: Sequence[MotorEquation]) -> str:
+    """Name voltages as a source of the scale."""
+    count = "the voltage of a motor" if len(motors) == 1 else f"the voltages of {len(motors)} motors"
+    stds = sorted({motor.commutation for motor in motors})
+    spread = " to ".join(f"{100 * std:.2g}" for std in dict.fromkeys((stds[0], stds[-1])))
+    stated = "stated" if all(motor.stated for motor in motors) else "assumed"
+    return f"{count} (efficiency of commutation {spread} %, {stated})"
 
 
 def _wrenches(problem: Problem) -> str:
@@ -226,6 +242,53 @@ def contradictory_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Ite
         yield Finding(PRIOR, subject=name, size=size, text=text, advice=advice, shown_as="model")
 
 
+def contradictory_voltage(fit: Fit, accuracy: float) -> Finding | None:
+    """Find the voltage that contradicts all else, where that explains more than a wrong scale of all else does."""
+    motors = fit.dataset.motors
+    if not motors or not fit.free_gains:
+        return None
+    apart = [_voltage_apart(fit, motor) for motor in motors]
+    r, s = np.array([found or (0.0, np.inf) for found in apart]).reshape(-1, 2).T
+    if not np.any((np.abs(r) > APART * s) & (np.abs(r) > accuracy)):
+        return None
+    worst = int(np.argmax(np.abs(r / s)))
+    motor, weights = motors[worst], 1 / s**2
+    alone = _without_voltages(fit, motors)
+    if alone is not None:
+        ratios = np.array([_ratio(alone, motor) - 1 for motor in motors])
+        common = float(weights @ ratios / weights.sum())
+        if weights @ (ratios - common) ** 2 <= np.delete(weights * ratios**2, worst).sum():
+            return None  # but for one factor, the voltages agree with all else
+    other = _without_voltages(fit, (motor,))
+    moves = np.zeros(len(fit.gains)) if other is None else np.abs(other.gains / fit.gains - 1)
+    moved = tuple(joint for joint, move in zip(fit.problem.joints, moves, strict=True) if move > accuracy)
+    gain, unit = motor.ke / (1 + r[worst]), gain_unit(fit.dataset.robot, motor.joint, "current")
+    text = f"the voltage of '{motor.joint}' says {motor.ke:.3g} {unit}, and all other data {gain:.3g} {unit}"
+    advice = f"check the unit of the voltage, and 'convention' of drives.{motor.joint} (dc, amplitude or power)"
+    grade = Grade.CONTRADICTORY if moved else Grade.WARNING
+    return Finding(VOLTAGE, moved, motor.joint, text=text, advice=advice, grade=grade, size=abs(r[worst] / s[worst]))
+
+
+def _voltage_apart(fit: Fit, motor: MotorEquation) -> tuple[float, float] | None:
+    """Compute the gain by a voltage over that by all else, less 1, with its standard deviation; None without else."""
+    other = _without_voltages(fit, (motor,))
+    if other is None:
+        return None
+    k = other.problem.unknowns.places[Parameter("gain", motor.joint)]
+    std = float(np.sqrt(other.solution.jackknife[k, k])) / abs(float(other.solution.values[k]))
+    return _ratio(other, motor) - 1, float(np.hypot(std, motor.std / motor.ke))
+
+
+def _ratio(fit: Fit, motor: MotorEquation) -> float:
+    return motor.ke / float(fit.gains[fit.problem.joints.index(motor.joint)])
+
+
+def _without_voltages(fit: Fit, motors: Sequence[MotorEquation]) -> Fit | None:
+    """Fit without the voltages of some motors; None where then nothing gives the scale."""
+    kept = tuple(motor for motor in fit.dataset.motors if motor not in motors)
+    return refitted(fit, dataset=replace(fit.dataset, motors=kept))
+
+
 def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
     """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
     from scipy.stats import chi2
@@ -261,6 +324,9 @@ def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Finding]:
     freed. The mass of a single payload that sets the scale alone is not tested. Given gains are taken for exact to the
     ``accuracy`` (relative). Returns verdicts by the names of the payloads that have a value to test.
     """
+    if (voltage := contradictory_voltage(fit, accuracy)) is not None:  # which tests no payload
+        wrong = [motor for motor in fit.dataset.motors if motor.joint == voltage.subject]
+        fit = _without_voltages(fit, wrong) or fit
     payloads = [run.payload for run in fit.dataset.runs if run.payload]
     known = {payload.name: payload for payload in payloads if payload.mass is not None}
     masses = ("m",) if not fit.free_gains or len(known) > 1 or fit.problem.scaled else ()
@@ -311,6 +377,7 @@ def _contradicted(fit: Fit, other: Fit, payload: Payload, kind: str, value: floa
     if kind == "m":
         wrong = PAYLOAD_MASS
         text = f"all other data give it a mass of {value:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg"
+        text += _against_voltages(fit, other)
         advice = "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared"
         if not fit.free_gains:
             torques = fit.kind == "torque"
@@ -333,6 +400,18 @@ def _contradicted(fit: Fit, other: Fit, payload: Payload, kind: str, value: floa
     joints, values = _explained(fit, other), {"remains": residual_ratio(other, fit)}
     size = abs(value - declared) / std
     return contradiction(wrong, joints, text, advice, payload.name, values=values, size=size, shown_as="model")
+
+
+def _against_voltages(fit: Fit, freed: Fit) -> str:
+    """Continue a sentence with a gain by voltages, a payload ``freed``, and by the payload; empty without voltages."""
+    motors = fit.dataset.motors
+    alone = _without_voltages(fit, motors) if motors and fit.free_gains else None
+    if alone is None:
+        return ""
+    joint = min(motors, key=lambda motor: motor.std / abs(motor.ke)).joint
+    by_voltage, by_payload = (float(each.gains[fit.problem.joints.index(joint)]) for each in (freed, alone))
+    unit = gain_unit(fit.dataset.robot, joint, "current")
+    return f": the voltages say {by_voltage:.3g} {unit} at '{joint}', the payload {by_payload:.3g} {unit}"
 
 
 def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Leve
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, Noise, lag_products
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.newton import jacobian_of_known, split, to_gains, weighted
+from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known, split, to_gains, weighted
 from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
@@ -46,8 +46,7 @@ def known_rows(fit: Fit, windows: Windows) -> tuple[np.ndarray, np.ndarray]:
     """
     problem, samples = fit.system.problem, sum(map(len, fit.dataset.prepared))
     weight = np.sqrt(min(sum(len(window) for _, window in windows) / samples, 1.0))
-    errors = problem.known[:, :-1] @ fit.solution.theta - problem.known[:, -1]
-    return weight * errors, weight * jacobian_of_known(problem, fit.free_gains)
+    return weight * errors_of_known(problem, fit.solution.values), weight * jacobian_of_known(problem, fit.free_gains)
 
 
 def triangles(rows: np.ndarray, keep: np.ndarray) -> np.ndarray:
@@ -282,10 +281,12 @@ def _channel_maps(fit: Fit, values: np.ndarray, origin: np.ndarray, columns: int
 
 
 def _known(rows: EffectRows, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (q,) of known parameters at some values, and their Jacobian."""
+    """Residuals (q,) of known parameters and gains at some values, and their Jacobian."""
     errors, J = rows.known
-    n = rows.fit.system.problem.n_theta
-    return errors + J[:, :n] @ (values[:n] - rows.fit.solution.theta), J
+    fit, channels = rows.fit, len(rows.fit.system.problem.channels)
+    (theta, gains, delays), (theta_0, gains_0, delays_0) = (split(at, channels) for at in (values, fit.solution.values))
+    steps = [theta - theta_0, *([1 / gains - 1 / gains_0] if fit.free_gains else []), delays - delays_0]
+    return errors + J @ np.concatenate(steps), J
 
 
 def _whitening(square: np.ndarray) -> np.ndarray:

@@ -102,12 +102,11 @@ def solve(
     end = problem.n_theta
     sizes = np.abs(triangles)
     J_known = jacobian_of_known(problem, free_gains)
-    P, y = problem.known[:, :-1], problem.known[:, -1]
     for _ in range(steps):
         weights = weigh(squared(triangles, values))
         e, J = weighted(triangles, values, problem, free_gains, weights)
         J = np.concatenate([J, J_known])
-        e = np.concatenate([e, P @ values[:end] - y])
+        e = np.concatenate([e, errors_of_known(problem, values)])
         # without parameters the signal is error, with the curvature of no model
         curvature = curvature_of_delays(triangles, values, problem, weights) * values[:end].any()
         back = whitening(J, curvature)
@@ -118,7 +117,7 @@ def solve(
         highest = (np.sqrt(before) + rounding) ** 2
         while True:
             after = moved(values, share * step, n)
-            cost = weights**2 @ squared(triangles, after) + np.sum((P @ after[:end] - y) ** 2)
+            cost = weights**2 @ squared(triangles, after) + np.sum(errors_of_known(problem, after) ** 2)
             if share <= 1e-6 or cost <= highest:
                 break
             share /= 2
@@ -204,8 +203,21 @@ def curved(gauss: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def jacobian_of_known(problem: Problem, free_gains: bool) -> np.ndarray:
-    """Compute the Jacobian (k, parameters) of the residuals of the known parameters, which depend on theta alone."""
-    return np.pad(problem.known[:, :-1], ((0, 0), (0, (2 if free_gains else 1) * len(problem.channels))))
+    """Compute the Jacobian (k + m, parameters) of :func:`errors_of_known`: by theta, or by ``1 / g`` if it is free."""
+    more = (2 if free_gains else 1) * len(problem.channels)
+    J = np.pad(problem.known[:, :-1], ((0, len(problem.voltages)), (0, more)))
+    if free_gains:
+        channels, _, weights = problem.voltages.T
+        J[range(len(problem.known), len(J)), problem.n_theta + channels.astype(int)] = weights
+    return J
+
+
+def errors_of_known(problem: Problem, values: np.ndarray) -> np.ndarray:
+    """Compute the residuals (k + m,) of the known parameters, and of the gains from voltages."""
+    theta, gains, _ = split(values, len(problem.channels))
+    channels, inverse, weights = problem.voltages.T
+    parameters = problem.known[:, :-1] @ theta - problem.known[:, -1]
+    return np.concatenate([parameters, weights * (1 / gains[channels.astype(int)] - inverse)])
 
 
 def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains: bool) -> Solution:

@@ -28,7 +28,7 @@ from gtau.estimation.regression.bandwidth_trials import best_of_trials
 from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.priors import ReferenceModel, inertia_priors, known_equations, scale_of_file
-from gtau.estimation.regression.problem import Problem
+from gtau.estimation.regression.problem import MotorEquation, Problem
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
 from gtau.findings import Finding, Grade
@@ -50,7 +50,7 @@ class Dataset:
 
     ``priors`` constrain standard or base parameters, by name; with the inertias of the robot's file among them, or
     where these give the scale, ``prior_inertias`` is their relative standard deviation, else 0. ``reference`` is a
-    model of the same robot whose parameters count as known with their covariance.
+    model of the same robot whose parameters count as known with their covariance. ``motors`` are what voltages say.
     """
 
     equations: Equations
@@ -60,6 +60,7 @@ class Dataset:
     priors: Mapping[str, Prior] = field(default_factory=dict)
     prior_inertias: float = 0.0
     reference: ReferenceModel | None = None
+    motors: tuple[MotorEquation, ...] = ()
 
     @property
     def model(self) -> InverseDynamics:
@@ -142,7 +143,12 @@ class Dataset:
             known.append(scale_of_file(model, base, plain, self.prior_inertias))
         if self.reference is not None:
             known.append(self.reference.among(plain.parameters))
-        problem = replace(plain, known=np.vstack(known), wrenches=tuple(given), factored=plain.triangles)
+        joints = [channel.joint for channel in channels]
+        volts = [(joints.index(motor.joint), 1 / motor.ke, motor.ke**2 / motor.std) for motor in self.motors]
+        voltages = np.reshape(volts, (-1, 3))
+        problem = replace(
+            plain, known=np.vstack(known), voltages=voltages, wrenches=tuple(given), factored=plain.triangles
+        )
         return System(self, problem.without(unexcited(problem)), problem, effects, payload_blocks, terms)
 
     def reduced(

@@ -206,8 +206,10 @@ def require_scale(
 ) -> None:
     """Check that something fixes the scale of a ``robot``'s drive gains (section 3.3); raises GtauError.
 
-    It may be a payload of known mass, torque sensors, wrenches, or parameters that are ``stated``.
+    It may be a payload of known mass, torque sensors, wrenches, parameters that are ``stated``, or voltages.
     """
+    if len(problem.voltages):
+        return
     other = "or use --method wls with prior_gains"
     elsewhere = problem.scaled
     weighed = any(payload is not None and payload.mass is not None for payload in payloads)

@@ -126,6 +126,29 @@ class Estimates:
 
 
 @dataclass(frozen=True)
+class MotorEquation:
+    """What a joint's voltages alone say, ``u = R i + (ke / c) qd``: its back-EMF constant and resistance.
+
+    ``ke`` (V s/rad or V s/m) and ``resistance`` (ohm) have the ``covariance`` (2, 2); the drive gain differs from ke by
+    the relative standard deviation ``commutation``, which is ``stated`` or assumed. ``explained`` is the share of the
+    voltage's variance that goes with current and speed.
+    """
+
+    joint: str
+    ke: float
+    resistance: float
+    covariance: np.ndarray
+    commutation: float
+    stated: bool
+    explained: float
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the drive gain."""
+        return float(np.hypot(np.sqrt(self.covariance[0, 0]), self.commutation * self.ke))
+
+
+@dataclass(frozen=True)
 class Problem:
     """Equations ``v(t - d_j) g_j = W_theta theta + known`` of all channels.
 
@@ -133,9 +156,10 @@ class Problem:
     torque sensors. ``blocks`` (U, c, p, n_theta + 4) are rows or triangular factors, ``rows`` (U, c) count the
     equations behind each. ``longest_delays`` (c,), s, are the longest that the expansion in derivatives can describe, 0
     where none is estimated. ``known`` (k, n_theta + 1) are further equations ``[P | y]``: ``P theta = y`` with errors
-    of unit variance. ``wrenches`` are the bodies with measured wrenches, minus whose joint torques are in the column
-    ``known``. ``clusters`` (U,) number the blocks, those alike that the jackknife leaves out together, of runs that
-    repeat a motion. ``factored`` and ``independent`` are ``triangles`` and ``own_columns`` where known already.
+    of unit variance. ``voltages`` (m, 3) are equations of gains: the number of a channel, its ``1 / g``, and one over
+    the standard deviation of this. ``wrenches`` are the bodies with measured wrenches, minus whose joint torques are in
+    the column ``known``. ``clusters`` (U,) number the blocks, those alike that the jackknife leaves out together, of
+    runs that repeat a motion. ``factored`` and ``independent`` are ``triangles`` and ``own_columns`` where known.
     """
 
     parameters: tuple[Parameter, ...]
@@ -144,6 +168,7 @@ class Problem:
     rows: np.ndarray
     longest_delays: np.ndarray
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    voltages: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     wrenches: tuple[str, ...] = ()
     clusters: np.ndarray | None = None
     factored: InitVar[tuple[np.ndarray, ...] | None] = None
@@ -179,8 +204,9 @@ class Problem:
 
     @property
     def scaled(self) -> bool:
-        """Decide whether torque sensors, measured wrenches or known parameters fix the scale of the gains."""
-        return not self.unknown_gains.all() or bool(self.wrenches) or len(self.known) > 0
+        """Decide whether sensors, measured wrenches, known parameters or voltages fix the scale of the gains."""
+        stated = len(self.known) + len(self.voltages) > 0
+        return not self.unknown_gains.all() or bool(self.wrenches) or stated
 
     @cached_property
     def units(self) -> tuple[np.ndarray, ...]:
@@ -298,9 +324,14 @@ class Problem:
 
     @property
     def total_known(self) -> np.ndarray:
-        """Known parameters as rows of ``W_tot``, (k, n_theta + c + 1)."""
+        """Known parameters, and gains from voltages, as rows of ``W_tot``, (k + m, n_theta + c + 1)."""
         signs = np.append(-np.ones(self.n_theta), 1.0)
-        return np.insert(self.known * signs, [self.n_theta] * len(self.channels), 0.0, axis=1)
+        parameters = np.insert(self.known * signs, [self.n_theta] * len(self.channels), 0.0, axis=1)
+        channels, inverse, weights = self.voltages.T
+        gains = np.zeros((len(channels), parameters.shape[1]))
+        gains[range(len(gains)), self.n_theta + channels.astype(int)] = -weights * inverse**2
+        gains[:, -1] = weights * inverse
+        return np.vstack([parameters, gains])
 
     def columns_of(self, names: Iterable[str]) -> list[int]:
         """Find the columns of some parameters in the blocks, and those behind the model."""

@@ -257,6 +257,7 @@ class ModelDocument(_Group):
     parameters: Annotated[_ByParameter, _listed("regrouping", "between_run_std", "essential")]
     friction: Annotated[_ByParameter, _listed()]
     equation_friction: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
+    motors: Annotated[_ByParameter, _listed()] = Field(default=(), validate_default=True)
     curves: tuple[FrictionCurve, ...] = ()
     sensors: tuple[_Sensor, ...] = ()
     payloads: Annotated[

@@ -88,6 +88,8 @@ class IdentifiedModel:
         Friction in the equations that give gains and inertia, which leave out samples near reversals.
     geometry : GeometryTest, optional
         What logged poses say of the robot's geometry.
+    motors : dict
+        Back-EMF constant ``ke_J`` and resistance ``R_J`` of the motors whose voltages were logged; name to Estimate.
     audit : InertiaAudit, optional
         What the data say of the inertias of the robot's file.
     requirements : tuple of Requirement
@@ -124,6 +126,7 @@ class IdentifiedModel:
     effects: tuple[EstimatedEffect, ...] = ()
     curves: Mapping[str, FrictionCurve] = field(default_factory=dict)
     equation_friction: Named[Parameter] = field(default_factory=Named)
+    motors: Named[Parameter] = field(default_factory=Named)
     geometry: GeometryTest | None = None
     audit: InertiaAudit | None = None
     requirements: tuple[Requirement, ...] = ()
@@ -131,7 +134,7 @@ class IdentifiedModel:
     distances: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("drive_gains", "delays", "parameters", "friction", "equation_friction"):
+        for name in ("drive_gains", "delays", "parameters", "friction", "equation_friction", "motors"):
             object.__setattr__(self, name, Named(getattr(self, name)))
 
     def __repr__(self) -> str:
@@ -223,8 +226,8 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
     """List all estimates of a result, each once.
 
     Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
-    terms that the data ask for), ``logged speed`` (up to which friction is identified), ``torque sensor JOINT`` and
-    ``payload NAME of RUN``.
+    terms that the data ask for), ``motor`` (back-EMF constant and resistance), ``logged speed`` (up to which friction
+    is identified), ``torque sensor JOINT`` and ``payload NAME of RUN``.
     """
     friction = {name: name.kind in PLAIN_FRICTION for name in result.parameters}
     robot = result.robot
@@ -237,6 +240,7 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
         ("base parameter", [estimate for name, estimate in result.parameters.items() if not friction[name]]),
         ("friction", [estimate for name, estimate in result.parameters.items() if friction[name]]),
         ("friction", result.friction.values()),
+        ("motor", result.motors.values()),
         ("logged speed", speeds),
         *((f"{sensor.kind.name} {sensor.joint}", sensor.parameters.values()) for sensor in result.sensors),
         *((f"payload {payload.name} of {payload.run}", payload.parameters.values()) for payload in result.payloads),

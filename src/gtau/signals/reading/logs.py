@@ -26,7 +26,7 @@ from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
 from gtau.signals.reading.samples import WHOLE, Part, Samples, complete, with_signs
-from gtau.signals.reading.units import SI, Units
+from gtau.signals.reading.units import SI, Units, si_factor
 from gtau.signals.storage import block, blocks, spans, store
 
 GROUP = "gtau.log_formats"
@@ -330,7 +330,7 @@ def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
 
 
 FEWEST = 20  # rows of a run that hold a pose
-KEPT = 2000  # instants of a run: the effects of side signals are slow
+KEPT = 2000  # instants of a run, of slow side signals
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,7 +363,7 @@ def read_poses(paths: Sequence[Path], signals: Signals, units: Units, part: Part
 def read_side_signals(
     paths: Sequence[Path], signals: Signals, units: Units, part: Part = WHOLE
 ) -> dict[str, SideValues]:
-    """Read the side signals of a run, by key, from the log of its positions, as means over up to ``KEPT`` parts."""
+    """Read the side signals of a run, by key, from the log of its positions; slow ones as means over ``KEPT`` parts."""
     values = {}
     for signal in SIDE_SIGNALS:
         by_joint = signals.side_columns(signal)
@@ -377,9 +377,14 @@ def read_side_signals(
                 f"remove '{signal.key}' from the signals.",
                 source=paths[0],
             )
-        means = np.array([some.mean(axis=0) for some in np.array_split(rows, min(KEPT, len(rows)))])
-        joints = {joint: means[:, columns.index(column)] for joint, column in by_joint.items()}
-        values[signal.key] = SideValues(means[:, -1], joints, getattr(units, signal.key) or signal.units[0])
+        if signal.slow:
+            rows = np.array([some.mean(axis=0) for some in np.array_split(rows, min(KEPT, len(rows)))])
+        unit = getattr(units, signal.key)
+        si = dict.fromkeys(by_joint, 1.0)
+        if signal.position and not unit:
+            si = {joint: si_factor(units.position_unit(joint) or "rad", "position") for joint in by_joint}
+        joints = {joint: si[joint] * rows[:, columns.index(column)] for joint, column in by_joint.items()}
+        values[signal.key] = SideValues(rows[:, -1], joints, unit or signal.units[0])
     return values
 
 

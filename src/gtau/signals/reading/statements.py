@@ -145,7 +145,9 @@ class Drive(Keys):
 
     ``gear_ratio`` is rad of the motor per rad (or m) of the joint, negative where they turn in opposite directions;
     ``torque_constant`` (N m/A) and ``rotor_inertia`` (kg m2) belong to the motor; ``uncertainty`` is the relative
-    standard deviation of the expected values.
+    standard deviation of the expected values. Of logged voltages ``convention`` says what they and the currents are:
+    of a DC motor, or of the q axis, of invariant ``amplitude`` or ``power``; ``commutation`` is the relative standard
+    deviation of the torque constant over the back-EMF constant, and ``resistance`` (ohm) replaces a supply voltage.
     """
 
     gear_ratio: Number = 1.0
@@ -153,6 +155,9 @@ class Drive(Keys):
     efficiency: Annotated[FiniteFloat, Field(gt=0, le=1)] | None = None
     rotor_inertia: Positive | None = None
     uncertainty: Annotated[FiniteFloat, Field(gt=0, lt=1)] | None = None
+    convention: Literal["dc", "amplitude", "power"] = "dc"
+    commutation: Annotated[FiniteFloat, Field(gt=0, lt=1)] | None = None
+    resistance: Positive | None = None
 
     @field_validator("gear_ratio")
     @classmethod
@@ -163,7 +168,8 @@ class Drive(Keys):
 
     @model_validator(mode="after")
     def _says_something(self) -> Drive:
-        if self.torque_constant is None and self.rotor_inertia is None:
+        electrical = self.model_fields_set & {"convention", "commutation", "resistance"}
+        if self.torque_constant is None and self.rotor_inertia is None and not electrical:
             raise ValueError("neither 'torque_constant' nor 'rotor_inertia' is given; add one, or remove the drive")
         if self.efficiency is not None and self.torque_constant is None:
             raise ValueError("'efficiency' is given without 'torque_constant'; add it, or remove the efficiency")

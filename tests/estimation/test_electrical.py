@@ -1,0 +1,137 @@
+"""Drive gains from voltages: of the motor's equation alone, beside a payload, and against it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+from motor_logs import Motors
+
+from gtau import identify, load_robot
+from gtau.estimation.electrical import motor_equations
+from gtau.estimation.experiment_runs import Options, Subject
+from gtau.estimation.identify import identify_subject
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.problem import MotorEquation
+from gtau.estimation.results.conclusions import headline
+from gtau.estimation.results.result import IdentifiedModel
+from gtau.result import Result
+from gtau.robots.robot import Robot
+from gtau.signals.reading.statements import Drive, Payload
+from gtau.signals.run import Run
+
+MOTORS = Motors(GAINS, noise=0.005)
+
+
+def run(seed: int, motors: Motors = MOTORS, mass: float | None = None, seconds: float = 16.0) -> Run:
+    """A run with voltages, with the payload of 1.2 kg where a mass is stated."""
+    plain = Plant(noise=0.01).run(f"run {seed}", seconds, STEEL if mass else None, seed)
+    return replace(motors.logged(plain, "duty"), payload=Payload(name="steel", mass=mass) if mass else None)
+
+
+def equations(runs: Sequence[Run], drives: Mapping[str, Drive] | None = None) -> tuple[MotorEquation, ...]:
+    return motor_equations(reduce_runs(load_robot("five-bar"), runs), drives or {})
+
+
+@pytest.mark.parametrize(
+    ("motors", "error"),
+    [
+        (MOTORS, 0.001),
+        (replace(MOTORS, dead=0.02), 0.01),
+        (replace(MOTORS, warming=0.15), 0.002),
+        (replace(MOTORS, bits=12, sag=0.3), 0.002),
+        (replace(MOTORS, bits=12, dead=0.02, warming=0.15, sag=0.3, rate=50.0), 0.012),
+    ],
+)
+def test_back_emf_constants_follow_from_motion_alone(motors: Motors, error: float) -> None:
+    """Whatever bridge, winding and recorder add, with intervals that hold it."""
+    found = [equations([run(seed, motors)]) for seed in (1, 2, 3)]
+    apart = [
+        (motor.ke - gain) / np.sqrt(motor.covariance[0, 0])
+        for motors in found
+        for motor, gain in zip(motors, GAINS, strict=True)
+    ]
+    assert np.max(np.abs(apart)) < 3.5
+    assert max(abs(motor.ke / gain - 1) for motors in found for motor, gain in zip(motors, GAINS, strict=True)) < error
+    assert all(motor.explained > 0.99 for motors in found for motor in motors)
+
+
+def test_conventions_and_signs_of_voltages() -> None:
+    """An amplitude-invariant q axis has 3/2; a voltage that counts the other way has no negative resistance."""
+    amplitude = {joint: Drive(convention="amplitude", commutation=0.005) for joint in JOINTS}
+    motors = equations([run(1, replace(MOTORS, convention=1.5))], amplitude)
+    assert [motor.ke for motor in motors] == pytest.approx(GAINS, rel=2e-3)
+    assert motors[0].std / motors[0].ke == pytest.approx(0.005, rel=0.1)
+    turned = run(1)
+    duty = turned.side["duty"]
+    reverse = replace(duty, by_joint={joint: -values for joint, values in duty.by_joint.items()})
+    motors = equations([replace(turned, side={**turned.side, "duty": reverse})])
+    assert [motor.ke for motor in motors] == pytest.approx(GAINS, rel=2e-3)
+    assert motors[0].resistance == pytest.approx(2.0, rel=0.01)
+
+
+def test_gains_without_a_payload(tmp_path: Path) -> None:
+    """They have the efficiency of commutation in their intervals, and so have all parameters; R is there too."""
+    result = identify(load_robot("five-bar"), [run(1)])
+    for joint, gain in zip(JOINTS, GAINS, strict=True):
+        low, high = result.drive_gains[joint].interval()
+        assert low < gain < high
+        assert 1.0 < 100 * (high - low) / gain / 2 < 3
+    assert "scale: from the voltages of 2 motors (efficiency of commutation 1.5 %, assumed)" in result.summary(False)
+    low, high = result.motors["R_left"].interval()
+    assert low < 2.0 < high
+    assert result.motors["R_left"].unit == "ohm"
+    assert result.motors["ke_right"].value == pytest.approx(4.0, rel=0.01)
+    assert result.to_frame().filter(group="motor").height == 4
+    result.save(tmp_path / "model.json")
+    assert Result.load(tmp_path / "model.json").motors["R_left"].value == result.motors["R_left"].value
+
+
+def stated(runs: Sequence[Run], std: float, robot: Robot | None = None) -> IdentifiedModel:
+    """Identify with motors of a stated efficiency of commutation."""
+    drives = {joint: Drive(commutation=std) for joint in JOINTS}
+    return identify_subject(Subject(robot or load_robot("five-bar"), runs, Options(drives=drives)))
+
+
+def test_voltage_and_payload_together_are_better_than_either() -> None:
+    weighed = [run(1), run(2, mass=1.2)]
+    bare = [replace(one, side={}) for one in weighed]
+    both, payload, voltage = (stated(runs, 0.002) for runs in (weighed, bare, weighed[:1]))
+    for joint in JOINTS:
+        widths = [result.drive_gains[joint].half_width for result in (both, payload, voltage)]
+        assert widths[0] < 1.02 * min(widths[1:])
+    assert "voltages of 2 motors (efficiency of commutation 0.2 %, stated)" in str(both.scale["left"])
+    assert sum(both.scale["left"].values()) == pytest.approx(1)
+    assert len(both.scale["left"]) == 2
+
+
+@pytest.mark.parametrize("mass", [1.14, 1.2, 1.26])
+def test_a_payload_stated_wrong_by_five_per_cent_is_found(mass: float) -> None:
+    result = identify(load_robot("five-bar"), [run(1), run(2, mass=mass)])
+    if mass == 1.2:
+        assert result.accepted
+        return
+    assert not result.believable
+    assert "payload 'steel', which contradicts the data" in headline(result)
+    assert "the voltages say 4 N m/A at 'right'" in headline(result)
+    assert f"the payload {4 * mass / 1.2:.3g}" in headline(result)
+
+
+def test_one_voltage_that_contradicts_all_else_is_named() -> None:
+    """The voltages of one motor count between two lines: its gain would be 1.7 times as large."""
+    runs = [run(1), run(2, mass=1.2)]
+    runs = [
+        replace(one, side=one.side | {"duty": replace(duty := one.side["duty"], by_joint=duty.by_joint | {
+            "left": 1.7 * duty.by_joint["left"]
+        })}) for one in runs
+    ]  # fmt: skip
+    result = identify(load_robot("five-bar"), runs)
+    (note,) = [note for note in result.notes if note.kind == "contradictory voltage"]
+    assert "the voltage of 'left' says 4.2" in note.what
+    assert "all other data 2.5" in note.what
+    assert "'convention' of drives.left" in note.advice
+    assert result.accepted
