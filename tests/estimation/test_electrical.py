@@ -11,8 +11,9 @@ import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from motor_logs import Motors
 
-from gtau import identify, load_robot
-from gtau.estimation.electrical import motor_equations
+from gtau import identify, load_robot, read_run
+from gtau.errors import GtauError
+from gtau.estimation.electrical import with_voltages
 from gtau.estimation.experiment_runs import Options, Subject
 from gtau.estimation.identify import identify_subject
 from gtau.estimation.regression.dataset import reduce_runs
@@ -21,6 +22,7 @@ from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.result import Result
 from gtau.robots.robot import Robot
+from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import Drive, Payload
 from gtau.signals.run import Run
 
@@ -34,7 +36,7 @@ def run(seed: int, motors: Motors = MOTORS, mass: float | None = None, seconds: 
 
 
 def equations(runs: Sequence[Run], drives: Mapping[str, Drive] | None = None) -> tuple[MotorEquation, ...]:
-    return motor_equations(reduce_runs(load_robot("five-bar"), runs), drives or {})
+    return with_voltages(reduce_runs(load_robot("five-bar"), runs), drives or {}).motors
 
 
 @pytest.mark.parametrize(
@@ -135,3 +137,87 @@ def test_one_voltage_that_contradicts_all_else_is_named() -> None:
     assert "all other data 2.5" in note.what
     assert "'convention' of drives.left" in note.advice
     assert result.accepted
+
+
+def table(one: Run) -> dict[str, np.ndarray]:
+    """The columns of a log."""
+    columns = {"t": one.time}
+    for j, joint in enumerate(JOINTS):
+        columns |= {f"q {joint}": one.position[:, j], f"current {joint}": one.command[:, j]}
+        columns |= {f"{key} {joint}": values.by_joint[joint] for key, values in one.side.items()}
+    return columns
+
+
+def signals(*keys: str, **more: object) -> dict[str, object]:
+    columns = {key: {joint: f"{key} {joint}" for joint in JOINTS} for key in keys}
+    return {"time": "t", "position": {joint: f"q {joint}" for joint in JOINTS}} | columns | more
+
+
+HARD = replace(MOTORS, bits=12, dead=0.02, warming=0.1, sag=0.3)
+GAIN = 3.0  # 1/rad, of a servo that moves in proportion to goal less position
+
+
+@pytest.mark.parametrize("rate", [None, 50.0])
+@pytest.mark.parametrize("kind", ["voltage", "duty", "magnitude", "supply", "supply magnitude", "goal"])
+def test_what_recorders_log(kind: str, rate: float | None) -> None:
+    """Currents of motor or supply, signed or magnitudes, with voltages, duties or goals."""
+    made = replace(HARD, rate=rate)
+    columns = table(made.logged(Plant(noise=0.01).run("log", 16.0, seed=3), "supply"))
+    for joint in JOINTS:
+        columns[f"goal {joint}"] = columns[f"q {joint}"] + columns[f"duty {joint}"] / GAIN
+        columns[f"voltage {joint}"] = 1000 * columns[f"duty {joint}"] * columns[f"supply_voltage {joint}"]
+        for current in ("current", "supply_current"):
+            if "magnitude" in kind or kind == "goal":
+                columns[f"{current} {joint}"] = np.abs(columns[f"{current} {joint}"])
+        columns[f"supply_current {joint}"] /= 0.0065
+    units: dict[str, object] = {"voltage": "mV"} if kind == "voltage" else {}
+    if kind == "voltage":
+        described = signals("current", "voltage")
+    elif kind == "goal":
+        described = signals("supply_current", "goal", "supply_voltage", proportional_gain=dict.fromkeys(JOINTS, GAIN))
+    else:
+        described = signals("supply_current" if "supply" in kind else "current", "duty", "supply_voltage")
+    if "supply_current" in described:
+        units = {"supply_current": "0.0065 A"}
+    log = read_run(columns, described, units=units)
+    motors = equations([log])
+    assert len(motors) == 2
+    for motor, gain in zip(motors, GAINS, strict=True):
+        assert motor.ke == pytest.approx(gain, abs=max(3.5 * np.sqrt(motor.covariance[0, 0]), 0.004 * gain))
+        assert np.sqrt(motor.covariance[0, 0]) < 0.01 * gain
+
+
+def test_goals_of_servos_with_a_stated_resistance() -> None:
+    """Without a supply voltage: g is as uncertain as R."""
+    columns = table(replace(HARD, rate=50.0).logged(Plant(noise=0.01).run("log", 16.0, seed=3), "supply"))
+    for joint in JOINTS:
+        columns[f"goal {joint}"] = np.degrees(columns[f"q {joint}"] + columns[f"duty {joint}"] / GAIN)
+        columns[f"supply_current {joint}"] = np.abs(columns[f"supply_current {joint}"])
+    described = signals("supply_current", "goal", proportional_gain=dict.fromkeys(JOINTS, GAIN))
+    log = read_run(columns, described, units={"goal": "deg"})
+    for motor, gain in zip(equations([log], dict.fromkeys(JOINTS, Drive(resistance=2.1))), GAINS, strict=True):
+        assert motor.ke == pytest.approx(gain, abs=2 * motor.std)
+        assert motor.std > 0.09 * gain
+    with pytest.raises(GtauError, match="neither its supply voltage nor its resistance is known"):
+        identify(load_robot("five-bar"), [log])
+
+
+def test_supply_currents_need_a_duty_and_proportional_gains_a_goal() -> None:
+    with pytest.raises(ValueError, match="'supply_current' says what a motor draws only with a 'duty'"):
+        Signals(**signals("supply_current"))
+    with pytest.raises(ValueError, match="'proportional_gain' is given without 'goal'"):
+        Signals(**signals("current", proportional_gain=dict.fromkeys(JOINTS, 1.0)))
+
+
+def test_voltages_that_say_nothing_of_a_motor_are_not_used() -> None:
+    """A column that is no voltage of the motor; the reason is in the refusal, and in a note beside a payload."""
+    bad = [run(1), run(2, mass=1.2)]
+    rng = np.random.default_rng(1)
+    noise = {joint: rng.standard_normal(len(bad[0].time)) for joint in JOINTS}
+    bad = [replace(one, side=one.side | {"duty": replace(one.side["duty"], by_joint=noise)}) for one in bad]
+    with pytest.raises(GtauError, match="of the voltage of 'left' alone, which gives no gain"):
+        identify(load_robot("five-bar"), bad[:1])
+    result = identify(load_robot("five-bar"), bad)
+    assert result.accepted
+    assert len([note for note in result.notes if note.kind == "voltage"]) == 2
+    assert not result.motors

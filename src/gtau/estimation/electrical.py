@@ -14,6 +14,7 @@ equations of motion (:class:`gtau.estimation.regression.problem.MotorEquation`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,10 +22,14 @@ from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_produ
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Estimates, MotorEquation
 from gtau.estimation.results.estimate import Estimate
+from gtau.findings import Finding, Grade
+from gtau.findings.words import percent
 from gtau.robots.parameter import Parameter, unit_of
+from gtau.signals.channel import SideValues
 from gtau.signals.preparation.filters import Decimator, position_filter
 from gtau.signals.preparation.prepared_run import PreparedRun, valid_samples
 from gtau.signals.reading.statements import Drive
+from gtau.signals.run import Run
 
 CONVENTIONS = {"dc": 1.0, "power": 1.0, "amplitude": 1.5}
 COMMUTATION = 0.015  # relative standard deviation of the torque constant over the back-EMF constant
@@ -32,102 +37,123 @@ FEWEST = 50  # rows of a joint
 KNOTS = 4  # of drifts along a run
 LARGEST = 3.0  # plausible sizes of an effect
 FLOOR = 5e-4  # of ke and R, whose noise biases them by less
+EXPLAINED = 0.95  # least share of the variance of the voltage, or another equation holds
 LOST = 0.3  # relative standard deviation of ke, from which it is no reference
-# plausible sizes: of dead time and offset over the rms voltage, R and ke over themselves, of lags in s
-DEAD, OFFSET, WARMER, WEAKER, SATURATED, LAG, IDLE = 0.05, 0.02, 0.1, 0.01, 0.05, 0.002, 0.02
+# plausible sizes: of dead time, offset and idle current over the rms voltage, R and ke over themselves, of lags in s
+DEAD, OFFSET, IDLE, WARMER, WEAKER, SATURATED, LAG = 0.05, 0.02, 0.05, 0.1, 0.01, 0.05, 0.002
+RESISTANCE = 0.1  # relative standard deviation of a stated resistance: windings are warmer than data sheets say
 
 
-def motor_equations(dataset: Dataset, drives: Mapping[str, Drive]) -> tuple[MotorEquation, ...]:
-    """Fit the voltage equation of each joint whose voltages are logged; those that say nothing are left out."""
-    equations = []
-    for j, joint in enumerate(dataset.model.actuated):
-        if joint not in dataset.robot.motors:
+def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
+    """Fit the voltage equation of each joint whose voltages are logged; a note says why one gives no gain."""
+    equations, notes = list[MotorEquation](), list[Finding]()
+
+    def note(joint: str, text: str, advice: str) -> None:
+        notes.append(Finding("voltage", (joint,), text=text, advice=advice, grade=Grade.INFORMATION))
+
+    for joint in dataset.robot.motors:
+        rows, drive = [], drives.get(joint)
+        for prepared in dataset.prepared:
+            decimator = dataset.preparation.at(prepared.run.rate).decimator
+            if (part := _rows(prepared, decimator, joint, drive)) is not None:
+                rows.append(part)
+        if not any(joint in values.by_joint for run in dataset.runs for values in _electrical(run)):
             continue
-        decimators = (dataset.preparation.at(prepared.run.rate).decimator for prepared in dataset.prepared)
-        pairs = zip(dataset.prepared, decimators, strict=True)
-        rows = [part for prepared, decimator in pairs if (part := _rows(prepared, decimator, joint, j)) is not None]
-        if sum(part.shape[1] for part in rows) >= FEWEST:
-            equation = _equation(joint, rows, drives.get(joint))
-            if equation.ke and np.sqrt(equation.covariance[0, 0]) < LOST * abs(equation.ke):
-                equations.append(equation)
-    return tuple(equations)
+        if sum(part.shape[1] for part in rows) < FEWEST:
+            text = f"the duty of '{joint}' gives no gain: neither its supply voltage nor its resistance is known"
+            advice = "add 'supply_voltage' to the signals, or 'resistance' to its entry under 'drives'"
+            note(joint, text, advice)
+            continue
+        equation = _equation(joint, rows, drive)
+        if equation.explained < EXPLAINED:
+            text = f"current and speed explain {percent(equation.explained, '.0f')} of the voltage of '{joint}' alone, "
+            text += "which gives no gain"
+            note(joint, text, "check that voltage (or duty) and current are of the motor, their units and clock")
+        elif not np.sqrt(equation.covariance[0, 0]) < LOST * abs(equation.ke):
+            text = f"the voltage of '{joint}' does not show its back-EMF, and gives no gain"
+            note(joint, text, "move the joint faster")
+        else:
+            equations.append(equation)
+    return replace(dataset, motors=tuple(equations), remarks=tuple(notes))
 
 
-def voltage(prepared: PreparedRun, joint: str) -> np.ndarray | None:
-    """Return the voltage of a joint's motor at all samples of its run, (N,) in V; None where it was not logged."""
-    side, time = prepared.run.side, prepared.run.time
-    logged = {key: values.si(joint, time) for key, values in side.items() if joint in values.by_joint}
-    if "voltage" in logged:
-        return logged["voltage"]
-    if "duty" in logged and "supply_voltage" in logged:
-        return logged["duty"] * logged["supply_voltage"]
-    return None
+def _electrical(run: Run) -> list[SideValues]:
+    return [run.side[key] for key in ("voltage", "duty") if key in run.side]
 
 
-def _rows(prepared: PreparedRun, decimator: Decimator, joint: str, j: int) -> np.ndarray | None:
+def _rows(prepared: PreparedRun, decimator: Decimator, joint: str, drive: Drive | None) -> np.ndarray | None:
     """Filter and decimate the rows of a joint, (8, K); None where it rests, or its voltage was not logged.
 
-    They are the voltage, the current with its rate, speed and acceleration, the column of an idle current, the place
-    along the run, 0 to 1, and whether a row begins a stretch without gaps.
+    They are y, x with its rate, speed, acceleration, the column of the offset, the place along the run, 0 to 1, and
+    whether a row begins a stretch without gaps: voltages y and currents x, or R i and duties where R is stated and the
+    supply voltage unknown. A supply's current is the motor's times the duty, and so are all rows then.
     """
     run, kept = prepared.run, prepared.kept
-    u = voltage(prepared, joint)
-    if u is None or not prepared.moves[j]:
+    j = run.joints.index(joint)
+    logged = {key: values.si(joint, run.time) for key, values in run.side.items() if joint in values.by_joint}
+    u, duty, i = logged.get("voltage"), logged.get("duty"), run.command[:, j]
+    if u is None and duty is not None and "supply_voltage" in logged:
+        u = duty * logged["supply_voltage"]
+    resistance = drive.resistance if drive else None
+    if (u is None and (duty is None or resistance is None)) or not prepared.moves[j]:
         return None
-    side, idle = run.side, np.zeros_like(u)
-    if "supply_current" in side and "duty" in side:
-        duty = side["duty"].si(joint, run.time)
-        idle = duty / np.maximum(duty**2, (0.1 * np.abs(duty).max()) ** 2)
-    raw = np.column_stack([u, run.command[:, j], run.position[:, j], idle])
+    signals = run.log.signals
+    supplied = signals is not None and signals.supplied and duty is not None
+    w = duty if supplied and duty is not None else np.ones_like(i)
+    y, x = (u, i) if u is not None else ((resistance or 0.0) * i, duty)
+    raw = np.column_stack([y * w, x * w, run.position[:, j], w])
     smooth, rate, second = position_filter(raw, run.rate, prepared.preparation.cutoff, kept.start, kept.stop)
-    columns = np.stack([smooth[:, 0], smooth[:, 1], rate[:, 1], rate[:, 2], second[:, 2], smooth[:, 3]])
-    valid = valid_samples(run, prepared.preparation, kept.start, kept.stop)[:, j]
-    keep = decimator.keep(valid)
+    y, x, _, w = smooth.T
+    columns = np.stack([y, x, rate[:, 1], rate[:, 2] * w, second[:, 2] * w, w])
+    keep = decimator.keep(valid_samples(run, prepared.preparation, kept.start, kept.stop)[:, j])
     used = np.flatnonzero(keep)
     along, begins = np.linspace(0.0, 1.0, len(keep))[used], np.diff(used, prepend=-2) != 1
     return np.vstack([decimator.apply(columns)[:, used], along, begins])
 
 
 def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> MotorEquation:
-    """Fit ``[ke, R, offset]`` of a joint, with what bridge and winding add as effects of unknown size."""
-    u, i, i_d, qd, qdd, idle, _, begins = np.hstack(parts)
-    c = CONVENTIONS[drive.convention if drive else "dc"]
-    A = np.column_stack([qd / c, i, np.ones_like(u)])
-    x = np.linalg.lstsq(A, u, rcond=None)[0]
-    if x[1] < 0:  # the voltage counts the other way
-        u, x = -u, -x
-    ke, R, _ = x
-    left = u - A @ x
-    level, noise = float(np.std(u)), float(np.std(left)) or 1e-9
-    size = float(np.sqrt(np.mean(i**2))) or 1.0
-    hats = _hats(parts)
+    """Fit ``[ke, R, offset]`` of a joint, with what bridge and winding add as effects of unknown size.
+
+    Where R is stated, the supply voltage U is in its place: ``R i = U duty - (ke / c) qd - u_0``.
+    """
+    y, x, x_d, qd, qdd, w, _, begins = np.hstack(parts)
+    drive = drive or Drive(convention="dc")
+    stated = drive.resistance
+    c = CONVENTIONS[drive.convention] * (1.0 if stated is None else -1.0)
+    A = np.column_stack([qd / c, x, w])
+    values = np.linalg.lstsq(A, y, rcond=None)[0]
+    if values[1] < 0:  # the voltage counts the other way
+        y, values = -y, -values
+    ke, R, _ = values
+    left = y - A @ values
+    level, noise = float(np.std(y)), float(np.std(left)) or 1e-9
+    size = float(np.sqrt(np.mean(x**2))) or 1.0
+    hats, supplied = _hats(parts), np.ptp(w) > 0
+    i = (x if stated is None else y) * w
+    sign = np.tanh(i / (0.05 * float(np.sqrt(np.mean(i**2))) or 1.0))  # of the motor's current
     effects = [
-        DEAD * level * np.tanh(i / (0.05 * size))[:, None],
-        WARMER * R * i[:, None] * hats,
+        DEAD * level * (sign * w)[:, None],
+        WARMER * R * x[:, None] * hats,
         WEAKER * ke * qd[:, None] / c * hats,
-        LAG * R * i_d[:, None],
+        LAG * R * x_d[:, None],
         LAG * ke * qdd[:, None] / c,
-        SATURATED * R * (i * np.abs(i) / size)[:, None],
-        OFFSET * level * hats,
-        IDLE * R * idle[:, None],
+        SATURATED * R * (x * np.abs(x) / size)[:, None],
+        OFFSET * level * w[:, None] * hats,
+        *([IDLE * level * np.ones((len(y), 1))] if supplied else []),
     ]
-    effects = [columns for columns in effects if columns.any()]
     groups = np.repeat(range(len(effects)), [columns.shape[1] for columns in effects])
     rows = np.column_stack([*effects, A, left]) / noise
     nothing, none = np.zeros((A.shape[1] + 1,) * 2), np.zeros(0, dtype=int)
     model = MixedModel((lag_products(rows, begins > 0),), nothing, groups, none, np.full(len(effects), LARGEST))
     at = fit_mixed(model).at
-    ke, R, _ = x - at.common
-    commutation = drive.commutation if drive else None
-    return MotorEquation(
-        joint,
-        float(ke),
-        float(R),
-        at.covariance[:2, :2] + np.diag((FLOOR * np.array([ke, R])) ** 2),
-        commutation or COMMUTATION,
-        commutation is not None,
-        1 - float(np.var(left) / max(np.var(u), 1e-300)),
-    )
+    ke, R = (values - at.common)[:2]
+    covariance = at.covariance[:2, :2] + np.diag((FLOOR * np.array([ke, R])) ** 2)
+    if stated is not None:  # ke is in proportion to it
+        both = (drive.uncertainty or RESISTANCE) * np.array([ke, stated])
+        R, covariance = stated, np.diag([covariance[0, 0], 0.0]) + np.outer(both, both)
+    explained = 1 - float(np.var(left) / max(np.var(y), 1e-300))
+    commutation, known = drive.commutation or COMMUTATION, drive.commutation is not None
+    return MotorEquation(joint, float(ke), float(R), covariance, commutation, known, explained)
 
 
 def _hats(parts: Sequence[np.ndarray]) -> np.ndarray:

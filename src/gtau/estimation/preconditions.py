@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.estimation.electrical import motor_equations
+from gtau.estimation.electrical import with_voltages
 from gtau.estimation.estimators.estimator import Estimator, Gains
 from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.experiment_runs import Options, Subject
@@ -95,7 +95,10 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
         try:
             payloads = [run.payload for run in runs]
             require_scale(dataset.robot, system.problem, system.stated, payloads, estimator.name)
-        except GtauError:
+        except GtauError as refusal:
+            if demanded and dataset.remarks:
+                why = "; ".join(str(note) for note in dataset.remarks)
+                raise GtauError(f"{why}; {refusal}") from None
             if demanded:
                 raise
         else:
@@ -170,7 +173,7 @@ def reduced(
         prior_inertias=options.prior_inertias or 0.0,
     )
     if estimator.takes_priors and not options.as_paper and dataset.runs[0].kind == "current":
-        dataset = replace(dataset, motors=motor_equations(dataset, options.drives))
+        dataset = with_voltages(dataset, options.drives)
     demanded = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")
     if demanded and not (dataset.stated_priors or dataset.motors) and not any(map(_has_scale, dataset.runs)):
         return replace(dataset, priors={})

@@ -110,8 +110,9 @@ class SideValues:
         return np.interp(time, self.time, self.by_joint[joint])
 
     def si(self, joint: str, time: np.ndarray) -> np.ndarray:
-        """Interpolate them in SI units."""
-        return SI.get(self.unit, 1.0) * self.at(joint, time)
+        """Interpolate them in SI units; the unit may be the quantity of a count, as in ``0.0065 A``."""
+        size, _, unit = self.unit.rpartition(" ")
+        return float(size or 1.0) * SI.get(unit, 1.0) * self.at(joint, time)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings, as_payload
 from gtau.signals.reading.units import Units
 from gtau.signals.repair.checks import check, parts_between_gaps
+from gtau.signals.repair.commands import motor_currents
 from gtau.signals.storage import blocks, store
 
 
@@ -269,9 +270,13 @@ def read_parts(
     side, runs = read_side_signals(paths, signals, units, part), list[Run]()
     stem, load = paths[0].name if paths[0].is_dir() else paths[0].stem, as_payload(payload)
     for piece in parts_between_gaps(samples, notes, settings.clock) if cut else [samples]:
-        checked, valid, whole_share, window, updates = check(piece, notes, settings.clock)
+        driven, beside, unsure = motor_currents(piece, side, signals)
+        checked, valid, whole_share, window, updates = check(driven, notes, settings.clock)
+        if unsure.any():
+            small = [np.interp(checked.time, piece.time, column) > 0 for column in unsure.T.astype(float)]
+            valid = valid & ~np.column_stack(small)
         arrays = checked.time, checked.position, checked.command
-        log = Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, side, window, updates)
+        log = Log(tuple(paths), signals, units, settings, tuple(notes), whole_share, beside, window, updates)
         runs.append(Run(stem + checked.part.label, signals.joints, *arrays, signals.kind, load, valid, channels, log))
         notes = []
     return tuple(runs)

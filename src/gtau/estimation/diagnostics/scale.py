@@ -247,18 +247,16 @@ def contradictory_voltage(fit: Fit, accuracy: float) -> Finding | None:
     motors = fit.dataset.motors
     if not motors or not fit.free_gains:
         return None
-    apart = [_voltage_apart(fit, motor) for motor in motors]
-    r, s = np.array([found or (0.0, np.inf) for found in apart]).reshape(-1, 2).T
+    alone = _without_voltages(fit, motors)
+    others = [alone or _without_voltages(fit, (motor,)) for motor in motors]
+    r, s = np.array([_voltage_apart(*pair) for pair in zip(others, motors, strict=True)]).T
     if not np.any((np.abs(r) > APART * s) & (np.abs(r) > accuracy)):
         return None
     worst = int(np.argmax(np.abs(r / s)))
     motor, weights = motors[worst], 1 / s**2
-    alone = _without_voltages(fit, motors)
-    if alone is not None:
-        ratios = np.array([_ratio(alone, motor) - 1 for motor in motors])
-        common = float(weights @ ratios / weights.sum())
-        if weights @ (ratios - common) ** 2 <= np.delete(weights * ratios**2, worst).sum():
-            return None  # but for one factor, the voltages agree with all else
+    common = float(weights @ r / weights.sum())
+    if alone and weights @ (r - common) ** 2 <= np.delete(weights * r**2, worst).sum():
+        return None  # but for one factor, the voltages agree with all else
     other = _without_voltages(fit, (motor,))
     moves = np.zeros(len(fit.gains)) if other is None else np.abs(other.gains / fit.gains - 1)
     moved = tuple(joint for joint, move in zip(fit.problem.joints, moves, strict=True) if move > accuracy)
@@ -269,18 +267,13 @@ def contradictory_voltage(fit: Fit, accuracy: float) -> Finding | None:
     return Finding(VOLTAGE, moved, motor.joint, text=text, advice=advice, grade=grade, size=abs(r[worst] / s[worst]))
 
 
-def _voltage_apart(fit: Fit, motor: MotorEquation) -> tuple[float, float] | None:
-    """Compute the gain by a voltage over that by all else, less 1, with its standard deviation; None without else."""
-    other = _without_voltages(fit, (motor,))
+def _voltage_apart(other: Fit | None, motor: MotorEquation) -> tuple[float, float]:
+    """Compute the gain by a voltage over that of another fit, less 1, with its standard deviation."""
     if other is None:
-        return None
+        return 0.0, np.inf
     k = other.problem.unknowns.places[Parameter("gain", motor.joint)]
-    std = float(np.sqrt(other.solution.jackknife[k, k])) / abs(float(other.solution.values[k]))
-    return _ratio(other, motor) - 1, float(np.hypot(std, motor.std / motor.ke))
-
-
-def _ratio(fit: Fit, motor: MotorEquation) -> float:
-    return motor.ke / float(fit.gains[fit.problem.joints.index(motor.joint)])
+    gain, std = float(other.solution.values[k]), float(np.sqrt(other.solution.jackknife[k, k]))
+    return motor.ke / gain - 1, float(np.hypot(std / gain, motor.std / motor.ke))
 
 
 def _without_voltages(fit: Fit, motors: Sequence[MotorEquation]) -> Fit | None:

@@ -50,7 +50,8 @@ class Dataset:
 
     ``priors`` constrain standard or base parameters, by name; with the inertias of the robot's file among them, or
     where these give the scale, ``prior_inertias`` is their relative standard deviation, else 0. ``reference`` is a
-    model of the same robot whose parameters count as known with their covariance. ``motors`` are what voltages say.
+    model of the same robot whose parameters count as known with their covariance. ``motors`` are what voltages say,
+    with ``remarks`` on others.
     """
 
     equations: Equations
@@ -61,6 +62,7 @@ class Dataset:
     prior_inertias: float = 0.0
     reference: ReferenceModel | None = None
     motors: tuple[MotorEquation, ...] = ()
+    remarks: tuple[Finding, ...] = ()
 
     @property
     def model(self) -> InverseDynamics:
@@ -108,7 +110,7 @@ class Dataset:
         notes = robot_notes(self.robot, loaded=any(run.payload for run in self.runs))
         for prepared in self.prepared:
             notes += [note.from_source(prepared.run.name) for note in (*prepared.run.notes, *prepared.notes)]
-        return tuple(notes)
+        return (*notes, *self.remarks)
 
     def system(
         self,

@@ -125,7 +125,7 @@ class Estimates:
         return Estimates(every, all_values, *parts, nu)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MotorEquation:
     """What a joint's voltages alone say, ``u = R i + (ke / c) qd``: its back-EMF constant and resistance.
 

@@ -109,9 +109,10 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
 
     ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
     the gears, of all joints or some. A ``pose`` tests the robot's geometry. Side signals, such as ``temperature``, have
-    their keys, too. ``base`` is the pose of a floating base with its wrenches; ``wrenches`` are external wrenches on
-    other bodies; ``calibration`` is the accuracy of the sensors. A ``preset`` fills in the columns of a manufacturer's
-    log.
+    their keys, too; ``supply_current``, with a ``duty``, may replace the current, and ``proportional_gain`` times the
+    ``goal`` less the position is the duty, 1 at most. ``base`` is the pose of a floating base with its wrenches;
+    ``wrenches`` are external wrenches on other bodies; ``calibration`` is the accuracy of the sensors. A ``preset``
+    fills in the columns of a manufacturer's log.
     """
 
     time: Annotated[
@@ -128,6 +129,7 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
     calibration: Calibration = Calibration()
     preset: str | None = None
     pose: PoseColumns | None = None
+    proportional_gain: dict[str, FiniteFloat] | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -148,6 +150,11 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
     def rate(self) -> float | None:
         """Sampling rate of a log without time column, Hz."""
         return self.time.rate if isinstance(self.time, SampleRate) else None
+
+    @property
+    def supplied(self) -> bool:
+        """Whether the currents are of the motors' supply."""
+        return self.current is not None and self.current == self.supply_current
 
     def sensors(self, kind: ChannelKind) -> dict[str, str]:
         """Return the columns of a kind of sensor on the link side by joint, in the order of the joints."""
@@ -199,7 +206,11 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
     @model_validator(mode="before")
     @classmethod
     def _preset(cls, data: Any) -> Any:
-        return expanded(data) if isinstance(data, dict) and data.get("preset") else data
+        data = expanded(data) if isinstance(data, dict) and data.get("preset") else data
+        commands = {"current", "torque", "motor_torque"}
+        if isinstance(data, dict) and isinstance(data.get("supply_current"), dict) and not commands & data.keys():
+            return data | {"current": data["supply_current"]}
+        return data
 
     @field_validator("position", "current", "torque", "motor_torque", *SENSORS)
     @classmethod
@@ -280,7 +291,15 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
                     f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
                     "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
                 )
-        named: dict[str, Mapping[str, Any]] = {"gear_ratio": ratios}
+        gains = self.proportional_gain or {}
+        if gains and not self.goal:
+            raise ValueError("'proportional_gain' is given without 'goal'; add the columns of the goals, or remove it")
+        if self.supplied and not (self.duty or gains):
+            raise ValueError(
+                "'supply_current' says what a motor draws only with a 'duty'; add its columns, or 'goal' and "
+                "'proportional_gain' of servos that move in proportion to it"
+            )
+        named: dict[str, Mapping[str, Any]] = {"gear_ratio": ratios, "proportional_gain": gains}
         named |= {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
         for key, joints in named.items():
             for joint in joints:

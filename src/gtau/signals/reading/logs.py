@@ -160,7 +160,7 @@ def _refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: U
     """Refuse columns whose unit, by name or log, is not SI if the experiment file states none."""
     written = {name: unit for file in files for name, unit in file.units.items()}
     columns = [("position", *pair) for pair in signals.position.items()]
-    columns += [(signals.kind, *pair) for pair in signals.command.items()]
+    columns += [("supply_current" if signals.supplied else signals.kind, *pair) for pair in signals.command.items()]
     columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
     if len(signals.time_columns) == 1 and "units" not in PRESETS.get(signals.preset or "", {}):
         columns += [("time", "", column) for column in signals.time_columns]

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.documents.yaml_document import Document
-from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideSignal
 from gtau.signals.reading.body_columns import BaseColumns, PoseColumns
 from gtau.signals.reading.columns import PRESETS, SENSORS, Signals, optional_keys
 
@@ -149,7 +149,23 @@ def _one_or_by_joint(kind: Kind) -> Any:
 
 
 Optional = dict.fromkeys(SENSORS, _one_or_by_joint("torque"))
-Optional |= {signal.key: Literal[signal.units] for signal in SIDE_SIGNALS}
+
+
+def _side_unit(signal: SideSignal) -> Any:
+    """Make the type of a side signal's unit: one of its own, or of a fast one the quantity of a count in it."""
+    if signal.slow:
+        return Literal[signal.units]
+
+    def checked(text: str) -> str:
+        size, _, unit = text.rpartition(" ")
+        if unit not in signal.units or (size and not SIZE.fullmatch(size)):
+            raise ValueError(f"write {' or '.join(signal.units)}, or the quantity of a count, not '{text}'")
+        return text
+
+    return Annotated[str, AfterValidator(checked)]
+
+
+Optional |= {signal.key: _side_unit(signal) for signal in SIDE_SIGNALS}
 
 
 class Units(optional_keys(Optional)):  # type: ignore[misc]

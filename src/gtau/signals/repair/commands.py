@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import chain
 from typing import NamedTuple
 
@@ -10,6 +11,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.findings import Finding, Grade, counted
+from gtau.signals.channel import SideValues
+from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.samples import Samples, extremes
 from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds, long_runs
 from gtau.signals.storage import block, blocks, spans, steps
@@ -256,3 +259,58 @@ def _moves_at(samples: Samples, j: int, mover: int, level: float) -> bool:
         if np.any(np.convolve(at, np.ones(CLIPPED_RUN)) >= CLIPPED_RUN):
             return True
     return False
+
+
+SURE = 0.1  # of the largest duty: below, the current of the supply says nothing of the motor's
+BOTH_WAYS = 0.05  # share of the samples in which a motor is driven in each direction
+SMOOTHED = 0.03  # s, of the speeds that tell a motor from a generator
+BACK_EMF = np.linspace(0.0, 1.5, 76)  # tried, of what would take all of the largest voltage at the largest speed
+
+
+def motor_currents(
+    samples: Samples, side: Mapping[str, SideValues], signals: Signals
+) -> tuple[Samples, Mapping[str, SideValues], np.ndarray]:
+    """Make currents of the motors of currents of their supply, over the duty, and of magnitudes, with a sign.
+
+    The duty is logged, or a proportional gain times goal less position. Returns the samples, the side signals with the
+    duty, and which commands (N, c) the duty is too small for.
+    """
+    time, joints, gains = samples.time, samples.joints, signals.proportional_gain or {}
+    errors = {}
+    if goal := side.get("goal"):
+        errors = {j: goal.si(j, time) - samples.position[:, k] for k, j in enumerate(joints) if j in goal.by_joint}
+    if gains and "duty" not in side:
+        duty = {joint: np.clip(gains[joint] * error, -1.0, 1.0) for joint, error in errors.items() if joint in gains}
+        side = {**side, "duty": SideValues(time, duty, "1")}
+    unsure, command = np.zeros(samples.command.shape, dtype=bool), samples.command
+    for j, joint in enumerate(joints):
+        kinds = (key for key in ("duty", "voltage") if key in side and joint in side[key].by_joint)
+        drive = next((side[key].si(joint, time) for key in kinds), errors.get(joint))
+        if drive is None:
+            continue
+        divisor, current = np.ones_like(drive), command[:, j]
+        if signals.supplied:
+            least, current = SURE * np.abs(drive).max(), side["supply_current"].si(joint, time)
+            unsure[:, j] = np.abs(drive) < least
+            divisor = np.where(drive < 0, -1.0, 1.0) * np.maximum(np.abs(drive), least)
+        if current.min() >= 0 and min(np.mean(drive > 0), np.mean(drive < 0)) > BOTH_WAYS:
+            current = _signed(current, drive, samples.position[:, j], time, signals.supplied)
+        elif not signals.supplied:
+            continue
+        command = np.array(command)
+        command[:, j] = current / divisor
+    return replace(samples, command=command), side, unsure
+
+
+def _signed(size: np.ndarray, drive: np.ndarray, position: np.ndarray, time: np.ndarray, supplied: bool) -> np.ndarray:
+    """Give magnitudes of currents the sign of the voltage less the back-EMF that makes their sizes most alike."""
+    from scipy.ndimage import uniform_filter1d
+
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    speed = uniform_filter1d(np.gradient(position, step), 2 * int(SMOOTHED / 2 / step) + 1)
+    largest = np.abs(drive).max() / max(float(np.abs(speed).max()), 1e-300)
+    weight = np.abs(drive) if supplied else np.ones_like(drive)
+    rest = [drive - share * largest * speed for share in BACK_EMF]
+    alike = [(size @ (weight * np.abs(left))) / np.linalg.norm(weight * left) for left in rest]
+    signs = np.sign(rest[int(np.argmax(alike))])
+    return size * signs * (np.sign(drive) if supplied else 1.0)
