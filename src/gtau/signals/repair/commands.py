@@ -263,7 +263,7 @@ def _moves_at(samples: Samples, j: int, mover: int, level: float) -> bool:
 
 SURE = 0.1  # of the largest duty: below, the current of the supply says nothing of the motor's
 BOTH_WAYS = 0.05  # share of the samples in which a motor is driven in each direction
-SMOOTHED = 0.03  # s, of the speeds that tell a motor from a generator
+SMOOTHED = 0.03  # s, of the speeds by which a motor drives or brakes
 BACK_EMF = np.linspace(0.0, 1.5, 76)  # tried, of what would take all of the largest voltage at the largest speed
 
 
