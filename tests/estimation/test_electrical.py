@@ -203,7 +203,7 @@ def test_goals_of_servos_with_a_stated_resistance() -> None:
 
 
 def test_supply_currents_need_a_duty_and_proportional_gains_a_goal() -> None:
-    with pytest.raises(ValueError, match="'supply_current' says what a motor draws only with a 'duty'"):
+    with pytest.raises(ValueError, match="'supply_current' needs a 'duty'"):
         Signals(**signals("supply_current"))
     with pytest.raises(ValueError, match="'proportional_gain' is given without 'goal'"):
         Signals(**signals("current", proportional_gain=dict.fromkeys(JOINTS, 1.0)))

@@ -25,15 +25,14 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding, Grade
 from gtau.findings.words import percent
 from gtau.robots.parameter import Parameter, unit_of
-from gtau.signals.channel import SideValues
 from gtau.signals.preparation.filters import Decimator, position_filter
 from gtau.signals.preparation.prepared_run import PreparedRun, valid_samples
 from gtau.signals.reading.statements import Drive
-from gtau.signals.run import Run
 
 CONVENTIONS = {"dc": 1.0, "power": 1.0, "amplitude": 1.5}
 COMMUTATION = 0.015  # relative standard deviation of the torque constant over the back-EMF constant
 FEWEST = 50  # rows of a joint
+WIDTHS = 0.05, 0.3  # of the change of the sign of a current, in its standard deviation: ripple, and dead time
 KNOTS = 4  # of drifts along a run
 LARGEST = 3.0  # plausible sizes of an effect
 FLOOR = 5e-4  # of ke and R, whose noise biases them by less
@@ -57,7 +56,8 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             decimator = dataset.preparation.at(prepared.run.rate).decimator
             if (part := _rows(prepared, decimator, joint, drive)) is not None:
                 rows.append(part)
-        if not any(joint in values.by_joint for run in dataset.runs for values in _electrical(run)):
+        logged = (run.side[key] for run in dataset.runs for key in ("voltage", "duty") if key in run.side)
+        if not any(joint in values.by_joint for values in logged):
             continue
         if sum(part.shape[1] for part in rows) < FEWEST:
             text = f"the duty of '{joint}' gives no gain: neither its supply voltage nor its resistance is known"
@@ -66,8 +66,8 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             continue
         equation = _equation(joint, rows, drive)
         if equation.explained < EXPLAINED:
-            text = f"current and speed explain {percent(equation.explained, '.0f')} of the voltage of '{joint}' alone, "
-            text += "which gives no gain"
+            share = percent(equation.explained, ".0f")
+            text = f"current and speed explain {share} of the voltage of '{joint}' alone, which gives no gain"
             note(joint, text, "check that voltage (or duty) and current are of the motor, their units and clock")
         elif not np.sqrt(equation.covariance[0, 0]) < LOST * abs(equation.ke):
             text = f"the voltage of '{joint}' does not show its back-EMF, and gives no gain"
@@ -77,16 +77,13 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
     return replace(dataset, motors=tuple(equations), remarks=tuple(notes))
 
 
-def _electrical(run: Run) -> list[SideValues]:
-    return [run.side[key] for key in ("voltage", "duty") if key in run.side]
-
-
 def _rows(prepared: PreparedRun, decimator: Decimator, joint: str, drive: Drive | None) -> np.ndarray | None:
-    """Filter and decimate the rows of a joint, (8, K); None where it rests, or its voltage was not logged.
+    """Filter and decimate the rows of a joint, (10, K); None where it rests, or its voltage was not logged.
 
-    They are y, x with its rate, speed, acceleration, the column of the offset, the place along the run, 0 to 1, and
-    whether a row begins a stretch without gaps: voltages y and currents x, or R i and duties where R is stated and the
-    supply voltage unknown. A supply's current is the motor's times the duty, and so are all rows then.
+    They are y, x with its rate, speed, acceleration, the columns of the offset and of two signs of the current, the
+    place along the run, 0 to 1, and whether a row begins a stretch without gaps. y are voltages and x currents, or R i
+    and duties where R is stated and the supply voltage unknown. A supply's current is the motor's times the duty, and
+    so are all rows then.
     """
     run, kept = prepared.run, prepared.kept
     j = run.joints.index(joint)
@@ -101,10 +98,11 @@ def _rows(prepared: PreparedRun, decimator: Decimator, joint: str, drive: Drive 
     supplied = signals is not None and signals.supplied and duty is not None
     w = duty if supplied and duty is not None else np.ones_like(i)
     y, x = (u, i) if u is not None else ((resistance or 0.0) * i, duty)
-    raw = np.column_stack([y * w, x * w, run.position[:, j], w])
+    sharp, gradual = (np.tanh(i / (width * float(np.std(i)) or 1.0)) for width in WIDTHS)
+    raw = np.column_stack([y * w, x * w, run.position[:, j], w, sharp * w, gradual * w])
     smooth, rate, second = position_filter(raw, run.rate, prepared.preparation.cutoff, kept.start, kept.stop)
-    y, x, _, w = smooth.T
-    columns = np.stack([y, x, rate[:, 1], rate[:, 2] * w, second[:, 2] * w, w])
+    y, x, _, w, *signs = smooth.T
+    columns = np.stack([y, x, rate[:, 1], rate[:, 2] * w, second[:, 2] * w, w, *signs])
     keep = decimator.keep(valid_samples(run, prepared.preparation, kept.start, kept.stop)[:, j])
     used = np.flatnonzero(keep)
     along, begins = np.linspace(0.0, 1.0, len(keep))[used], np.diff(used, prepend=-2) != 1
@@ -116,7 +114,7 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> M
 
     Where R is stated, the supply voltage U is in its place: ``R i = U duty - (ke / c) qd - u_0``.
     """
-    y, x, x_d, qd, qdd, w, _, begins = np.hstack(parts)
+    y, x, x_d, qd, qdd, w, sharp, gradual, _, begins = np.hstack(parts)
     drive = drive or Drive(convention="dc")
     stated = drive.resistance
     c = CONVENTIONS[drive.convention] * (1.0 if stated is None else -1.0)
@@ -129,10 +127,8 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> M
     level, noise = float(np.std(y)), float(np.std(left)) or 1e-9
     size = float(np.sqrt(np.mean(x**2))) or 1.0
     hats, supplied = _hats(parts), np.ptp(w) > 0
-    i = (x if stated is None else y) * w
-    sign = np.tanh(i / (0.05 * float(np.sqrt(np.mean(i**2))) or 1.0))  # of the motor's current
     effects = [
-        DEAD * level * (sign * w)[:, None],
+        DEAD * level * np.column_stack([sharp, gradual]),
         WARMER * R * x[:, None] * hats,
         WEAKER * ke * qd[:, None] / c * hats,
         LAG * R * x_d[:, None],
@@ -151,7 +147,9 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> M
     if stated is not None:  # ke is in proportion to it
         both = (drive.uncertainty or RESISTANCE) * np.array([ke, stated])
         R, covariance = stated, np.diag([covariance[0, 0], 0.0]) + np.outer(both, both)
-    explained = 1 - float(np.var(left) / max(np.var(y), 1e-300))
+    all_columns = np.column_stack([A, sharp])
+    rest = y - all_columns @ np.linalg.lstsq(all_columns, y, rcond=None)[0]
+    explained = 1 - float(np.var(rest) / max(np.var(y), 1e-300))
     commutation, known = drive.commutation or COMMUTATION, drive.commutation is not None
     return MotorEquation(joint, float(ke), float(R), covariance, commutation, known, explained)
 
@@ -161,7 +159,7 @@ def _hats(parts: Sequence[np.ndarray]) -> np.ndarray:
     from scipy.linalg import block_diag
 
     knots = np.linspace(0.0, 1.0, KNOTS)
-    return block_diag(*(np.array([np.interp(part[6], knots, hat) for hat in np.eye(KNOTS)]).T for part in parts))
+    return block_diag(*(np.array([np.interp(part[8], knots, hat) for hat in np.eye(KNOTS)]).T for part in parts))
 
 
 def motor_estimates(dataset: Dataset, estimates: Estimates) -> dict[Parameter, Estimate]:

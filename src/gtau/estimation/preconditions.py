@@ -96,11 +96,8 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
             payloads = [run.payload for run in runs]
             require_scale(dataset.robot, system.problem, system.stated, payloads, estimator.name)
         except GtauError as refusal:
-            if demanded and dataset.remarks:
-                why = "; ".join(str(note) for note in dataset.remarks)
-                raise GtauError(f"{why}; {refusal}") from None
             if demanded:
-                raise
+                raise GtauError("; ".join([*map(str, dataset.remarks), str(refusal)])) from None
         else:
             if demanded:
                 return ((estimator, None),)

@@ -109,8 +109,8 @@ def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
 def _voltages(motors: Sequence[MotorEquation]) -> str:
     """Name voltages as a source of the scale."""
     count = "the voltage of a motor" if len(motors) == 1 else f"the voltages of {len(motors)} motors"
-    stds = sorted({motor.commutation for motor in motors})
-    spread = " to ".join(f"{100 * std:.2g}" for std in dict.fromkeys((stds[0], stds[-1])))
+    stds = [motor.commutation for motor in motors]
+    spread = " to ".join(dict.fromkeys(f"{100 * end(stds):.2g}" for end in (min, max)))
     stated = "stated" if all(motor.stated for motor in motors) else "assumed"
     return f"{count} (efficiency of commutation {spread} %, {stated})"
 
@@ -257,8 +257,7 @@ def contradictory_voltage(fit: Fit, accuracy: float) -> Finding | None:
     common = float(weights @ r / weights.sum())
     if alone and weights @ (r - common) ** 2 <= np.delete(weights * r**2, worst).sum():
         return None  # but for one factor, the voltages agree with all else
-    other = _without_voltages(fit, (motor,))
-    moves = np.zeros(len(fit.gains)) if other is None else np.abs(other.gains / fit.gains - 1)
+    moves = np.abs((_without_voltages(fit, (motor,)) or fit).gains / fit.gains - 1)
     moved = tuple(joint for joint, move in zip(fit.problem.joints, moves, strict=True) if move > accuracy)
     gain, unit = motor.ke / (1 + r[worst]), gain_unit(fit.dataset.robot, motor.joint, "current")
     text = f"the voltage of '{motor.joint}' says {motor.ke:.3g} {unit}, and all other data {gain:.3g} {unit}"
@@ -372,6 +371,7 @@ def _contradicted(fit: Fit, other: Fit, payload: Payload, kind: str, value: floa
         text = f"all other data give it a mass of {value:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg"
         text += _against_voltages(fit, other)
         advice = "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared"
+        advice += ", or 'convention' of drives is wrong" * bool(fit.dataset.motors)
         if not fit.free_gains:
             torques = fit.kind == "torque"
             doubted = "the unit and scale of the torques" if torques else "the given gains"
@@ -402,9 +402,8 @@ def _against_voltages(fit: Fit, freed: Fit) -> str:
     if alone is None:
         return ""
     joint = min(motors, key=lambda motor: motor.std / abs(motor.ke)).joint
-    by_voltage, by_payload = (float(each.gains[fit.problem.joints.index(joint)]) for each in (freed, alone))
-    unit = gain_unit(fit.dataset.robot, joint, "current")
-    return f": the voltages say {by_voltage:.3g} {unit} at '{joint}', the payload {by_payload:.3g} {unit}"
+    k, unit = fit.problem.joints.index(joint), gain_unit(fit.dataset.robot, joint, "current")
+    return f": the voltages say {freed.gains[k]:.3g} {unit} at '{joint}', the payload {alone.gains[k]:.3g} {unit}"
 
 
 def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:

@@ -131,7 +131,7 @@ class MotorEquation:
 
     ``ke`` (V s/rad or V s/m) and ``resistance`` (ohm) have the ``covariance`` (2, 2); the drive gain differs from ke by
     the relative standard deviation ``commutation``, which is ``stated`` or assumed. ``explained`` is the share of the
-    voltage's variance that goes with current and speed.
+    voltage's variance that goes with current, its sign and speed.
     """
 
     joint: str

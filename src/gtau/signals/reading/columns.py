@@ -295,10 +295,7 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
         if gains and not self.goal:
             raise ValueError("'proportional_gain' is given without 'goal'; add the columns of the goals, or remove it")
         if self.supplied and not (self.duty or gains):
-            raise ValueError(
-                "'supply_current' says what a motor draws only with a 'duty'; add its columns, or 'goal' and "
-                "'proportional_gain' of servos that move in proportion to it"
-            )
+            raise ValueError("'supply_current' needs a 'duty'; add its columns, or 'goal' and 'proportional_gain'")
         named: dict[str, Mapping[str, Any]] = {"gear_ratio": ratios, "proportional_gain": gains}
         named |= {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
         for key, joints in named.items():

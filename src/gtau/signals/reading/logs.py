@@ -379,11 +379,10 @@ def read_side_signals(
             )
         if signal.slow:
             rows = np.array([some.mean(axis=0) for some in np.array_split(rows, min(KEPT, len(rows)))])
-        unit = getattr(units, signal.key)
-        si = dict.fromkeys(by_joint, 1.0)
-        if signal.position and not unit:
-            si = {joint: si_factor(units.position_unit(joint) or "rad", "position") for joint in by_joint}
-        joints = {joint: si[joint] * rows[:, columns.index(column)] for joint, column in by_joint.items()}
+        unit, joints = getattr(units, signal.key), {}
+        for joint, column in by_joint.items():
+            own = units.position_unit(joint) if signal.position and not unit else None
+            joints[joint] = (si_factor(own, "position") if own else 1.0) * rows[:, columns.index(column)]
         values[signal.key] = SideValues(rows[:, -1], joints, unit or signal.units[0])
     return values
 
