@@ -221,3 +221,10 @@ def test_voltages_that_say_nothing_of_a_motor_are_not_used() -> None:
     assert result.accepted
     assert len([note for note in result.notes if note.kind == "voltage"]) == 2
     assert not result.motors
+
+
+def test_consistent_parameters_rest_on_voltages_too() -> None:
+    result = identify(load_robot("five-bar"), [run(1)], consistent=True)
+    assert result.consistency is not None
+    for joint, gain in zip(JOINTS, GAINS, strict=True):
+        assert result.consistency.gains[joint][0] == pytest.approx(gain, rel=0.02)

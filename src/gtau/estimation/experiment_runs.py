@@ -132,8 +132,8 @@ def describe(
         "priors": experiment.expected_parameters,
         "prior_inertias": experiment.prior_inertias,
     }
-    options = replace(options, drives=experiment.drives)
-    options = replace(options, **{name: value for name, value in written.items() if getattr(options, name) is None})
+    written = {name: value for name, value in written.items() if getattr(options, name) is None}
+    options = replace(options, drives=experiment.drives, **written)
     return Subject(robot, (), _with_inertias(options, robot), experiment)
 
 

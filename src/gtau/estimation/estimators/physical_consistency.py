@@ -19,7 +19,14 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.estimators.estimator import Solution, jackknife
-from gtau.estimation.estimators.newton import moved, residuals, stacked, weighted
+from gtau.estimation.estimators.newton import (
+    errors_of_known,
+    jacobian_of_known,
+    moved,
+    residuals,
+    stacked,
+    weighted,
+)
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import leave_one_out, triangle
@@ -343,11 +350,14 @@ def consistent(
     def squares(values: np.ndarray) -> np.ndarray:
         return np.asarray(np.sum(errors(triangles, values) ** 2, axis=-1))
 
-    stated = np.insert(base_priors, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
+    priors_stated = np.insert(base_priors, [problem.n_theta] * ((2 if free_gains else 1) * channels), 0.0, axis=1)
+    J_known = jacobian_of_known(problem, free_gains)
     values = free
     for _ in range(STEPS):
         weights = problem.weights(squares(values))
         linear = _linear(errors, triangles, values, problem, weights, free_gains)
+        volts = np.column_stack([J_known, -errors_of_known(problem, values)])[len(problem.known) :]
+        stated = np.vstack([priors_stated, volts])
         x, rest = _programme(triangle(linear, stated), unknowns)
         step = np.concatenate([unknowns.S @ x - values[: problem.n_theta], rest])
         values = moved(values, step, channels)
