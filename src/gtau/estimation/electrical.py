@@ -22,8 +22,7 @@ from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_produ
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Estimates, MotorEquation
 from gtau.estimation.results.estimate import Estimate
-from gtau.findings import Finding, Grade
-from gtau.findings.words import percent
+from gtau.findings import Finding, Grade, percent
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.preparation.filters import Decimator, position_filter
 from gtau.signals.preparation.prepared_run import PreparedRun, valid_samples
@@ -61,8 +60,7 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             continue
         if sum(part.shape[1] for part in rows) < FEWEST:
             text = f"the duty of '{joint}' gives no gain: neither its supply voltage nor its resistance is known"
-            advice = "add 'supply_voltage' to the signals, or 'resistance' to its entry under 'drives'"
-            note(joint, text, advice)
+            note(joint, text, "add 'supply_voltage' to the signals, or 'resistance' to its entry under 'drives'")
             continue
         equation = _equation(joint, rows, drive)
         if equation.explained < EXPLAINED:

@@ -19,14 +19,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.estimators.estimator import Solution, jackknife
-from gtau.estimation.estimators.newton import (
-    errors_of_known,
-    jacobian_of_known,
-    moved,
-    residuals,
-    stacked,
-    weighted,
-)
+from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known, moved, residuals, stacked, weighted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import leave_one_out, triangle
