@@ -162,7 +162,8 @@ def test_a_robot_that_can_exist_moves_little(result: Result) -> None:
     for joint, truth in zip(JOINTS, GAINS, strict=True):
         gain, std = consistency.gains[joint]
         assert abs(gain - truth) < 4 * std
-        assert std < 1.2 * (result.drive_gains[joint].std or 0.0)
+        # a jackknife beside the posterior of the mixed model
+        assert std < 1.4 * (result.drive_gains[joint].std or 0.0)
     assert consistency.moves[0].deviations < 3.0
 
 

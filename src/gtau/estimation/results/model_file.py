@@ -385,9 +385,9 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     noise = len(preparation.position_noise)
     if not {cutoffs, noise} <= {0, len(robot.actuated)} or cutoffs > noise:
         yield "'prediction_cutoffs' and 'position_noise' do not have a value for each joint"
-    joints = {joint.name for joint in robot.joints}
+    names = {joint.name for joint in robot.joints}
     for key, named in (("curves", result.curves), ("logged_speeds", result.logged_speeds)):
-        if strange := named.keys() - joints:
+        if strange := named.keys() - names:
             yield f"'{key}' names '{min(strange)}', which is no joint"
     for name, estimate in result.friction.items():
         if name.kind in SHAPES and not (estimate.value or 0.0) > 0:
