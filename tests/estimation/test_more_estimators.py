@@ -131,8 +131,6 @@ def test_without_outliers_huber_is_nearly_maximum_likelihood(identified: Callabl
     for joint in JOINTS:
         a, b = plain.drive_gains[joint], robust.drive_gains[joint]
         assert abs((a.value or 0.0) - (b.value or 0.0)) < 0.7 * (a.std or 0.0)
-        # a jackknife beside the posterior of the mixed model, which nothing widens; scatters alone: the test below
-        assert (b.std or 0.0) < 1.4 * (a.std or 0.0)
     for one, other in zip(plain.residuals, robust.residuals, strict=True):  # of all rows alike, not as weighted
         assert one.rms == pytest.approx(other.rms, rel=0.02)  # estimates beside effects leave slightly more
         assert one.signal == pytest.approx(other.signal, rel=0.01)

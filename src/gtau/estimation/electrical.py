@@ -18,6 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gtau.estimation.effects.effect import hats
 from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_products
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Estimates, MotorEquation
@@ -124,15 +125,15 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> M
     left = y - A @ values
     level, noise = float(np.std(y)), float(np.std(left)) or 1e-9
     size = float(np.sqrt(np.mean(x**2))) or 1.0
-    hats, supplied = _hats(parts), np.ptp(w) > 0
+    along_runs, supplied = _hats(parts), np.ptp(w) > 0
     effects = [
         DEAD * level * np.column_stack([sharp, gradual]),
-        WARMER * R * x[:, None] * hats,
-        WEAKER * ke * qd[:, None] / c * hats,
+        WARMER * R * x[:, None] * along_runs,
+        WEAKER * ke * qd[:, None] / c * along_runs,
         LAG * R * x_d[:, None],
         LAG * ke * qdd[:, None] / c,
         SATURATED * R * (x * np.abs(x) / size)[:, None],
-        OFFSET * level * w[:, None] * hats,
+        OFFSET * level * w[:, None] * along_runs,
         *([IDLE * level * np.ones((len(y), 1))] if supplied else []),
     ]
     groups = np.repeat(range(len(effects)), [columns.shape[1] for columns in effects])
@@ -157,7 +158,7 @@ def _hats(parts: Sequence[np.ndarray]) -> np.ndarray:
     from scipy.linalg import block_diag
 
     knots = np.linspace(0.0, 1.0, KNOTS)
-    return block_diag(*(np.array([np.interp(part[8], knots, hat) for hat in np.eye(KNOTS)]).T for part in parts))
+    return block_diag(*(hats(part[8][:, None], knots[:, None])[:, 0].T for part in parts))
 
 
 def motor_estimates(dataset: Dataset, estimates: Estimates) -> dict[Parameter, Estimate]:

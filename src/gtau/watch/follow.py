@@ -31,7 +31,7 @@ SETTLED = 1.0  # s without changes after which a log of a folder counts as finis
 POLL = 0.5  # s between polls
 FIRST_LINES = 500  # of a log that grows, from which its head and rate are found
 CHUNK = 1 << 20  # bytes read at once
-LONGEST = 1 << 24  # bytes within which a text log has so many lines
+LONGEST = 1 << 24  # bytes; a growing file with fewer than FIRST_LINES lines in them is no text log
 
 Read = Callable[[Path], Run]
 _DATE = re.compile(r"(?<!\d)(\d{4}|\d{2})[-_](\d{2})[-_](\d{2})(?!\d)|(?<!\d)(20\d{2})(\d{2})(\d{2})(?!\d)")
