@@ -13,6 +13,7 @@ from gtau.signals.reading.column_names import parse_column_name
 from gtau.signals.reading.discovery import discover
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
+from gtau.signals.reading.logs import find_columns
 from gtau.signals.reading.units import read_unit, si_factor, split_unit
 from gtau.signals.run import read_run
 
@@ -91,6 +92,12 @@ def test_what_is_no_unit(text: str) -> None:
         ("q1_deg_s", "velocity", "1", "deg_s"),
         ("motor1 [V]", "other", "1", None),
         ("u1 [mNm]", "torque", "1", "mN m"),
+        ("tau1 [daNm]", "torque", "1", "daN m"),
+        ("q1 [8192 cnt/rev]", "position", "1", "8192 cnt/rev"),
+        ("q1 [rev/10]", "position", "1", "rev/10"),
+        ("i1 [dA]", "current", "1", "dA"),
+        ("i1_milliampere", "current", "1", "mA"),
+        ("q1_cdeg", "position", "1", "cdeg"),
         ("time_ms", "time", "", "ms"),
         ("tau1 (ext)", "other", "1", None),
         ("tau1 (m)", "torque", "1", None),
@@ -155,6 +162,50 @@ def test_counts_and_shares_are_asked_about(unit: str, tmp_path: Path) -> None:
     (tmp_path / "e.yaml").write_text(text)
     with pytest.raises(GtauError, match=f"not '{unit}'" if unit != "%" else "the rated value, which is missing"):
         read_experiment(tmp_path / "e.yaml")
+
+
+@pytest.mark.parametrize("unit", ["A_pk", "Apk", "A peak", "A_peak", "mApk"])
+def test_amperes_of_an_amplitude_are_no_amperes(unit: str, tmp_path: Path) -> None:
+    """The factor of 1.41 is the user's choice: gains per ampere of amplitude or rms."""
+    draft = discover([save(tmp_path / "a.csv", f"t,q1,q2,i1 [{unit}],i2 [{unit}]")])
+    assert (draft.units, "counts" in draft.open) == ({"current": unit}, True)
+    (tmp_path / "e.yaml").write_text(draft_text(draft, tmp_path).replace("NAME-OR-FILE", "five-bar"))
+    with pytest.raises(GtauError, match=f"'{unit}' is an amplitude; write 'A' for gains per ampere of amplitude, or "):
+        read_experiment(tmp_path / "e.yaml")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        ("t,q1,q2,tau1,tau2", "s,Striche,Striche,mNm,mNm"),
+        ("t,q1,q2,tau1,tau2", "[s],[Striche],[Striche],[Digits],[mNm]"),
+        ("t,q1,q2,tau1,tau2", "s,Striche,Striche,Skt,mNm"),
+        ("t,q1,q2,tau1,tau2", "[],[Striche],[Striche],[Skt],[mNm]"),
+        ("s,Striche,Striche,mNm,mNm", "t,q1,q2,tau1,tau2"),
+        ("Log of the arm,,,,", "t,q1,q2,tau1,tau2", "s,Striche,Striche,mNm,mNm"),
+        ("time,Joint 1,Joint 2,Motor 1,Motor 2", "s,Striche,Striche,mNm,mNm"),
+    ],
+)
+def test_unknown_units_in_a_row_are_not_skipped(head: tuple[str, ...], tmp_path: Path) -> None:
+    table = find_columns(save(tmp_path / "a.csv", *head))
+    assert table.units[table.columns[1]] == "Striche"
+    assert table.units[table.columns[-1]] == "mNm"
+    assert table.notes == () or "line 1 before" in str(table.notes[0])
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        (",Joint 1,Joint 2,Joint 1,Joint 2", "t,angle,angle,torque,torque", "s,deg,deg,mNm,mNm"),
+        (",Joint 1,,Joint 2,", "s,angle [deg],torque [mNm],angle [deg],torque [mNm]"),
+        ("t [s],Angle,,Torque,", ",J1 [deg],J2 [deg],J1 [mNm],J2 [mNm]"),
+    ],
+)
+def test_a_second_header_row_completes_names(head: tuple[str, ...], tmp_path: Path) -> None:
+    """Of merged cells of a spreadsheet only the first has a text."""
+    draft = discover([save(tmp_path / "a.csv", *head)])
+    assert draft.units == {"position": "deg", "torque": "mN m"}
+    assert list(draft.signals.position) == ["j1", "j2"]
 
 
 @pytest.mark.parametrize("head", [("t,q1,q2,tau1 [mNm],tau2",), ("t,q1,q2,tau1,tau2", "s,rad,rad,mNm,mNm")])

@@ -63,8 +63,6 @@ JOINT_WORDS = frozenset(
 SIGNAL_WORDS = NO_UNIT | COMMAND | JOINT_WORDS
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
 AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
-# brackets that may hold an unknown unit
-ODD = re.compile(r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$")
 
 
 @dataclass(frozen=True)
@@ -92,12 +90,8 @@ def split_name(name: str, joints: Sequence[str], unit: str | None) -> tuple[str,
         if match:
             label, bare = joint, name[: match.start(1)] + "#" + name[match.end(1) :]
             break
-    bare, written = split_unit(bare)
-    if unit:
-        return label, bare, read_unit(unit) or WrittenUnit(None, unit)
-    if written is None and (odd := ODD.search(bare)) and NO_UNIT.isdisjoint(_words(odd[1])):
-        return label, bare[: odd.start()], WrittenUnit(None, odd[1])
-    return label, bare, written
+    bare, written = split_unit(bare, NO_UNIT)
+    return label, bare, (read_unit(unit) or WrittenUnit(None, unit)) if unit else written
 
 
 def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = None) -> ColumnName:

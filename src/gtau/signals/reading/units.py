@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple
@@ -67,6 +67,11 @@ def _measured(text: str, kind: Kind) -> tuple[str, float]:
     for quantity in quantities:
         if text in COMMON[quantity]:
             return quantity, COMMON[quantity][text]
+    if re.fullmatch(PEAK, re.sub(r"[\W_]", "", text).lower()):
+        raise ValueError(
+            f"'{text}' is an amplitude; write 'A' for gains per ampere of amplitude, or '0.70711 A' for gains per "
+            "ampere rms, of which data sheets give torque constants (of mA a thousandth)"
+        )
     names = [repr(name) for quantity in quantities for name in COMMON[quantity] if name != "Nm"]
     choices = " or ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
     unit = SIZE.sub("", text, count=1) if SIZE.match(text) else text
@@ -241,11 +246,11 @@ SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
     "ns: ns nsec nsecs nanoseconds; min: min minutes",
     # in German, Grad is no gon
     "position": "rad: rad rads radian radians radiant; mrad: mrad; deg: deg degs degree degrees ° grad grado gradi; "
-    "mdeg: mdeg millideg; arcmin: arcmin; arcsec: arcsec; gon: gon gons; m: m meter meters metre metres; "
+    "cdeg: cdeg; mdeg: mdeg millideg; arcmin: arcmin; arcsec: arcsec; gon: gon gons; m: m meter meters metre metres; "
     "mm: mm millimeter; cm: cm; um: um micron microns; inch: inch inches; turn: turn turns rev revs revolution "
     "revolutions rot rotation rotations umdr umdrehungen tours",
-    "current": "A: a amp amps ampere amperes arms aeff apk; mA: ma mamp mamps milliamp milliamps marms",
-    "torque": "N m: nm newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; kN m: knm; "
+    "current": "A: a amp amps ampere amperes arms aeff; mA: ma mamp mamps milliamp milliamps milliampere milliamperes marms",
+    "torque": "N m: nm newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; kN m: knm; dN m: dnm; daN m: danm; "
     "kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs "
     "ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; ozf inch: ozin ozfin inoz; N: n newton newtons; kN: kn; kgf: kgf kp",
     "share": "%: % percent pct prozent; ‰: ‰ permille promille 0.1% 1/1000",
@@ -258,22 +263,26 @@ UNITS = {
     for spelling in spellings.split()
 }
 LONGEST = 40  # characters
+PEAK = "m?a(pk|peak|0pk?|amp|ampl|amplitude)"
 PATTERNS = {  # of units that no experiment file takes, by what they measure
     "acceleration": re.compile(r".*/(s\^?2|sec2|s\*\*2|s/s|min/s)"),
     "velocity": re.compile(r"rpm|rps|dps|\D*(/|per)(s|sec|min)|(min|s)\^?1|1/(min|s)"),
     None: re.compile(
         r"(inc|ink|inkr|incr|increment|inkremente?|count|cnt|ct|tick|pulse?|step|digit)s?|pls|lsb|raw|adc|u"
+        rf"|{PEAK}"
     ),
 }
 NUMBER = re.compile(r"[x×*]?\s*(\d+(?:[.,]\d+)?(?:e-?\d+)?)(?:/(\d+))?\s*[x×*]?\s*(.*)", re.IGNORECASE)
 WORDS = (  # of names, where they cannot mean anything else: no single letter, and no degs, which may be deg/s
-    "deg|degrees?|mdeg|rad|radians?|mrad|turns?|revs?|rotations?|mm|cm|mA|milliamps?|amps|m?Nm|N[cm]m|cNm|kNm|kgf?_?cm|"
-    "ozin|ms|msecs?|us|usecs?|ns|rpm|counts?|cnts?|ticks?|incs?|increments?|pct|percent|permille|lsb"
+    "deg|degrees?|[cm]deg|rad|radians?|mrad|turns?|revs?|rotations?|mm|cm|mA|milliamp(?:ere)?s?|amps|(?:m|c|k|da)?Nm|N[cm]m|kgf?_?cm|"
+    "oz_?in|A_?pk|A_?peak|ms|msecs?|us|usecs?|ns|rpm|counts?|cnts?|ticks?|incs?|inkr|increments?|pct|percent|permille|lsb"
 )
 WORD = re.compile(
     rf"(?:(?<![A-Za-z])|(?-i:(?<=[a-z])(?=[A-Z])))({WORDS}|%|‰)(?:[_ ]?(?:/|per)?[_ ]?(s|sec|min)(\^?2)?)?(?![A-Za-z])",
     re.IGNORECASE,
 )
+# brackets that may hold an unknown unit: a single letter may be a joint
+ODD = re.compile(r"(?<=[\s\d#])\[([^\[\]]{0,30}[^\[\]\s\d][^\[\]]{1,30})\]\s*$")
 # As physicists label axes, q/deg and i/mA: the last of two parts, and no single letter, which may be a joint
 QUOTIENT = re.compile(r"[^/]+?\s*/\s*([^/\W\d_]{2,}|[°%‰])")
 
@@ -306,12 +315,17 @@ def read_unit(text: str) -> WrittenUnit | None:
     return WrittenUnit(unit.measures, f"{size:g} {unit.text}")
 
 
-def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
-    """Split a column's name into the rest and its unit, in brackets, after a stroke, or else a word."""
+def split_unit(name: str, remarks: Collection[str] = ()) -> tuple[str, WrittenUnit | None]:
+    """Split a column's name into the rest and its unit, in brackets, after a stroke, or else a word.
+
+    Brackets at the end may hold an unknown unit, unless one of the words in them is a remark.
+    """
     for match in reversed(list(re.finditer(r"([\[(])([^\[\]()]*)[\])]", name))):
         remark = match[1] == "(" and re.fullmatch(r"\s*[a-z]\s*", match[2])  # measured, set, actual
         if not remark and (unit := read_unit(match[2])):
             return name[: match.start()].rstrip(" /") + name[match.end() :], unit
+    if (odd := ODD.search(name)) and not {*re.findall(r"[a-z]{2,}|°", odd[1].lower())} & {*remarks}:
+        return name[: odd.start()], WrittenUnit(None, odd[1])
     if (quotient := QUOTIENT.fullmatch(name)) and (unit := read_unit(quotient[1])):
         return name[: quotient.start(1)].rstrip("/ "), unit
     words = list(WORD.finditer(name))
@@ -324,9 +338,14 @@ def split_unit(name: str) -> tuple[str, WrittenUnit | None]:
     return name[: word.start()].rstrip("_ .-") + name[word.end() :], unit
 
 
-def unit_row(fields: Sequence[str]) -> list[str] | None:
-    """Read the units of a row below the header; None if most of its fields are not units."""
+def unit_row(fields: Sequence[str], named: bool) -> list[str] | None:
+    """Read the units in a row beside the names of columns; None if it holds none.
+
+    Most of its fields are units, or stand in brackets; where all columns are ``named``, a unit of time comes first.
+    """
     texts = [re.sub(r"^[\[(](.*)[\])]$", r"\1", field.strip()) for field in fields]
+    likely = [text != field.strip() or read_unit(text) is not None for text, field in zip(texts, fields, strict=True)]
     texts = ["" if text.lower() in ("unit", "units", "einheit", "-", "1") else text for text in texts]
-    known = [read_unit(text) is not None for text in texts if text]
-    return texts if 2 * sum(known) > len(known) else None
+    likely = [is_likely for text, is_likely in zip(texts, likely, strict=True) if text]
+    first = read_unit(texts[0]) if named else None
+    return texts if 2 * sum(likely) > len(likely) or (first and first.measures == "time") else None

@@ -10,7 +10,7 @@ import csv
 import re
 from collections.abc import Iterator, Sequence
 from functools import cache
-from itertools import islice
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -57,7 +57,9 @@ def open_text(path: Path) -> LogTable:
             f"{len(fields[header])}; correct the line (a header must name every column)."
         )
 
-    columns = numbers(width) if header is None else (*fields[header], *[""] * (width - len(fields[header])))
+    titles = [k for k in range(begin if header is None else header, begin) if len(fields[k]) == width]
+    titles = titles or ([] if header is None else [header])
+    columns, units, taken = _columns({k: fields[k] for k in titles}, width)
     first_byte += sum(map(len, lines[:begin]))
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
@@ -73,17 +75,35 @@ def open_text(path: Path) -> LogTable:
                 return
 
     notes: tuple[Finding, ...] = ()
-    below = range(begin if header is None else header + 1, begin)
-    unit_rows = {k: unit_row(fields[k]) for k in below if len(fields[k]) == width}
-    unit_line = next((k for k, units in unit_rows.items() if units), -1)
-    written_units = zip(columns, unit_rows.get(unit_line) or (), strict=False)
-    if skipped := [k + 1 for k in written if k < begin and k not in (header, unit_line)]:
+    if skipped := [k + 1 for k in written if k < begin and k not in taken]:
         which = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
-        names = "" if header is None else f", took the names of its columns from line {header + 1}"
+        names = "" if header is None else f", took the names of its columns from line {taken[0] + 1}"
         notes = (reading("skipped lines", text=f"skipped {which} before the table{names}"),)
-    by_column = {name: unit for name, unit in written_units if unit}
-    table = LogTable(path, columns, frames, begin + 1, notes, units=by_column)
+    table = LogTable(path, columns, frames, begin + 1, notes, units=units)
     return table
+
+
+def _columns(titles: dict[int, tuple[str, ...]], width: int) -> tuple[tuple[str, ...], dict[str, str], list[int]]:
+    """Name columns by the lines above a table, with the units in one of them; return also the lines that were taken.
+
+    A name that spans columns, as over merged cells of a spreadsheet, stands before the names in the line below.
+    """
+    named = any(len(set(filter(None, fields))) == width for fields in titles.values())
+    units = {k: row for k, fields in titles.items() if len(titles) > 1 and (row := unit_row(fields, named))}
+    unit_line = max(units, default=None)
+    names = {k: fields for k, fields in titles.items() if k != unit_line}
+    names = {k: fields for k, fields in names.items() if sum(map(bool, fields)) > 1} or names  # a title is no names
+    if not names:
+        return numbers(width), {}, []
+    (line, columns), *below = names.items()
+    taken = [line, *filter(None, [unit_line])]
+    columns += ("",) * (width - len(columns))
+    if below and len(set(columns)) < width:
+        spanning = accumulate(columns, lambda before, name: name or before)
+        columns = tuple(f"{name} {lower}".strip() for name, lower in zip(spanning, below[0][1], strict=True))
+        taken.append(below[0][0])
+    by_column = zip(columns, units.get(unit_line) or (), strict=False)
+    return columns, {name: unit for name, unit in by_column if unit}, taken
 
 
 def _first_lines(path: Path) -> tuple[list[bytes], int]:
