@@ -23,7 +23,7 @@ from pydantic import (
 
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.robots.placement import DEGREES_ADVICE, in_degrees
-from gtau.robots.readers.expressions import AffineInQ, evaluate, linear
+from gtau.documents.expressions import AffineInQ, evaluate, linear
 from gtau.robots.robot import (
     INERTIAL,
     SPRING_WORDS,

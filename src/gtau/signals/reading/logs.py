@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gtau.documents.expressions import columns_in
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, short
 from gtau.extensions import find
@@ -40,11 +42,24 @@ def reader_of(ending: str) -> Callable[[Path], LogTable] | None:
 
 
 def read_log(path: str | Path, names: Iterable[str]) -> LogTable:
-    """Locate columns of a log by name, unchecked; raises GtauError where it cannot be read, or lacks one."""
+    """Locate columns of a log by name, or sums and products of them; raises GtauError where it lacks one."""
     table = find_columns(Path(path))
     names = tuple(dict.fromkeys(names))
-    _refuse_missing(names, table)
-    return replace(table, columns=names)
+    sums = {name: parts for name in names if name not in table.columns and (parts := _parts(name, table))}
+    _refuse_missing([part for name in names for part in sums.get(name, (name,))], table)
+    return replace(table, columns=names, sums=sums)
+
+
+def _parts(name: str, table: LogTable) -> tuple[str, ...]:
+    """List the columns in a sum or product; none for a mere name, which the log lacks."""
+    try:
+        parts = columns_in(name)
+    except ValueError as error:
+        if any(column in table.columns for column in re.findall(r"\w+", name)):
+            odd = "a column whose name is not of letters, digits and _ alone stands between backticks, as `J 3`"
+            raise GtauError(f"{error}; {odd}.", source=table.path) from None
+        return ()
+    return parts if "`" in name or any(part in table.columns for part in parts) else ()
 
 
 def find_columns(path: Path) -> LogTable:
@@ -164,7 +179,8 @@ def _refuse_unstated_units(files: Sequence[LogTable], signals: Signals, units: U
     columns += [(kind.calibration, *pair) for kind in LINK_SIDE for pair in signals.sensors(kind).items()]
     if len(signals.time_columns) == 1 and "units" not in PRESETS.get(signals.preset or "", {}):
         columns += [("time", "", column) for column in signals.time_columns]
-    for key, joint, column in columns:
+    sums = {name: parts for file in files for name, parts in file.sums.items()}
+    for key, joint, column in ((key, joint, part) for key, joint, name in columns for part in sums.get(name, (name,))):
         *_, split = split_name(column, [joint] if joint else [], written.get(column))
         unit = "" if split is None else split.text
         if unit and unit not in SI and units.stated(key, joint) is None:

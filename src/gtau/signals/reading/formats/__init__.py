@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gtau.documents.expressions import combined
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, quoted, short
 from gtau.findings import Finding, Grade
@@ -34,7 +35,7 @@ class LogTable:
     far; it refuses columns that hold no numbers. Row 0 is in ``first_line`` of a text file; other logs have rows,
     counted from 1. ``notes`` report what the reader left out; ``episodes`` are rows by episode, if there are several.
     ``texts`` holds, by column, the first entry read so far that is not a number; ``units``, by column, are as written
-    in the log beside the names.
+    in the log beside the names. ``sums`` are columns computed from others, with the names of these.
     """
 
     path: Path
@@ -45,6 +46,7 @@ class LogTable:
     episodes: Mapping[int, range] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
+    sums: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def numbered(self) -> bool:
@@ -59,14 +61,18 @@ class LogTable:
 
     def blocks(self, rows: range = ALL) -> Iterator[tuple[np.ndarray, float]]:
         """Read numbers (M, columns), nan where a value is missing or not a number, with the fraction read so far."""
+        parts = {name: self.sums.get(name, (name,)) for name in self.columns}
+        logged = tuple(dict.fromkeys(part for names in parts.values() for part in names))
         with system_refusals(self.path):
-            for frame, done in self.frames(self.columns, rows):
-                values = np.empty((len(frame), len(self.columns)))
-                for k, name in enumerate(self.columns):
-                    values[:, k], text = _floats(frame[:, k])
-                    if text is not None:
+            for frame, done in self.frames(logged, rows):
+                read = {name: _floats(frame[:, k]) for k, name in enumerate(logged)}
+                for name in self.columns:
+                    texts = (read[part][1] for part in parts[name])
+                    if (text := next((text for text in texts if text is not None), None)) is not None:
                         self.texts.setdefault(name, text)
-                yield values, done
+                numbers = {name: column for name, (column, _) in read.items()}
+                columns = [combined(name, numbers) if name in self.sums else numbers[name] for name in self.columns]
+                yield np.column_stack(columns), done
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Read whole columns (N,) by name."""
