@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +72,7 @@ def test_a_column_of_that_name_comes_first(tmp_path: Path) -> None:
         ("J3 / (1 - 1)", r"column 'J3 / \(1 - 1\)' holds no number"),
         (
             "J3 + tau 2",
-            "is not a number or expression; .*; a column whose name is not of letters, digits and _ alone stands",
+            "is not a number or expression; .*; a column whose name is not of letters,",
         ),
         ("J3 + __import__('os')", "because of"),
         ("J-3", "there is no column 'J-3'"),
@@ -86,7 +85,7 @@ def test_refusals(text: str, sentence: str, log: Path) -> None:
 
 
 def test_a_number_is_no_column(log: Path) -> None:
-    with pytest.raises(GtauError, match="there is no column '2 [+] 3'"):
+    with pytest.raises(GtauError, match=r"there is no column '2 \+ 3'"):
         run_of(log, position={"j2": "2 + 3"})
 
 

@@ -13,7 +13,6 @@ from gtau.documents.files import in_order
 from gtau.errors import GtauError
 from gtau.estimation.experiment_runs import read_runs
 from gtau.signals.reading.experiment import Experiment, read_experiment
-from gtau.signals.reading.logs import read_log
 
 HEAD = EXPERIMENT.split("runs:")[0] + "runs:\n"
 
@@ -51,15 +50,6 @@ def test_a_pattern_leaves_out_the_file_that_it_stands_in(folder: Path) -> None:
     (folder / "logs").rmdir()
     (folder / "robot.yml").touch()
     assert names(read(folder, "  - log: '*'\n")) == ["free_1", "free_2", "free_10", "loaded_1", "loaded_2"]
-
-
-@pytest.mark.parametrize("kind", [pl.Datetime("us"), pl.Duration("ms"), pl.Date, pl.Time])
-def test_times_of_day_are_no_seconds(tmp_path: Path, kind: pl.DataType) -> None:
-    pl.DataFrame({"t": [0, 1], "q": [0.0, 1.0]}).cast({"t": kind}).write_parquet(tmp_path / "a.parquet")
-    with pytest.raises(
-        GtauError, match=r"column 't' holds dates or times \(.*write the seconds since the first sample"
-    ):
-        read_log(tmp_path / "a.parquet", ["t", "q"]).arrays()
 
 
 def test_of_two_patterns_the_matches_are_pairs(folder: Path) -> None:

@@ -234,12 +234,9 @@ USES = {
 }
 """Use of each kind of file."""
 CONVERSIONS = {
-    ".npy": "save arrays by name in its place (np.savez(PATH, t=..., q=..., current=...))",
-    **dict.fromkeys(
-        (".gz", ".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz"), "unpack it and give its content"
-    ),
+    **dict.fromkeys((".zip", ".bz2", ".xz", ".zst", ".7z", ".rar", ".tar", ".tgz"), "unpack it and give its content"),
     **dict.fromkeys((".xlsx", ".xls", ".ods"), "export its table as CSV"),
-    **dict.fromkeys((".tdms", ".mf4", ".mdf", ".ulg", ".blf", ".dat"), "export its signals as CSV or MAT"),
+    **dict.fromkeys((".mf4", ".mdf", ".ulg", ".blf", ".dat"), "export its signals as CSV or MAT"),
 }
 """Conversions of files of other programs, by their endings."""
 _KEYS = (

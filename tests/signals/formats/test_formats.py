@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import builtins
+import gzip
 import os
 import tracemalloc
 from collections.abc import Callable
@@ -14,9 +15,12 @@ import pytest
 from small_blocks import working_with
 
 from gtau.errors import GtauError
+from gtau.signals.reading.discovery import discover
+from gtau.signals.reading.drafting import draft_text
 from gtau.signals.reading.formats import readable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
+from gtau.signals.reading.samples import Part
 from gtau.signals.run import Run, read_run
 
 N, RATE = 1500, 500.0
@@ -114,6 +118,81 @@ def rosbag(path: Path, log: Log, storage: str = "SQLITE3", step: float = 0.0) ->
     return signals(f"{TOPIC}/header/stamp", f"{TOPIC}/@/position", f"{TOPIC}/@/effort")
 
 
+def csv_gz(path: Path, log: Log) -> dict:
+    np.savetxt(path, np.column_stack(log), delimiter=",", header="t,q1,q2,v1,v2", comments="")  # compressed by its name
+    assert path.read_bytes().startswith(b"\x1f\x8b")
+    return signals("t", "q#", "v#")
+
+
+def npy(path: Path, log: Log) -> dict:
+    table = np.empty(N, dtype=[("t", float), ("q", float, (2,)), ("tau", np.float64, (2,))])
+    table["t"], table["q"], table["tau"] = log
+    np.save(path, table)
+    return signals("t", "q[#]", "tau[#]")
+
+
+def npy_numbered(path: Path, log: Log) -> dict:
+    np.save(path, np.column_stack(log).T)
+    return signals("1", "#", "#") | {
+        "position": {"shoulder": "2", "elbow": "3"},
+        "torque": {"shoulder": "4", "elbow": "5"},
+    }
+
+
+def npz_named(path: Path, log: Log) -> dict:
+    np.savez(path, data=np.column_stack(log), columns=np.array(["t", "q1", "q2", "v1", "v2"]), rate=RATE)
+    return signals("t", "q#", "v#")
+
+
+def npz_fields(path: Path, log: Log) -> dict:
+    table = np.empty(N, dtype=[("t", float), ("q", float, (2,)), ("tau", np.float64, (2,))])
+    table["t"], table["q"], table["tau"] = log
+    np.savez(path, log=table)
+    return signals("log.t", "log.q[#]", "log.tau[#]")
+
+
+def json_lines(path: Path, log: Log) -> dict:
+    columns = {
+        "t": log[0],
+        "arm": [{"q": q, "tau": {"1": a, "2": b}} for q, (a, b) in zip(log[1], log[2], strict=True)],
+    }
+    pl.DataFrame(columns).write_ndjson(path)
+    return signals("t", "arm.q[#]", "arm.tau.#")
+
+
+def tdms(path: Path, log: Log) -> dict:
+    nptdms = pytest.importorskip("nptdms")
+    names = ("q1", "q2", "v1", "v2")
+    with nptdms.TdmsWriter(path) as file:
+        for part in (slice(0, 700), slice(700, None)):
+            arrays = np.column_stack(log[1:])[part].T
+            channels = [nptdms.ChannelObject("arm", name, array) for name, array in zip(names, arrays, strict=True)]
+            file.write_segment([*channels, nptdms.ChannelObject("arm", "t", log[0][part])])
+    return signals("t", "q#", "v#")
+
+
+def simulink(path: Path, log: Log) -> dict:
+    """A structure with time, as the blocks To Workspace and Scope write it: one signal with a label, one without."""
+    from scipy.io import savemat
+
+    recorded = np.empty((1, 2), dtype=[("values", object), ("dimensions", object), ("label", object)])
+    recorded[0, 0], recorded[0, 1] = (log[1], 2, "q"), (log[2].T[:, None], 2, "")
+    savemat(path, {"out": {"time": log[0][:, None], "signals": recorded, "blockName": "model/Scope"}})
+    return signals("out.time", "out.q.values[#]", "out.signals[2].values[#]")
+
+
+def demonstrations(path: Path, log: Log) -> dict:
+    """Groups of one run each, one after another; ``demo_10`` comes after ``demo_9``."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for k, part in ((10, slice(600, None)), (9, slice(0, 600))):
+            group = file.create_group(f"data/demo_{k}")
+            group["t"], group["q"], group["tau"] = (array[part] for array in log)
+            group["images"] = np.zeros((3, 2, 2))
+    return signals("data/t", "data/q[#]", "data/tau[#]")
+
+
 def mcap(path: Path, log: Log) -> dict:
     return rosbag(path, log, "MCAP")
 
@@ -124,17 +203,25 @@ FORMATS = {
     "log.mat": mat,
     "v73.mat": mat73,
     "log.h5": hdf5,
+    "log.npy": npy,
+    "numbers.npy": npy_numbered,
+    "named.npz": npz_named,
+    "fields.npz": npz_fields,
+    "log.jsonl": json_lines,
+    "log.tdms": tdms,
+    "simulink.mat": simulink,
+    "demos.h5": demonstrations,
     "bag": rosbag,
     "bag_mcap": mcap,
 }
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize("name", ["log.csv.gz", *FORMATS])
 def test_every_format_gives_the_same_numbers(tmp_path: Path, log: Log, name: str) -> None:
     """To the digits that were written: a bag holds nanoseconds."""
     csv(tmp_path / "log.csv", log)
     expected = read_run(tmp_path / "log.csv", signals("t", "q#", "v#"))
-    columns = FORMATS[name](tmp_path / name, log)
+    columns = (FORMATS | {"log.csv.gz": csv_gz})[name](tmp_path / name, log)
     run = read_run(tmp_path / name, columns)
     assert (run.joints, run.kind, run.notes) == (JOINTS, "torque", ())
     np.testing.assert_allclose(run.time, expected.time, atol=1e-9)
@@ -191,6 +278,11 @@ DAMAGED: list[tuple[str, bytes, str]] = [
     ("log.h5", b"\x89HDF\r\n\x1a\n cut", "log.h5 cannot be read as an HDF5 file ("),
     ("log.db3", b"SQLite format 3\0 cut", "log.db3 cannot be read as a ROS bag ("),
     ("log.mcap", b"\x89MCAP0\r\n cut", "log.mcap cannot be read as a ROS bag ("),
+    ("log.npy", b"\x93NUMPY cut", "log.npy cannot be read as a NumPy array ("),
+    ("log.jsonl", b'{"t": 1}\n{"t": ', "log.jsonl is not a readable JSON lines file ("),
+    ("log.tdms", b"no such file of LabVIEW" * 9, "log.tdms cannot be read as a TDMS file ("),
+    ("log.csv.gz", gzip.compress(b"t,q,v\n1,2,3\n" * 999)[:18], "log.csv.gz cannot be unpacked ("),
+    ("log.csv.gz", b"t,q,v\n1,2,3\n", "log.csv.gz cannot be unpacked ("),
     ("log.feather", b"ARROW1 cut", "log.feather is not a readable Feather file ("),
 ]
 
@@ -208,11 +300,49 @@ def test_pickles_are_refused(tmp_path: Path, log: Log) -> None:
     np.savez(tmp_path / "log.npz", run=np.array([{"t": 1}], dtype=object))
     with pytest.raises(GtauError, match=r"holds pickled objects \('run'\), which are not read as they can run code"):
         read_log(tmp_path / "log.npz", ["t"])
+    np.save(tmp_path / "log.npy", np.array([{"t": 1}], dtype=object))
+    with pytest.raises(GtauError, match=r"log\.npy cannot be read as a NumPy array \(.*objects in dtype\)"):
+        read_log(tmp_path / "log.npy", ["t"])
+
+
+def test_each_demonstration_is_a_run(tmp_path: Path, log: Log) -> None:
+    columns = demonstrations(tmp_path / "demos.h5", log)
+    run = read_run(tmp_path / "demos.h5", columns, part=Part(episode=10))
+    np.testing.assert_allclose(run.position, log[1][600:], atol=1e-15)
+    with pytest.raises(GtauError, match="has no episode 3; its episodes are 9 to 10"):
+        read_run(tmp_path / "demos.h5", columns, part=Part(episode=3))
+    draft = discover([tmp_path / "demos.h5"])
+    assert (draft.signals.time, draft.signals.position) == ("data/t", {"j1": "data/q[1]", "j2": "data/q[2]"})
+    assert [f"episode: {k}" in draft_text(draft, tmp_path) for k in (9, 10)] == [True, True]
+
+
+def test_waveforms_and_dates_of_labview(tmp_path: Path, log: Log) -> None:
+    """Channels may have a step in place of a time, units, and dates that are not numbers."""
+    nptdms = pytest.importorskip("nptdms")
+    dates = np.datetime64("2026-11-29T09:11:24") + (2000 * np.arange(N)).astype("timedelta64[us]")
+    step = {"wf_increment": 1 / RATE, "wf_samples": 1, "wf_start_offset": 0.0}
+    with nptdms.TdmsWriter(tmp_path / "log.tdms") as file:
+        for name, array in (("q1", np.rad2deg(log[1][:, 0])), ("v1", log[2][:, 0])):
+            unit = {"unit_string": "deg" if name == "q1" else "Nm"}
+            file.write_segment([nptdms.ChannelObject("arm", name, array, properties=step | unit)])
+        file.write_segment([nptdms.ChannelObject("dates", "stamp", dates)])
+    entries = {"position": {"a": "arm/q1"}, "torque": {"a": "arm/v1"}}
+    for time in ("arm/time", "dates/stamp"):
+        run = read_run(tmp_path / "log.tdms", {"time": time, **entries}, units={"position": "deg"})
+        np.testing.assert_allclose(run.time - run.time[0], log[0] - log[0][0], atol=1e-6)
+        np.testing.assert_allclose(run.position[:, 0], log[1][:, 0], atol=1e-12)
+    with pytest.raises(GtauError, match="'arm/q1' is in 'deg' by the log"):
+        read_run(tmp_path / "log.tdms", {"time": "arm/time", **entries})
 
 
 @pytest.mark.parametrize(
     ("write", "name", "package", "extra"),
-    [(rosbag, "bag", "rosbags", "ros"), (hdf5, "log.h5", "h5py", "hdf5"), (mat73, "v73.mat", "h5py", "hdf5")],
+    [
+        (tdms, "log.tdms", "nptdms", "tdms"),
+        (rosbag, "bag", "rosbags", "ros"),
+        (hdf5, "log.h5", "h5py", "hdf5"),
+        (mat73, "v73.mat", "h5py", "hdf5"),
+    ],
 )
 def test_a_missing_extra_is_named_with_its_command(
     tmp_path: Path, log: Log, write: Callable, name: str, package: str, extra: str, monkeypatch: pytest.MonkeyPatch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -142,13 +143,20 @@ def _stamp(row: str) -> float:
     return float(row.split(",")[0])
 
 
+def test_a_compressed_log_that_was_cut_is_refused(tmp_path: Path) -> None:
+    """Its first lines are whole."""
+    rng = np.random.default_rng(1)
+    text = "t,q,v\n" + "".join(f"{k / 100},{rng.normal()},{rng.normal()}\n" for k in range(20_000))
+    (tmp_path / "a.csv.gz").write_bytes(gzip.compress(text.encode())[:-5000])
+    with pytest.raises(GtauError, match=r"a\.csv\.gz cannot be unpacked \(Compressed file ended"):
+        read_run(tmp_path / "a.csv.gz", SIGNALS | {"time": "t"})
+
+
 @pytest.mark.parametrize(
     ("ending", "advice"),
     [
-        (".npy", "save arrays by name in its place"),
-        (".csv.gz", "unpack it and give its content"),
+        (".csv.zip", "unpack it and give its content"),
         (".xlsx", "export its table as CSV"),
-        (".tdms", "export its signals as CSV or MAT"),
         (".log", "export its content as CSV, Parquet, NPZ, MAT or HDF5"),
     ],
 )

@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from gtau.documents.expressions import COORDINATE, RESERVED, AffineInQ, evaluate, linear
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError, errors_at
 from gtau.robots.placement import DEGREES_ADVICE, exact_placement, in_degrees, short_angles_note
-from gtau.documents.expressions import COORDINATE, RESERVED, AffineInQ, evaluate, linear
 from gtau.robots.robot import (
     GROUND,
     STANDARD_GRAVITY,

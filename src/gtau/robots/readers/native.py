@@ -7,13 +7,13 @@ from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import Any
 
+from gtau.documents.expressions import RESERVED, evaluate
 from gtau.documents.files import write_atomically
 from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import base_joints
 from gtau.robots.placement import exact_placement, short_angles_note
-from gtau.documents.expressions import RESERVED, evaluate
 from gtau.robots.readers.source import RobotEntry
 from gtau.robots.robot import (
     SPRING_WORDS,

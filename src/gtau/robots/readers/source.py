@@ -21,9 +21,9 @@ from pydantic import (
     model_validator,
 )
 
+from gtau.documents.expressions import AffineInQ, evaluate, linear
 from gtau.documents.validation import Keys, Positive, text_or_group
 from gtau.robots.placement import DEGREES_ADVICE, in_degrees
-from gtau.documents.expressions import AffineInQ, evaluate, linear
 from gtau.robots.robot import (
     INERTIAL,
     SPRING_WORDS,

@@ -24,8 +24,8 @@ from gtau.signals.reading.units import WrittenUnit, read_unit, split_unit
 WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())
     for kind, words in {
-        "time": "t time timestamp stamp sec secs second seconds nanosec nsec nsecs nanosecond nanoseconds "
-        "zeit tiempo temps tempo",
+        "time": "t tout time timestamp datetime date stamp sec secs second seconds nanosec nsec nsecs nanosecond "
+        "nanoseconds zeit tiempo temps tempo",
         "position": "q qm pos position positions angle angles theta qpos posn winkel lage posicion angulo posizione",
         "velocity": "dq qd qdm vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad "
         "vitesse velocita",

@@ -45,21 +45,22 @@ def read_log(path: str | Path, names: Iterable[str]) -> LogTable:
     """Locate columns of a log by name, or sums and products of them; raises GtauError where it lacks one."""
     table = find_columns(Path(path))
     names = tuple(dict.fromkeys(names))
-    sums = {name: parts for name in names if name not in table.columns and (parts := _parts(name, table))}
+    known = {*table.columns}
+    sums = {name: parts for name in names if name not in known and (parts := _parts(name, known, table.path))}
     _refuse_missing([part for name in names for part in sums.get(name, (name,))], table)
     return replace(table, columns=names, sums=sums)
 
 
-def _parts(name: str, table: LogTable) -> tuple[str, ...]:
+def _parts(name: str, known: set[str], path: Path) -> tuple[str, ...]:
     """List the columns in a sum or product; none for a mere name, which the log lacks."""
     try:
         parts = columns_in(name)
     except ValueError as error:
-        if any(column in table.columns for column in re.findall(r"\w+", name)):
+        if not known.isdisjoint(re.findall(r"\w+", name)):
             odd = "a column whose name is not of letters, digits and _ alone stands between backticks, as `J 3`"
-            raise GtauError(f"{error}; {odd}.", source=table.path) from None
+            raise GtauError(f"{error}; {odd}.", source=path) from None
         return ()
-    return parts if "`" in name or any(part in table.columns for part in parts) else ()
+    return parts if "`" in name or not known.isdisjoint(parts) else ()
 
 
 def find_columns(path: Path) -> LogTable:
@@ -227,12 +228,23 @@ def _timed(
     at_times = [names.index((0, name)) for name in signals.time_columns]
     row = rows.start
     for values, done in _side_by_side(files, rows):
+        _refuse_clocks(files[0].path, {name for file in files for name in file.clocks}, signals.time_columns, scale)
         if signals.rate is None:
             time = _seconds(values[:, at_times], scale)
         else:
             time = np.arange(row, row + len(values)) / signals.rate
         yield row, np.column_stack([values[:, order], time]), done
         row += len(values)
+
+
+def _refuse_clocks(path: Path, clocks: set[str], times: Sequence[str], scale: float) -> None:
+    """Refuse columns of dates, clock times or durations that are not the time, or have a unit; raises GtauError."""
+    if wrong := clocks.difference(times if len(times) == 1 else ()):
+        remedy = "add it to the other (time: DATE + TIME)" if wrong & {*times} else "give the column that holds numbers"
+        raise GtauError(f"column '{min(wrong)}' holds dates, clock times or durations; {remedy}.", source=path)
+    if clocks and scale != 1.0:
+        text = f"column '{min(clocks)}' holds dates, clock times or durations, which are read in s"
+        raise GtauError(f"{text}; remove the unit of the time (units: time).", source=path)
 
 
 def _seconds(stamps: np.ndarray, scale: float) -> np.ndarray:
@@ -298,6 +310,7 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
     at_stamps, at_commands = ([file.columns.index(name) for name in names] for names in (stamps, commands))
     parts, row, last, count = [], 0, -np.inf, 0
     for values, _ in file.blocks():
+        _refuse_clocks(path, file.clocks, stamps, scale)
         complete = np.isfinite(values).all(axis=1)
         time = _seconds(values[:, at_stamps], scale)
         steps = np.diff(time[complete], prepend=last)

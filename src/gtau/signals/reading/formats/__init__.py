@@ -17,6 +17,7 @@ from gtau.documents.expressions import combined
 from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, quoted, short
 from gtau.findings import Finding, Grade
+from gtau.signals.reading.formats.instants import seconds
 from gtau.signals.storage import store
 
 if TYPE_CHECKING:
@@ -35,7 +36,8 @@ class LogTable:
     far; it refuses columns that hold no numbers. Row 0 is in ``first_line`` of a text file; other logs have rows,
     counted from 1. ``notes`` report what the reader left out; ``episodes`` are rows by episode, if there are several.
     ``texts`` holds, by column, the first entry read so far that is not a number; ``units``, by column, are as written
-    in the log beside the names. ``sums`` are columns computed from others, with the names of these.
+    in the log beside the names. ``sums`` are columns computed from others, with the names of these; ``clocks`` are
+    columns read so far that hold dates, clock times or durations, read in s.
     """
 
     path: Path
@@ -47,6 +49,7 @@ class LogTable:
     texts: dict[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     sums: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    clocks: set[str] = field(default_factory=set)
 
     @property
     def numbered(self) -> bool:
@@ -66,11 +69,11 @@ class LogTable:
         with system_refusals(self.path):
             for frame, done in self.frames(logged, rows):
                 read = {name: _floats(frame[:, k]) for k, name in enumerate(logged)}
-                for name in self.columns:
-                    texts = (read[part][1] for part in parts[name])
-                    if (text := next((text for text in texts if text is not None), None)) is not None:
-                        self.texts.setdefault(name, text)
-                numbers = {name: column for name, (column, _) in read.items()}
+                for column in self.columns:
+                    for text in (read[part][1] for part in parts[column] if read[part][1] is not None):
+                        self.texts.setdefault(column, text)
+                    self.clocks.update([column] * any(read[part][2] for part in parts[column]))
+                numbers = {name: column for name, (column, *_) in read.items()}
                 columns = [combined(name, numbers) if name in self.sums else numbers[name] for name in self.columns]
                 yield np.column_stack(columns), done
 
@@ -85,17 +88,22 @@ def numbers(count: int) -> tuple[str, ...]:
     return tuple(str(k + 1) for k in range(count))
 
 
-def _floats(series: pl.Series) -> tuple[np.ndarray, str | None]:
-    """Read the finite numbers of a column, nan for other entries, and the first such entry, if any."""
+def _floats(series: pl.Series) -> tuple[np.ndarray, str | None, bool]:
+    """Read the finite numbers of a column, nan for other entries; the first of these; whether they are times in s."""
     import polars as pl
 
-    values = series.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
+    column, is_clock = series, False
+    if not series.dtype.is_numeric():
+        numbers = None if series.dtype.is_temporal() else series.cast(pl.Float64, strict=False)
+        times = seconds(series) if numbers is None or numbers.null_count() == len(numbers) else None
+        column, is_clock = (numbers if times is None else times), times is not None
+    values = column.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
     bad = np.flatnonzero(~np.isfinite(values))
     if not bad.size:
-        return values, None
+        return values, None, is_clock
     values[bad] = np.nan
     entry = series[int(bad[0])]
-    return values, "" if entry is None else str(entry)
+    return values, "" if entry is None else str(entry), is_clock
 
 
 @contextmanager

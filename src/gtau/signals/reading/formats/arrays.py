@@ -1,17 +1,21 @@
-"""Files of named arrays: NumPy archives, MAT files (version 7.3: HDF5; older ones by SciPy), and HDF5 files."""
+"""Files of named arrays: NumPy's, MAT files (version 7.3: HDF5; older ones by SciPy), HDF5 and TDMS files."""
 
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from dataclasses import replace
+from itertools import accumulate
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra, quoted
-from gtau.signals.reading.formats import WIDEST, LogTable, common_length, readable
+from gtau.signals.reading.formats import WIDEST, LogTable, common_length, numbers, readable
 from gtau.signals.storage import block_size
 
 if TYPE_CHECKING:
@@ -19,6 +23,8 @@ if TYPE_CHECKING:
 
 Shape = tuple[int, ...]
 
+TIMED = "biufmM"  # kinds of numbers, durations and dates
+EPISODE = re.compile(r"(.*/)?(demo|demonstration|episode|ep|trial|traj|trajectory|rollout|run)_?(\d+)/(.*)")
 HDF5 = b"\x89HDF\r\n\x1a\n"  # after 512 bytes of MATLAB's own
 NUMERIC = ["double", "single", "logical", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"]
 MOST_ARRAYS = 5000  # and groups, found in 2 s; data sets of 200 demonstrations have 3000
@@ -26,9 +32,23 @@ DEEPEST = 32  # groups in each other; the time to find what is in them grows as 
 DENSEST = 2000  # numbers in a byte of a file: Deflate packs 1032 bytes into one
 
 
+def open_npy(path: Path) -> LogTable:
+    """Find the columns of an array, by the fields of a structured one, else by number."""
+    with readable(path, "a NumPy array"):
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    fields = {name: array[name] for name in array.dtype.names or ()} or {"": array}
+    shapes = {name: field.shape for name, field in fields.items() if field.dtype.kind in TIMED}
+    titles = {"": numbers(min(array.shape))} if array.ndim == 2 else {"": numbers(1)}
+    return _table(path, shapes, lambda names: nullcontext({name: fields[name] for name in names}), titles=titles)
+
+
 def open_npz(path: Path) -> LogTable:
-    """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code."""
+    """Find the numeric arrays of an archive; pickled objects are refused, as reading them can run code.
+
+    The field ``q`` of a structured array ``log`` is ``log.q``; the only array of texts names the columns of a matrix.
+    """
     shapes, pickled = dict[str, Shape](), list[str]()
+    places, texts = dict[str, tuple[str, str | None]](), list[str]()
     with readable(path, "a NumPy archive"), np.load(path, allow_pickle=False) as archive:
         _refuse_many(path, len(archive.files))
         members = {*archive.zip.namelist()}
@@ -39,20 +59,31 @@ def open_npz(path: Path) -> LogTable:
             shape, dtype = header
             if dtype.hasobject:
                 pickled.append(name)
-            elif dtype.kind in "biuf":
-                shapes[name] = shape
+            elif dtype.kind == "U" and len(shape) == 1 and shape[0] <= WIDEST:
+                texts.append(name)
+            for field, (kind, *_) in (dtype.fields or {}).items():
+                places[f"{name}.{field}"], shapes[f"{name}.{field}"] = (name, field), (*shape, *kind.shape)
+            if dtype.kind in TIMED:
+                places[name], shapes[name] = (name, None), shape
+        columns = archive[texts[0]].tolist() if len(texts) == 1 else []
     if not shapes and pickled:
         raise GtauError(
             f"{path} holds pickled objects ('{pickled[0]}'), which are not read as they can run code; save plain "
             "numeric arrays (np.savez(path, t=..., q=..., current=...))."
         )
+    matrices = [name for name, shape in shapes.items() if len(shape) == 2 and min(shape) == len(columns) > 1]
+    titles = {matrices[0]: columns} if len(matrices) == 1 and not {*columns} & shapes.keys() else {}
 
     @contextmanager
     def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
         with np.load(path, allow_pickle=False) as archive:
-            yield {name: archive[name] for name in names}
+            read = {member: archive[member] for member in {places[name][0] for name in names}}
+            wanted = {name: places[name] for name in names}
+            yield {
+                name: read[member] if field is None else read[member][field] for name, (member, field) in wanted.items()
+            }
 
-    return _table(path, shapes, load)
+    return _table(path, shapes, load, titles=titles)
 
 
 def _refuse_many(path: Path, count: int) -> None:
@@ -73,7 +104,10 @@ def _header(archive: Any, file: str) -> tuple[Shape, np.dtype[Any]] | None:
 
 
 def open_mat(path: Path) -> LogTable:
-    """Find the numeric arrays of a MAT file; the field ``q`` of a struct ``log``, which is read once, is ``log.q``."""
+    """Find the numeric arrays of a MAT file; the field ``q`` of a struct ``log``, which is read once, is ``log.q``.
+
+    A signal of a structure with time, of Simulink, has the name of its label: ``out.q1.values``.
+    """
     with path.open("rb") as file:
         file.seek(512)
         if file.read(len(HDF5)) == HDF5:
@@ -105,8 +139,12 @@ def _arrays(values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, np.nd
     for name, value in values.items():
         if isinstance(value, Mapping):
             yield from _arrays(value, f"{prefix}{name}.")
+        elif isinstance(value, list) and all(isinstance(item, Mapping) for item in value):  # Simulink's signals
+            for k, item in enumerate(value, start=1):
+                label = item.get("label")
+                yield from _arrays(item, f"{prefix}{label if isinstance(label, str) and label else f'{name}[{k}]'}.")
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf":
-            yield prefix + name, value
+            yield prefix + name, value.squeeze()
 
 
 def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> LogTable:
@@ -117,7 +155,7 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Log
         raise missing_extra(f"reading {path} ({kind})", "h5py", "hdf5") from None
 
     visited = list[str]()
-    datasets, shapes, units = dict[str, str](), dict[str, Shape](), dict[str, str]()
+    shapes, units = dict[str, Shape](), dict[str, str]()
 
     def visit(name: str, item: Any) -> None:
         visited.append(name)
@@ -131,21 +169,74 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Log
                 f"the values of {quoted(name)} are in other files; give a file that holds them.", source=path
             )
         if item.dtype.kind in "biuf" and not name.startswith("#"):
-            column = name.replace("/", between)
-            datasets[column], shapes[column] = name, item.shape
+            shapes[name] = item.shape
             unit = item.attrs.get("units", item.attrs.get("unit"))
             if isinstance(unit, str | bytes):
-                units[column] = unit if isinstance(unit, str) else unit.decode(errors="replace")
+                units[name] = unit if isinstance(unit, str) else unit.decode(errors="replace")
 
     with readable(path, kind), h5py.File(path, "r") as file:
         file.visititems(visit)
+    parts, episodes = _demonstrations(shapes)
+    parts = {column.replace("/", between): names for column, names in parts.items()}
+    whole = {column: (sum(shapes[name][0] for name in names), *shapes[names[0]][1:]) for column, names in parts.items()}
 
     @contextmanager
     def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
         with h5py.File(path, "r") as file:
-            yield {column: file[datasets[column]] for column in names}
+            read = {column: [file[name] for name in parts[column]] for column in names}
+            yield {column: some[0] if len(some) == 1 else np.concatenate(some) for column, some in read.items()}
 
-    return _table(path, shapes, load, units)
+    by_column = {column: units[names[0]] for column, names in parts.items() if names[0] in units}
+    return replace(_table(path, whole, load, by_column), episodes=episodes)
+
+
+def _demonstrations(shapes: Mapping[str, Shape]) -> tuple[dict[str, list[str]], dict[int, range]]:
+    """Put datasets ``demo_0/t``, ``demo_1/t`` one after another as ``t``; return also the rows of each demonstration.
+
+    A column must have as many rows as others in each of them. Other datasets are columns of their own.
+    """
+    split = {name: EPISODE.fullmatch(name) for name in shapes}
+    matches = {name: match for name, match in split.items() if match}
+    if len(matches) < len(split) or not split:
+        return {name: [name] for name, shape in shapes.items() if shape}, {}
+    parts: dict[str, dict[int, str]] = {}
+    for name in sorted(matches, key=lambda name: int(matches[name][3])):
+        parts.setdefault((matches[name][1] or "") + matches[name][4], {})[int(matches[name][3])] = name
+    lengths = {column: [(k, *shapes[name][:1]) for k, name in names.items()] for column, names in parts.items()}
+    usual, _ = Counter(map(tuple, lengths.values())).most_common(1)[0]
+    ends = list(accumulate(rows for _, rows in usual))
+    episodes = {k: range(end - rows, end) for (k, rows), end in zip(usual, ends, strict=True)}
+    kept = {column: [*names.values()] for column, names in parts.items() if tuple(lengths[column]) == usual}
+    return kept, episodes if len(episodes) > 1 else {}
+
+
+def open_tdms(path: Path) -> LogTable:
+    """Find the numeric channels of a file of LabVIEW, with a column ``time`` where they are waveforms."""
+    try:
+        from nptdms import TdmsFile
+    except ImportError:
+        raise missing_extra(f"reading {path} (a TDMS file)", "nptdms", "tdms") from None
+
+    with readable(path, "a TDMS file"), TdmsFile.open(path) as file:
+        groups = {group.name: group.channels() for group in file.groups()}
+        prefix = {name: f"{name}/" if len(groups) > 1 else "" for name in groups}
+        channels = {prefix[group] + channel.name: channel for group, some in groups.items() for channel in some}
+        channels = {name: channel for name, channel in channels.items() if channel.dtype.kind in TIMED and len(channel)}
+        places = {name: (channel.group_name, channel.name) for name, channel in channels.items()}
+        shapes = {name: (len(channel),) for name, channel in channels.items()}
+        units = {name: str(channel.properties.get("unit_string", "")) for name, channel in channels.items()}
+        waveforms = {group: some[0] for group, some in groups.items() if some and "wf_increment" in some[0].properties}
+        times = {f"{prefix[group]}time": channel for group, channel in waveforms.items()}
+        steps = {name: channel.properties["wf_increment"] for name, channel in times.items() if name not in shapes}
+        shapes |= {name: (len(times[name]),) for name in steps}
+
+    @contextmanager
+    def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
+        with TdmsFile.open(path) as file:
+            computed = {name: steps[name] * np.arange(*shapes[name]) for name in names if name in steps}
+            yield {name: file[places[name][0]][places[name][1]] for name in names if name not in steps} | computed
+
+    return _table(path, shapes, load, {name: unit for name, unit in units.items() if unit})
 
 
 def _table(
@@ -153,11 +244,12 @@ def _table(
     shapes: Mapping[str, Shape],
     load: Callable[[Collection[str]], AbstractContextManager[Mapping[str, Any]]],
     units: Mapping[str, str] | None = None,
+    titles: Mapping[str, Sequence[str]] | None = None,
 ) -> LogTable:
     """Make a table of named arrays, whose longer axis counts the samples; ``load`` opens some of them.
 
-    A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``; what is wider than
-    ``WIDEST``, of more axes or a single number is left out.
+    A two-dimensional array ``q`` of N samples by n gives the columns ``q[1]`` to ``q[n]``, or its ``titles``; what is
+    wider than ``WIDEST``, of more axes or a single number is left out.
     """
     places: dict[str, tuple[str, tuple[Any, ...]]] = {}  # array, and the index of a column in it
     rows: dict[str, int] = {}
@@ -172,7 +264,7 @@ def _table(
         if size < 2 or len(shape) > 2 or size > WIDEST * long:
             continue
         for k in range(size // long):
-            column = name if size == long else f"{name}[{k + 1}]"
+            column = titles[name][k] if titles and name in titles else name if size == long else f"{name}[{k + 1}]"
             number = (k,) * (len(shape) - 1)
             index = (*number, ...) if shape[-1] == long else (..., *number)
             places[column], rows[column] = (name, index), long
@@ -188,8 +280,9 @@ def _table(
                 for name in names:
                     array, index = places[name]
                     at = tuple(slice(start, stop) if k is ... else k for k in index)
-                    column = np.asarray(arrays[array][at], dtype=float)
-                    frame[name] = np.pad(column, (0, stop - start - len(column)), constant_values=np.nan)
+                    column = np.asarray(arrays[array][at if len(at) > 1 else at[0]])
+                    column = column if column.dtype.kind in "mM" else column.astype(float)
+                    frame[name] = pl.Series(column).extend_constant(None, stop - start - len(column))
                 yield pl.DataFrame(frame), stop / count
 
     written = units or {}
@@ -197,4 +290,11 @@ def _table(
     return LogTable(path, tuple(places), frames, units=column_units)
 
 
-LOG_FORMATS = {".npz": open_npz, ".mat": open_mat, ".h5": open_hdf5, ".hdf5": open_hdf5}
+LOG_FORMATS = {
+    ".npy": open_npy,
+    ".npz": open_npz,
+    ".tdms": open_tdms,
+    ".mat": open_mat,
+    ".h5": open_hdf5,
+    ".hdf5": open_hdf5,
+}

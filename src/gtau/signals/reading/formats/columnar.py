@@ -1,15 +1,17 @@
-"""Parquet files, folders of them, and Feather files (Arrow IPC), by Polars.
+"""Parquet files, folders of them, Feather files (Arrow IPC), and lines of JSON objects, by Polars.
 
 A column of lists of numbers, such as ``observation.state`` of LeRobot, gives columns ``observation.state[1]`` and so
-on; rows of another ``episode_index`` are another episode. ``meta/info.json`` of its data set says which joints these
-are (https://huggingface.co/docs/lerobot): ``fps``, and by feature its ``names``, a list or lists by their kind
-(``{"motors": [...]}``). Frames are in ``data/chunk-000/file-000.parquet``.
+on, the field ``q`` of a structure ``arm`` the column ``arm.q``; rows of another ``episode_index`` are another episode.
+``meta/info.json`` of its data set says which joints these are (https://huggingface.co/docs/lerobot): ``fps``, and by
+feature its ``names``, a list or lists by their kind (``{"motors": [...]}``). Frames are in
+``data/chunk-000/file-000.parquet``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -46,6 +48,13 @@ def open_feather(path: Path) -> LogTable:
     import polars as pl
 
     return _table(path, [path], pl.scan_ipc, "Feather")
+
+
+def open_json_lines(path: Path) -> LogTable:
+    """Find the columns of a file with one JSON object a line."""
+    import polars as pl
+
+    return _table(path, [path], partial(pl.scan_ndjson, infer_schema_length=None), "JSON lines")
 
 
 def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFrame], kind: str) -> LogTable:
@@ -86,16 +95,22 @@ def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str
     import polars as pl
 
     columns: list[pl.Expr] = []
-    for name, kind in schema.items():
+    entries = [(name, kind, pl.col(name)) for name, kind in schema.items()]
+    while entries:
+        name, kind, column = entries.pop(0)
+        if isinstance(kind, pl.Struct):
+            inside = ((field.name, field.dtype) for field in kind.fields)
+            entries[:0] = [(f"{name}.{part}", dtype, column.struct.field(part)) for part, dtype in inside]
+            continue
         width = 0
         if isinstance(kind, pl.List | pl.Array) and kind.inner.is_numeric():
-            lists = pl.col(name).cast(pl.List(kind.inner)).list
+            lists = column.cast(pl.List(kind.inner)).list
             first = table.select(lists.len()).head(1).collect()
             width = int(first.item() or 0) if len(first) else 0
         if 0 < width <= WIDEST:
             columns += [lists.get(k, null_on_oob=True).alias(f"{name}[{k + 1}]") for k in range(width)]
         else:
-            columns.append(pl.col(name))
+            columns.append(column.alias(name))
     return {column.meta.output_name(): column for column in columns}
 
 
@@ -115,12 +130,8 @@ def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) 
 def _refuse_unusable(path: Path, name: str, kind: pl.DataType | None) -> None:
     import polars as pl
 
-    if kind is None or kind.is_numeric() or kind in (pl.String, pl.Boolean):
-        return
-    remedy = f"{kind} values; write it as numbers"
-    if kind.is_temporal():
-        remedy = f"dates or times ({kind}); write the seconds since the first sample, as numbers"
-    raise GtauError(f"{path}, column '{name}' holds {remedy}.")
+    if kind is not None and not (kind.is_numeric() or kind.is_temporal() or kind in (pl.String, pl.Boolean)):
+        raise GtauError(f"{path}, column '{name}' holds {kind} values; write it as numbers.")
 
 
 def data_set(log: Path, columns: Sequence[str]) -> tuple[float | None, dict[str, str]]:
@@ -190,4 +201,10 @@ def _frame(table: Any) -> Any:
         ) from None
 
 
-LOG_FORMATS = {".parquet": open_parquet, ".feather": open_feather, ".arrow": open_feather}
+LOG_FORMATS = {
+    ".parquet": open_parquet,
+    ".feather": open_feather,
+    ".arrow": open_feather,
+    ".jsonl": open_json_lines,
+    ".ndjson": open_json_lines,
+}

@@ -7,17 +7,21 @@ begins with the first ``ROWS_ALIKE`` lines of mostly numbers that have as many f
 from __future__ import annotations
 
 import csv
+import gzip
 import re
+import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from itertools import accumulate, islice
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO, cast
 
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.findings import Finding
 from gtau.signals.reading.formats import LogTable, numbers, reading
+from gtau.signals.reading.formats.instants import is_instant
 from gtau.signals.reading.units import unit_row
 from gtau.signals.storage import BYTES, block_size
 
@@ -42,7 +46,7 @@ def open_text(path: Path) -> LogTable:
     if not written:
         raise GtauError(f"{path} is empty or begins with an empty line; give a log with one sample a line.")
     first = _first_row(fields, written)
-    if first is None or kind_of(path) is not BINARY:  # zero bytes may precede a table
+    if path.suffix.lower() != ".gz" and (first is None or kind_of(path) is not BINARY):  # zeros may precede a table
         refuse_other_kind(path, LOG)
     # Without rows, or with none of numbers, the first line names what the others lack.
     header = written[0] if first is None else _header(texts, fields, first)
@@ -106,9 +110,22 @@ def _columns(titles: dict[int, tuple[str, ...]], width: int) -> tuple[tuple[str,
     return columns, {name: unit for name, unit in by_column if unit}, taken
 
 
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[BinaryIO, BinaryIO]]:
+    """Open a text, also a compressed one, and the file as it is stored."""
+    with path.open("rb") as raw:
+        if path.suffix.lower() != ".gz":
+            yield raw, raw
+            return
+        try:
+            yield cast(BinaryIO, gzip.GzipFile(fileobj=raw)), raw
+        except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+            raise GtauError(f"{path} cannot be unpacked ({error}); give the unpacked log, or copy it again.") from None
+
+
 def _first_lines(path: Path) -> tuple[list[bytes], int]:
     """Read the lines that may precede a table, and find the byte at which they begin; refuse other text."""
-    with path.open("rb") as file:
+    with _opened(path) as (file, _):
         head = file.read(1 << 12)
         if head.startswith((b"\xff\xfe", b"\xfe\xff")) and head.count(0) > 0.3 * len(head):
             raise GtauError(f"{path} is text in UTF-16; save it as UTF-8 (in Excel: 'CSV UTF-8').")
@@ -141,8 +158,9 @@ def _fields(text: str) -> tuple[str, ...]:
 def _is_row(fields: Sequence[str]) -> bool:
     numbers = sum(_is_number(field) for field in fields)
     rest = sum(field.lower() in MISSING for field in fields)
-    begins = _is_number(fields[0]) or fields[0].lower() in MISSING
-    return begins and numbers > 0 and 2 * (numbers + rest) > len(fields)
+    instant = not _is_number(fields[0]) and is_instant(fields[0])
+    begins = _is_number(fields[0]) or fields[0].lower() in MISSING or instant
+    return begins and numbers > 0 and 2 * (numbers + rest + instant) > len(fields)
 
 
 def _first_row(fields: Sequence[tuple[str, ...]], written: Sequence[int]) -> int | None:
@@ -243,13 +261,13 @@ def _frame(table: LogTable, separator: str, text: bytes, wanted: list[int]) -> p
 def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
     """Read blocks of whole lines from the byte ``begin`` on, each with the part of the file that is then read."""
     size, torn = path.stat().st_size, b""
-    with path.open("rb") as file:
+    with _opened(path) as (file, raw):
         file.seek(begin)
         while read := file.read(BYTES * block_size()):
             end = read.rfind(b"\n") + 1
             if end:
                 text, torn = torn + read[:end], b""
-                yield text, file.tell() / size
+                yield text, raw.tell() / size
             torn += read[end:]
             _refuse_long_line(path, len(torn))
     if torn:
@@ -259,7 +277,7 @@ def _whole_lines(path: Path, begin: int) -> Iterator[tuple[bytes, float]]:
 def _unreadable_line(table: LogTable, separator: str, reason: str) -> str:
     path, count, first = table.path, len(table.columns), table.first_line or 1
     where = f"line {first}" if table.numbered else "the header"
-    with path.open("rb") as file:
+    with _opened(path) as (file, _):
         for number, line in islice(enumerate(map(_decoded, file), start=1), first - 1, None):
             if (fields := len(_split(line, separator)[0])) > count:
                 advice = "correct or delete the line (a header must name every column)"
@@ -270,5 +288,5 @@ def _unreadable_line(table: LogTable, separator: str, reason: str) -> str:
     return f"{path} is not a readable CSV file ({reason.splitlines()[0]})."
 
 
-LOG_FORMATS = {".csv": open_text}
+LOG_FORMATS = {".csv": open_text, ".gz": open_text}
 """It reads any other ending too."""
