@@ -138,25 +138,3 @@ def test_constant_and_boolean_columns_are_no_commands(still: str, tmp_path: Path
         GtauError, match=rf"no columns of currents or torques are .*\({still} never change, or are boolean\)"
     ):
         discover([save(tmp_path / "c.csv", f"q1,{still}", still)])
-
-
-def test_a_bag_with_a_topic_for_every_joint_is_refused(tmp_path: Path) -> None:
-    """As several drives publish: one of them would be taken, and the other joints held."""
-    pytest.importorskip("rosbags")
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    state = "sensor_msgs/msg/JointState"
-    stamp_of, header_of = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-        topics = {joint: bag.add_connection(f"/{joint}/joint_states", state, typestore=store) for joint in JOINTS}
-        for time in TIME:
-            stamp = round((100 + time) * 1e9)
-            header = header_of(stamp=stamp_of(*divmod(stamp, 10**9)), frame_id="")
-            for joint, topic in topics.items():
-                values = np.array([np.sin(time)]), np.empty(0), np.array([np.cos(time)])
-                message = store.types[state](header, [joint], *values)
-                bag.write(topic, stamp, store.serialize_cdr(message, state))
-    with pytest.raises(GtauError, match=r"every joint has a topic of its own .*merge the topics into a table"):
-        discover([tmp_path / "bag"], ARM, "arm.urdf")

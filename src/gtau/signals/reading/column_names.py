@@ -98,10 +98,10 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
     """Parse the name of a column with the names of ``joints`` in it, and the ``unit`` that the log gives elsewhere."""
     label, bare, written = split_name(name, joints, unit)
     stem, words = bare, list[str]()
-    if label:
+    if re.fullmatch(r"/.*/(stamp|received)", name):
+        label, stem, words = "", name, ["timestamp"]  # of a topic of a bag, perhaps of one joint
+    elif label:
         pass
-    elif bare.startswith("/") and re.search(r"/(stamp|received)$", bare):
-        words = ["timestamp"]  # of a topic of a bag
     elif match := re.fullmatch(r"(observation\.state\[)(\d+)\]", bare):  # LeRobot's positions
         label, stem, words = match[2], f"{match[1]}#]", ["position"]
     elif re.fullmatch(r"/.*/[^/]+/[^/\]]+", bare):  # /joint_states/elbow/position

@@ -145,8 +145,13 @@ class LogContents:
     velocity: str = ""
 
     @classmethod
-    def read(cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: str = "") -> LogContents:
-        """Read a log; of a bag the first topic of one of these ``kinds`` that is not ``but``."""
+    def read(
+        cls, path: Path, robot: Robot | None, kinds: Sequence[str] = ("position",), but: Collection[str] = ()
+    ) -> LogContents:
+        """Read a log; of a bag the first topic of one of these ``kinds`` that is not among ``but``, or its like.
+
+        Topics are alike where each has one joint, and the same fields.
+        """
         table = find_columns(path)
         joints, (rate, labels) = robot.actuated if robot else (), data_set(path, table.columns)
         names = [
@@ -166,9 +171,9 @@ class LogContents:
         topics, elsewhere = _topics(table), list[str]()
         if len(topics) > 1:
             suitable = (_topic(group.first, topics) for group in groups if group.kind in kinds)
-            main = next((topic for topic in suitable if topic != but), None)
+            main = next((topic for topic in suitable if topic not in but), None)
             positions = [name for name in names if name.kind == "position" and not name.reference]
-            names = [name for name in names if _topic(name.name, topics) == main] or names[:1]
+            names = _of_topics(names, topics, main) or names[:1]
             groups, known = grouped(names), {name.label for name in names}
             elsewhere = [name.name for name in positions if name.label not in known]
         wanted = [name for name in names if name.kind not in (None, "other")] or names
@@ -182,12 +187,15 @@ class LogContents:
 
     def command_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
-        topics = _topics(self.table)
-        positions = self.group("position")
-        if len(topics) < 2 or positions is None:
-            return None
-        topic = LogContents.read(self.table.path, robot, COMMANDS, but=_topic(positions.first, topics))
-        return topic if topic.command_group() else None
+        topics, positions = _topics(self.table), self.group("position")
+        tried = {_topic(column, topics) for column in positions.columns.values()} if positions else {*topics}
+        while len(tried) < len(topics):
+            topic = LogContents.read(self.table.path, robot, COMMANDS, but=tried)
+            read = {_topic(name, topics) for name in topic.values}
+            if topic.command_group() or read <= tried:
+                return topic if topic.command_group() else None
+            tried |= read
+        return None
 
     @property
     def rows(self) -> int:
@@ -294,6 +302,32 @@ class LogContents:
 def _topics(table: LogTable) -> list[str]:
     topics = [name.removesuffix("/received") for name in table.columns if re.fullmatch("/.*/received", name)]
     return sorted(topics, key=len, reverse=True)
+
+
+def _of_topics(names: Sequence[ColumnName], topics: Sequence[str], main: str | None) -> list[ColumnName]:
+    """Select the columns of a topic, and of topics like it where each of them has one joint."""
+    by_topic = {topic: [name for name in names if _topic(name.name, topics) == topic] for topic in topics}
+    fields = {topic: [*map(_field, some, [topic] * len(some))] for topic, some in by_topic.items()}
+    chosen = by_topic.get(main or "", [])
+    alike = [topic for topic in topics if main and sorted(fields[topic]) == sorted(fields[main])]
+    if len(alike) < 2 or len({name.label for name in chosen if name.kind == "position"}) != 1:
+        return chosen
+    alike = [str(main), *(topic for topic in reversed(topics) if topic in alike and topic != main)]
+    parts = zip(*(topic.split("/") for topic in alike), strict=False)
+    places = [k for k, words in enumerate(parts) if len({*words}) == len(alike)]
+    if not places:
+        return chosen
+    labels = {topic: topic.split("/")[places[0]] for topic in alike}
+    return [
+        name if name.kind == "time" else replace(name, label=labels[topic], stem=field)
+        for topic in alike
+        for name, field in zip(by_topic[topic], fields[topic], strict=True)
+    ]
+
+
+def _field(name: ColumnName, topic: str) -> str:
+    """Write the field of a column of a topic, without the joint in it."""
+    return name.name.removeprefix(f"{topic}/").replace(name.label, "#") if name.label else name.name[len(topic) + 1 :]
 
 
 def _topic(name: str, topics: Sequence[str]) -> str:

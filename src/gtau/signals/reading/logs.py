@@ -23,7 +23,7 @@ from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.column_names import split_name
 from gtau.signals.reading.columns import PRESETS, Signals
-from gtau.signals.reading.formats import ALL, MOST_COLUMNS, LogTable, reading
+from gtau.signals.reading.formats import ALL, LONGEST_STEP, MOST_COLUMNS, LogTable, interpolated, reading
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
@@ -167,6 +167,7 @@ def read_logs(
     named = (*_labels(signals), " and ".join(signals.time_columns) or "rate")
     name = " and ".join(map(str, paths))
     samples = complete(name, signals.channels, named, table, parts(), notes, part)
+    notes += [note for file in files for note in file.notes if note not in notes]  # on what was found in reading
     joints = list(signals.position)
     scales = dict(zip(joints, position_scale, strict=False)), dict(zip(joints, command_scale, strict=False))
     return with_signs(samples, scales, notes)
@@ -271,7 +272,6 @@ def _side_by_side(files: Sequence[LogTable], rows: range) -> Iterator[tuple[np.n
         yield both, stop / max(counts)
 
 
-LONGEST_STEP = 3.0  # usual steps of the commands, beyond which they are not interpolated but missing
 CLOSE = 0.01  # of a step: stamps that differ by less are the same, up to rounding
 
 
@@ -301,7 +301,7 @@ def _aligned(
         if left_out := len(clock) - len(rows):
             text += f"; left out {left_out} positions before the first or after the last of them"
         notes.append(reading("aligned commands", text=text))
-    return rows, partial(_interpolated, log, LONGEST_STEP * max(steps))
+    return rows, partial(interpolated, log, LONGEST_STEP * max(steps))
 
 
 def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:
@@ -332,24 +332,6 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
 def _distance(time: np.ndarray, stamps: np.ndarray) -> float:
     after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
     return float(np.median(np.minimum(np.abs(time - stamps[after - 1]), np.abs(stamps[after] - time))))
-
-
-def _interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
-    """Interpolate a ``log`` (K, 1 + c) at instants (M,): commands (M, c), nan in steps longer than ``longest`` (s)."""
-    known = np.isfinite(time)
-    commands = np.full((len(time), log.shape[1] - 1), np.nan)
-    if not known.any():
-        return commands
-    at = time[known]
-    begin = max(int(np.searchsorted(log[:, 0], at.min(), side="right")) - 1, 0)
-    end = int(np.searchsorted(log[:, 0], at.max())) + 1
-    stamps, *logged = block(log, begin, end).T
-    after = np.clip(np.searchsorted(stamps, at, side="left"), 0, len(stamps) - 1)
-    before = np.maximum(after - (stamps[after] != at), 0)
-    between = (stamps[after] - stamps[before] <= longest) & (stamps[after] >= at)
-    values = np.column_stack([np.interp(at, stamps, command) for command in logged])
-    commands[known] = np.where(between[:, None], values, np.nan)
-    return commands
 
 
 def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:

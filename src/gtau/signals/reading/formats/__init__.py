@@ -18,7 +18,7 @@ from gtau.documents.files import system_refusals
 from gtau.errors import GtauError, quoted, short
 from gtau.findings import Finding, Grade
 from gtau.signals.reading.formats.instants import seconds
-from gtau.signals.storage import store
+from gtau.signals.storage import block, store
 
 if TYPE_CHECKING:
     import polars as pl
@@ -44,7 +44,7 @@ class LogTable:
     columns: tuple[str, ...]
     frames: Callable[[Sequence[str], range], Iterator[tuple[pl.DataFrame, float]]]
     first_line: int | None = None
-    notes: tuple[Finding, ...] = ()
+    notes: Sequence[Finding] = ()
     episodes: Mapping[int, range] = field(default_factory=dict)
     texts: dict[str, str] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -135,6 +135,27 @@ def common_length(path: Path, lengths: Mapping[str, int], more: int = 0) -> int:
             source=path,
         )
     return max(lengths.values())
+
+
+LONGEST_STEP = 3.0  # usual steps of a signal, beyond which it is not interpolated but missing
+
+
+def interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
+    """Interpolate a ``log`` (K, 1 + c) at instants (M,): values (M, c), nan in steps longer than ``longest`` (s)."""
+    known = np.isfinite(time)
+    commands = np.full((len(time), log.shape[1] - 1), np.nan)
+    if not known.any():
+        return commands
+    at = time[known]
+    begin = max(int(np.searchsorted(log[:, 0], at.min(), side="right")) - 1, 0)
+    end = int(np.searchsorted(log[:, 0], at.max())) + 1
+    stamps, *logged = block(log, begin, end).T
+    after = np.clip(np.searchsorted(stamps, at, side="left"), 0, len(stamps) - 1)
+    before = np.maximum(after - (stamps[after] != at), 0)
+    between = (stamps[after] - stamps[before] <= longest) & (stamps[after] >= at) & (stamps[before] <= at)
+    values = np.column_stack([np.interp(at, stamps, command) for command in logged])
+    commands[known] = np.where(between[:, None], values, np.nan)
+    return commands
 
 
 # Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,

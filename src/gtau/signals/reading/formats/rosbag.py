@@ -1,27 +1,46 @@
 """ROS bags, by the package rosbags: rosbag2 in SQLite (``.db3``) and MCAP, and ROS 1 (``.bag``).
 
 Columns are named as PlotJuggler names its curves: ``/joint_states/elbow/position`` for the joint ``elbow`` of a
-``sensor_msgs/JointState``, ``/TOPIC/FIELD`` or ``/TOPIC/FIELD[1]`` for the numbers of any other message. Every topic
-has its stamps: ``/TOPIC/header/stamp``, where its messages have a header, and ``/TOPIC/received``; both in s.
+``sensor_msgs/JointState`` (or ``control_msgs/DynamicJointState``), ``/TOPIC/FIELD``, ``/TOPIC/FIELD[1]`` or
+``/TOPIC/FIELD[1]/FIELD`` for the numbers of any other message, also in JSON. Every topic has its stamps:
+``/TOPIC/header/stamp``, where its messages have a header, and ``/TOPIC/received``; both in s.
 """
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from functools import lru_cache
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.signals.reading.formats import WIDEST, LogTable, common_length, readable
-from gtau.signals.storage import block_size
+from gtau.findings import Finding
+from gtau.signals.reading.formats import (
+    ALL,
+    LONGEST_STEP,
+    WIDEST,
+    LogTable,
+    common_length,
+    interpolated,
+    readable,
+    reading,
+)
+from gtau.signals.storage import block_size, store
 
 if TYPE_CHECKING:
     import polars as pl
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
+STAMPED = 12  # bytes of a message before its frame and names: an encapsulation or a count, and the stamp
+LARGEST = 1 << 16  # bytes of a message, all messages like which are looked through
+MCAP, HEAD = b"\x89MCAP0\r\n\x01", 64  # the beginning of such a file, and bytes with its profile
 STRING = "std_msgs/msg/String"
 
 
@@ -31,7 +50,46 @@ def _reader(path: Path) -> Any:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise missing_extra(f"reading {path} (a ROS bag)", "rosbags", "ros") from None
+    with path.open("rb") if path.is_file() else nullcontext(BytesIO()) as file:
+        head = file.read(HEAD)
+    if head.startswith(MCAP) and not head[len(MCAP) + 12 :].startswith(b"ros2"):
+        return _mcap(path)
     return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+
+
+@contextmanager
+def _mcap(path: Path) -> Iterator[Any]:
+    """Open an MCAP file of another profile than ROS 2, as AnyReader does; its messages must be in JSON."""
+    try:
+        from mcap.reader import make_reader
+    except ImportError:
+        raise missing_extra(f"reading {path} (an MCAP file without ROS)", "mcap", "ros") from None
+    with path.open("rb") as file:
+        read = make_reader(file).iter_messages
+        try:
+            channels = {channel.topic: (channel, schema) for schema, channel, _ in read()}
+        except OSError as error:  # of a file that was cut, as its end is looked up first
+            raise ValueError(f"its end is missing: {error.strerror}") from None
+        counts = Counter(channel.topic for _, channel, _ in read())
+        encodings = {channel.message_encoding for channel, _ in channels.values()}
+        if encodings and "json" not in encodings:
+            raise GtauError(f"its messages are in '{min(encodings)}'; record them by ROS 2, or in JSON.", source=path)
+        connections = {
+            topic: SimpleNamespace(
+                topic=topic,
+                msgtype=schema.name if schema else "",
+                msgcount=counts[topic],
+                ext=SimpleNamespace(serialization_format="json"),
+            )
+            for topic, (channel, schema) in channels.items()
+            if channel.message_encoding == "json"
+        }
+
+        def messages(connections: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
+            wanted = {connection.topic: connection for connection in connections}
+            return ((wanted[channel.topic], one.log_time, one.data) for _, channel, one in read(topics=[*wanted]))
+
+        yield SimpleNamespace(connections=[*connections.values()], messages=messages)
 
 
 def robot_description(path: Path) -> str | None:
@@ -48,81 +106,121 @@ def robot_description(path: Path) -> str | None:
 
 
 def open_rosbag(path: Path) -> LogTable:
-    """Find the columns of a bag, a file or a rosbag2 folder, from the first message of every topic."""
-    topics: dict[str, str] = {}  # by column
-    counts: dict[str, int] = {}
-    with readable(path, "a ROS bag"), _reader(path) as bag:
-        for connection in bag.connections:
-            first = next(bag.messages(connections=[connection]), None)
-            if first is None:
-                continue
-            try:
-                values = _values(bag, *first)
-            except KeyError:  # of a type that neither the bag nor ROS 2 describes
-                continue
-            topic = connection.topic
-            counts[topic] = counts.get(topic, 0) + connection.msgcount
-            topics |= {f"{topic}/{name}": topic for name in values}
+    """Find the columns of a bag, a file or a rosbag2 folder, in all messages of each topic.
+
+    Columns of several topics whose messages have one type, as of drives with a topic each, are read at the stamps of
+    the first: between theirs by linear interpolation.
+    """
+    topics, counts, kinds = _contents(path, path.stat().st_mtime_ns)
+    notes = list[Finding]()
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         import polars as pl
 
         topic, *others = dict.fromkeys(topics[name] for name in names)
-        count = common_length(path, {name: counts[topics[name]] for name in names})
-        if others:
-            second = next(name for name in names if topics[name] != topic)
+        if different := [other for other in others if kinds[other] != kinds[topic]]:
+            common_length(path, {name: counts[topics[name]] for name in names})
+            second = next(name for name in names if topics[name] == different[0])
             raise GtauError(
                 f"'{names[0]}' and '{second}' come from two topics with separate time stamps; give both (time: "
                 "{position: COLUMN, command: COLUMN}).",
                 source=path,
             )
-        parts = [name.removeprefix(f"{topic}/") for name in names]
-        table, filled = np.empty((min(block_size(), count), len(names))), 0
+        stamp = "header/stamp" if all(f"{one}/header/stamp" in topics for one in (topic, *others)) else "received"
+        columns = {one: [name for name in names if topics[name] == one] for one in (topic, *others)}
         with readable(path, "a ROS bag"), _reader(path) as bag:
-            connections = [connection for connection in bag.connections if connection.topic == topic]
-            messages = islice(bag.messages(connections=connections), rows.start, min(rows.stop, count))
-            for row, message in enumerate(messages, start=rows.start + 1):
-                values = _values(bag, *message)
-                table[filled] = [values.get(part, np.nan) for part in parts]  # drivers may leave joints out
-                filled += 1
-                if filled == len(table):
-                    yield pl.DataFrame(table, schema=list(names)), row / count
-                    filled = 0
-        if filled:
-            yield pl.DataFrame(table[:filled], schema=list(names)), 1.0
+            beside = {
+                other: store((part for part, _ in _rows(bag, other, [f"{other}/{stamp}", *names])), (1 + len(names),))
+                for other, names in columns.items()
+                if other != topic
+            }
+            for values, row in _rows(bag, topic, [f"{topic}/{stamp}", *columns[topic]], rows):
+                frame = dict(zip(columns[topic], values.T[1:], strict=True))
+                for other, log in beside.items():
+                    longest = LONGEST_STEP * float(np.median(np.diff(log[:, 0]))) if len(log) > 1 else 0.0
+                    frame |= zip(columns[other], interpolated(log, longest, values[:, 0]).T, strict=True)
+                yield pl.DataFrame(frame).select(names), min(row / counts[topic], 1.0)
+        if others and not notes:
+            listed = ", ".join(others[:3]) + ", ..." * (len(others) > 3)
+            text = f"read {listed} at the stamps of {topic}, between theirs by linear interpolation"
+            notes.append(reading("aligned topics", text=text))
 
-    return LogTable(path, tuple(topics), frames)
+    return LogTable(path, tuple(topics), frames, notes=notes)
 
 
-def _values(bag: Any, connection: Any, received: int, raw: bytes) -> dict[str, float]:
-    """Name the numbers in a message, and its receipt stamp."""
-    message = bag.deserialize(raw, connection.msgtype)
-    if connection.msgtype != JOINT_STATE:
-        return dict(_numbers(message, "")) | {"received": received * 1e-9}
-    values = {"header/stamp": _seconds(message.header.stamp)}
-    for field in ("position", "velocity", "effort"):
-        pairs = zip(message.name, getattr(message, field), strict=False)
-        values |= {f"{joint}/{field}": float(value) for joint, value in pairs}
-    return values | {"received": received * 1e-9}
+@lru_cache(maxsize=16)
+def _contents(path: Path, _changed: int) -> tuple[dict[str, str], dict[str, int], dict[str, str]]:
+    """Find the topic of each column, and each topic's number of messages and their type.
+
+    Messages like an earlier one, with as many bytes and the same names, have no other columns.
+    """
+    topics, counts, kinds = dict[str, str](), dict[str, int](), dict[str, str]()
+    with readable(path, "a ROS bag"), _reader(path) as bag:
+        for connection in bag.connections:
+            topic, seen = connection.topic, list[tuple[int, bytes]]()
+            for _, received, raw in bag.messages(connections=[connection]):
+                if any(len(raw) == length and raw.startswith(names, STAMPED) for length, names in seen):
+                    continue
+                try:
+                    values, last = _values(bag, connection, received, raw)
+                except KeyError:  # of a type that neither the bag nor ROS 2 describes
+                    break
+                topics |= {f"{topic}/{name}": topic for name in values if f"{topic}/{name}" not in topics}
+                seen.append((len(raw), raw[STAMPED : max(raw.rfind(last.encode()) + len(last.encode()), STAMPED)]))
+                if len(raw) > LARGEST:  # an image or a map
+                    break
+            if seen or connection.msgcount == 0:
+                counts[topic], kinds[topic] = counts.get(topic, 0) + connection.msgcount, connection.msgtype
+    return topics, counts, kinds
+
+
+def _rows(bag: Any, topic: str, names: Sequence[str], rows: range = ALL) -> Iterator[tuple[np.ndarray, int]]:
+    """Read blocks of columns (M, .) of a topic, nan where a message lacks one, with the number of rows read so far."""
+    parts = [name.removeprefix(f"{topic}/") for name in names]
+    connections = [connection for connection in bag.connections if connection.topic == topic]
+    messages = islice(bag.messages(connections=connections), rows.start, rows.stop if rows != ALL else None)
+    read = (_values(bag, *message)[0] for message in messages)
+    table, row = ([values.get(part, np.nan) for part in parts] for values in read), rows.start
+    while len(some := np.array(list(islice(table, block_size())))):
+        row += len(some)
+        yield some, row
+
+
+def _values(bag: Any, connection: Any, received: int, raw: bytes) -> tuple[dict[str, float], str]:
+    """Name the numbers in a message, and its receipt stamp; and return the last of the joints' names in it."""
+    if getattr(connection.ext, "serialization_format", "") == "json":
+        message = json.loads(raw, object_hook=lambda entries: SimpleNamespace(**entries))
+        message = message if hasattr(message, "__dict__") else SimpleNamespace(data=message)
+    else:
+        message = bag.deserialize(raw, connection.msgtype)
+    fields = vars(message)
+    joints = next((fields[key] for key in ("name", "joint_names") if isinstance(fields.get(key), list)), [])
+    values = dict[str, float]()
+    for key, field in fields.items():
+        if joints and isinstance(field, (list, np.ndarray)) and len(field) == len(joints):
+            for joint, item in zip(joints, field, strict=True):
+                if hasattr(item, "interface_names"):  # of DynamicJointState
+                    pairs = zip(item.interface_names, item.values, strict=False)
+                    values |= {f"{joint}/{interface}": float(value) for interface, value in pairs}
+                else:
+                    values |= _numbers(item, f"{joint}/{key}")
+        else:
+            values |= _numbers(field, key)
+    return values | {"received": received * 1e-9}, str(joints[-1]) if joints else ""
 
 
 def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
     """Name the numbers in a value, itself called ``name`` (``FIELD/FIELD``) in a message."""
     if isinstance(value, (bool, int, float, np.number)):
         yield name, float(value)
-    elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size <= WIDEST:
+    elif isinstance(value, (list, np.ndarray)) and len(value) <= WIDEST:
         for k, item in enumerate(value, start=1):
-            yield f"{name}[{k}]", float(item)
-    elif hasattr(value, "sec") and hasattr(value, "nanosec"):
-        yield name, _seconds(value)
-    elif hasattr(value, "__dataclass_fields__"):
-        for field in value.__dataclass_fields__:
-            if not field.startswith("__"):
-                yield from _numbers(getattr(value, field), f"{name}/{field}".lstrip("/"))
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec + stamp.nanosec * 1e-9)
+            yield from _numbers(item, f"{name}[{k}]")
+    elif hasattr(value, "sec"):
+        yield name, float(value.sec + getattr(value, "nanosec", getattr(value, "nsec", 0)) * 1e-9)
+    elif hasattr(value, "__dict__"):
+        for key, field in vars(value).items():
+            yield from _numbers(field, f"{name}/{key}")
 
 
 LOG_FORMATS = {".db3": open_rosbag, ".mcap": open_rosbag, ".bag": open_rosbag}
