@@ -66,7 +66,7 @@ def test_a_file_on_disk_is_read_by_the_name_of_its_module(cache: Path) -> None:
 
 def test_what_it_does_not_have_is_refused(cache: Path) -> None:
     for name, sentence in (
-        ("made", "is made by xacro; write it to a file"),
+        ("made", "is made by xacro; give the path of its xacro file"),
         ("broken", "broken_description.py cannot be read"),
         ("two", "no robot is called 'two'"),
         ("_repositories", "no robot is called '_repositories'"),

@@ -160,12 +160,12 @@ def test_load_robot_accepts_what_people_have(tmp_path: Path) -> None:
         ("xyz", "no robot is called 'xyz'; choose from the catalog (3-rrr, delta, emps, five-bar,"),
         ("missing.yaml", "missing.yaml cannot be read: no such file or directory"),
         ("missing.urdf", "missing.urdf: the file cannot be read (no such file or directory)"),
-        ("arm.xacro", "expand it with 'xacro arm.xacro > arm.urdf'"),
+        ("arm.xacro", "no robot is called 'arm.xacro'"),
         (
             "robot.sdf",
             "robot.sdf is an SDF file, which is not read; make an MJCF file of it by 'sdf2mjcf robot.sdf robot.xml'",
         ),
-        (__file__, "ends in none of .yaml, .urdf, .xml (MJCF), .par or .csv; give it the ending of its format."),
+        (__file__, "ends in none of .yaml, .urdf, .xacro, .xml (MJCF), .par or .csv; give it the ending of its format."),
     ],
 )
 def test_load_robot_refuses(name: str, sentence: str) -> None:

@@ -87,7 +87,19 @@ ModelFile = Annotated[Path, argument("MODEL.json", "What 'gtau identify' wrote."
 Columns = Annotated[Path | None, option("EXPERIMENT.yaml", "Take columns and units from an experiment file.")]
 CarriedPayload = Annotated[str | None, option("NAME", "Payload that the robot carries, by its name in the model.")]
 ReportFolder = Annotated[Path | None, option("DIR", "Folder for report.html.")]
+XacroArguments = Annotated[
+    list[str] | None,
+    option("NAME=VALUE", "Argument of the robot's xacro file. Repeatable.", "--xacro-arg"),
+]
 Json = Annotated[bool, option("", "Print one JSON document on stdout instead of tables.", "--json")]
+
+
+def named_values(stated: list[str] | None) -> dict[str, str]:
+    """Read ``--xacro-arg``: values by name."""
+    pairs = [text.partition(":=" if ":=" in text else "=") for text in stated or ()]
+    if wrong := [name + equals for name, equals, _ in pairs if not name or not equals]:
+        raise GtauError(f"--xacro-arg is '{wrong[0]}'; write the name of an argument and its value: ur_type=ur10e.")
+    return {name: value for name, _, value in pairs}
 
 
 def base_choice(text: str | None) -> Any:

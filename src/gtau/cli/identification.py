@@ -15,9 +15,11 @@ from gtau.cli.console import (
     ExperimentFile,
     Json,
     ReportFolder,
+    XacroArguments,
     answer,
     argument,
     hold,
+    named_values,
     option,
     progress_bar,
     refusing,
@@ -89,6 +91,7 @@ Verbose = Annotated[bool, option("", "Print all parameters, the fit of each join
 def identify(
     sources: Sources,
     robot: RobotOfLogs = None,
+    xacro_arg: XacroArguments = None,
     payload: Payloads = None,
     kind: KindOfLogs = None,
     preset: PresetOfLogs = None,
@@ -111,7 +114,7 @@ def identify(
     parameters, or the result misses a requirement of EXPERIMENT.yaml.
     """
     hold(out)
-    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out)
+    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out, xacro=named_values(xacro_arg))
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.experiment_runs import Options, read, read_validation
         from gtau.estimation.results.model_file import to_document

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
@@ -16,10 +16,12 @@ import typer
 from gtau.cli.console import (
     METHODS,
     Json,
+    XacroArguments,
     answer,
     argument,
     base_choice,
     hold,
+    named_values,
     option,
     print_json,
     progress_bar,
@@ -83,6 +85,7 @@ def init(
     base: Annotated[
         str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
     ] = None,
+    xacro_arg: XacroArguments = None,
     preset: PresetOfLogs = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
     yes: Annotated[bool, option("", "Ask nothing; mark in the file what to confirm.", "--yes")] = False,
@@ -100,7 +103,7 @@ def init(
         robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
-    draft = draft_logs(logs, robot, base_choice(base), preset=preset)
+    draft = draft_logs(logs, robot, base_choice(base), preset=preset, xacro=named_values(xacro_arg))
     if ask:
         draft = _answered(draft)
     write_draft(draft, out)
@@ -166,6 +169,7 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
 def check(
     sources: Sources,
     robot: RobotOfLogs = None,
+    xacro_arg: XacroArguments = None,
     payload: Payloads = None,
     kind: KindOfLogs = None,
     preset: PresetOfLogs = None,
@@ -186,7 +190,8 @@ def check(
     """
     hold(out)
     refuse_as_folder(figure)
-    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out or Path("result"))
+    folder = out or Path("result")
+    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, folder, xacro=named_values(xacro_arg))
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
         from gtau.report.check import check_document, check_page, write_check, write_preparation
@@ -214,13 +219,14 @@ def experiment_of(
     preset: str | None,
     folder: Path,
     weigh: bool = False,
+    xacro: Mapping[str, str] | None = None,
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Return an experiment file, drafted from logs to ``folder`` if need be, and a note on every guess in the draft.
 
     Logs without a stated payload carry none, or with ``weigh`` an unknown one. Raises GtauError if experiment files are
     mixed with logs, or the draft needs an answer of the user.
     """
-    stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
+    stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset, "xacro-arg": xacro}
     if len(sources) == 1 and not is_log(sources[0]):
         if given := [f"--{name}" for name, value in stated.items() if value]:
             raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
@@ -230,7 +236,8 @@ def experiment_of(
     from gtau.signals.reading.drafting import alternatives, draft_logs, guesses, to_weigh, with_sensors, write_draft
 
     masses = _masses(payloads or [])
-    drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
+    of_logs = None if kind is None else kind.value
+    drafted = draft_logs(sources, robot, masses=masses, kind=of_logs, preset=preset, xacro=xacro)
     draft = to_weigh(drafted) if weigh else with_sensors(drafted)
     if "file" not in draft.robot:
         raise GtauError(

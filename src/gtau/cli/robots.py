@@ -10,10 +10,12 @@ import typer
 
 from gtau.cli.console import (
     Json,
+    XacroArguments,
     answer,
     argument,
     base_choice,
     hold,
+    named_values,
     option,
     progress_bar,
     refusing,
@@ -27,7 +29,7 @@ RobotFile = Annotated[
     str | None,
     argument(
         "NAME_OR_FILE",
-        "Catalog name, robot file (YAML), URDF (with its loops beside it), MJCF, .par or MDH table (.csv). "
+        "Catalog name, robot file (YAML), URDF (with its loops beside it), xacro, MJCF, .par or MDH table (.csv). "
         "Without it the catalog is listed.",
     ),
 ]
@@ -46,6 +48,7 @@ def robot(
     save: Annotated[Path | None, option("ROBOT.yaml", "Write it as a robot file that you can edit.")] = None,
     figure: Annotated[Path | None, option("ROBOT.png", "Draw it in its home pose, as PNG or PDF.")] = None,
     base: Base = None,
+    xacro_arg: XacroArguments = None,
     joints: Annotated[
         list[str] | None, option("PATTERN", "Joints that move ('FL_*'); the others are held. Repeatable.")
     ] = None,
@@ -66,7 +69,8 @@ def robot(
         from gtau.model.inverse_dynamics import InverseDynamics
         from gtau.report.robot import robot_document, robot_page
 
-        described = load_robot(source, base=base_choice(base), joints=joints or ())
+        xacro = named_values(xacro_arg)
+        described = load_robot(source, base=base_choice(base), joints=joints or (), xacro=xacro)
     if save is not None:
         from gtau.robots.readers.native import write_native
         from gtau.robots.readers.read import is_loops_file

@@ -46,6 +46,8 @@ NAMED = 4  # coordinates that a note lists
     joints=NAMES,
     held=MAPPING,
     limits=MAPPING,
+    xacro=MAPPING,
+    packages=NAMES,
 )
 def load_robot(
     source: str | Path | Robot | RobotSource,
@@ -53,6 +55,8 @@ def load_robot(
     joints: Sequence[str] = (),
     held: Mapping[str, float] | None = None,
     limits: Mapping[str, Mapping[str, Any]] | None = None,
+    xacro: Mapping[str, Any] | None = None,
+    packages: Sequence[str] = (),
 ) -> Robot:
     """Load a robot, or a part of one, and close its loops.
 
@@ -71,6 +75,10 @@ def load_robot(
         Positions of joints that are held, rad or m; those not named are held at home.
     limits : mapping, optional
         Limits that replace limits of the file, by joint: ``{"elbow": {"velocity": 3.1, "effort": 150}}``, SI units.
+    xacro : mapping, optional
+        Arguments of a xacro file: ``{"ur_type": "ur10e"}``.
+    packages : sequence of str, optional
+        Folders that hold the packages that a xacro file names.
 
     Returns
     -------
@@ -86,7 +94,8 @@ def load_robot(
         return source
     if not isinstance(source, RobotSource):
         options: dict[str, Any] = {"file": str(source), "base": base, "joints": tuple(joints)}
-        options |= {"held": dict(held or {}), "limits": dict(limits or {})}
+        options |= {"held": dict(held or {}), "limits": dict(limits or {}), "xacro": dict(xacro or {})}
+        options["packages"] = tuple(packages)
         source = validate(RobotSource, Document("load_robot", options))
     robot = read_robot(source)
     with errors_at(source.file):

@@ -33,7 +33,7 @@ LOOPS = ("closed_loop", "name_mot")  # keys that distinguish a file of loops fro
 PACKAGE = "robot_descriptions"
 FILES = ("URDF_PATH", "MJCF_PATH")
 Value = Path | str | None
-ENDINGS = ".yaml, .urdf, .xml (MJCF), .par or .csv"
+ENDINGS = ".yaml, .urdf, .xacro, .xml (MJCF), .par or .csv"
 
 
 def catalog_names() -> tuple[str, ...]:
@@ -59,7 +59,7 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     """
     if not isinstance(source, RobotSource):
         source = RobotSource(file=str(source))
-    robot = _read(source.file, source.base)
+    robot = _read(source.file, source)
     with errors_at(source.file):
         six = drawn_base(robot) if len(robot.joints) > 6 and not robot.floating else ()
         if source.base == FLOATING:
@@ -104,7 +104,8 @@ def _limited(robot: Robot, given: Mapping[str, GivenLimits]) -> Robot:
     return replace(robot, joints=tuple(joints.values()))
 
 
-def _read(source: str | Path, base: BaseChoice) -> Robot:
+def _read(source: str | Path, written: RobotSource) -> Robot:
+    base = written.base
     if source in {file.stem for file in CATALOG.glob("*.yaml")}:
         source = CATALOG / f"{source}.yaml"
     path = Path(source)
@@ -113,6 +114,8 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
     if (path / "robot.urdf").is_file():
         path = path / "robot.urdf"
     refuse_other_kind(path, ROBOT)
+    if (written.xacro or written.packages) and path.suffix.lower() != ".xacro":
+        raise GtauError(f"'xacro' and 'packages' are for xacro files, which '{written.file}' is not; remove them.")
     match path.suffix.lower():
         case ".yaml" | ".yml":
             return _from_yaml(path)
@@ -135,12 +138,15 @@ def _read(source: str | Path, base: BaseChoice) -> Robot:
             from gtau.robots.readers.mdh_table import read_mdh_csv
 
             return read_mdh_csv(path)
-        case ".xacro":
-            raise GtauError(f"{path} is a xacro file; expand it with 'xacro {path.name} > {path.stem}.urdf' first.")
+        case ".xacro" if path.is_file():
+            from gtau.robots.readers.xacro import expanded
+
+            with expanded(path, written.xacro, written.packages) as urdf:
+                return _from_urdf(urdf, base)
         case _ if path.is_file():
             raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
     if (described := _described(str(source))) is not None:
-        return _read(described, base)
+        return _read(described, written)
     close = get_close_matches(str(source), catalog_names(), n=1)
     hint = f" (did you mean '{close[0]}'?)" if close else ""
     raise GtauError(
@@ -189,8 +195,7 @@ def _described(name: str) -> Path | None:
     file = next((known[variable] for variable in FILES if known.get(variable)), None)
     if file is None:
         raise GtauError(
-            f"the URDF of '{module.stem}' of the package {PACKAGE} is made by xacro; write it to a file, and give that "
-            "file."
+            f"the URDF of '{module.stem}' of the package {PACKAGE} is made by xacro; give the path of its xacro file."
         )
     if not Path(file).is_file():
         raise GtauError(

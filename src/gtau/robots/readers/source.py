@@ -110,7 +110,8 @@ class RobotSource(BaseModel):
 
     ``base`` fixes a floating base, states how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
     moving joints; the others are held, at the positions in ``held`` or at home. ``limits``, by joint, and ``gravity``,
-    m/s2, replace values of the file; gravity is zero if the driver removes it from the logged torques.
+    m/s2, replace values of the file; gravity is zero if the driver removes it from the logged torques. ``xacro`` are
+    arguments of a xacro file, and ``packages`` folders that hold the packages that it names.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -121,6 +122,8 @@ class RobotSource(BaseModel):
     held: dict[str, FiniteFloat] = {}
     limits: dict[str, GivenLimits] = {}
     gravity: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None, BeforeValidator(gravity_of)] = None
+    xacro: dict[str, bool | int | float | str] = {}
+    packages: tuple[str, ...] = ()
 
 
 AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("group")], Discriminator(text_or_group)]

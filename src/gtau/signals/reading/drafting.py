@@ -35,24 +35,26 @@ def draft_logs(
     masses: Mapping[str, float] | None = None,
     kind: Literal["current", "torque"] | None = None,
     preset: str | None = None,
+    xacro: Mapping[str, str] | None = None,
 ) -> Draft:
     """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
 
     ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
     Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log; a ``preset`` gives the kind of commands
-    and whether torques include gravity.
+    and whether torques include gravity. ``xacro`` are arguments of a robot's xacro file.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
         raise GtauError(f"the log '{twice}' is given twice; give every log once.")
     urdf = robot_description(logs[0]) if robot is None and is_rosbag(logs[0]) else None
-    known = None if robot is None and urdf is None else _robot(logs[0], robot, urdf, base)
+    known = None if robot is None and urdf is None else _robot(logs[0], robot, urdf, base, xacro)
     if known is not None and known.floating:
         raise GtauError(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
             "floats is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'."
         )
     draft = replace(discover(logs, known, URDF if urdf is not None else robot, base), urdf=urdf)
+    draft = replace(draft, robot={**draft.robot, "xacro": dict(xacro)}) if xacro else draft
     draft = draft if preset is None else with_preset(draft, preset)
     draft = draft if kind is None else with_kind(draft, kind)
     return with_masses(draft, _by_log(draft, masses or {}))
@@ -149,13 +151,13 @@ def _sealed(text: str) -> str:
     return f"{text}{SEAL}{crc32(text.encode()):08x}\n"
 
 
-def _robot(log: Path, robot: str | None, urdf: str | None, base: Any) -> Robot:
+def _robot(log: Path, robot: str | None, urdf: str | None, base: Any, xacro: Mapping[str, str] | None = None) -> Robot:
     with TemporaryDirectory(prefix="gtau-") as folder:
         source = robot or str(Path(folder) / URDF)
         if urdf is not None:
             Path(source).write_text(urdf)
         try:
-            return load_robot(source, base=base)
+            return load_robot(source, base=base, xacro=xacro)
         except GtauError as error:
             if urdf is None:
                 raise

@@ -168,7 +168,8 @@ class Experiment(Keys):
             return robot
         folder, _ = info.context
         if isinstance(robot, RobotSource):
-            return robot.model_copy(update={"file": file_or_name(robot.file, folder)})
+            packages = tuple(str(beside(folder, package)) for package in robot.packages)
+            return robot.model_copy(update={"file": file_or_name(robot.file, folder), "packages": packages})
         return file_or_name(robot, folder)
 
     @field_validator("units")

@@ -1,0 +1,185 @@
+"""Expand xacro files to URDF by the package xacrodoc; their expressions are read here, and nothing is executed.
+
+The package xacro evaluates ``${...}`` by ``eval``, whose restrictions can be evaded. In its place stands
+:func:`evaluated`: arithmetic, comparisons, texts, lists, entries of YAML files, and the functions in ``FUNCTIONS``.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+from gtau.errors import GtauError, missing_extra, short
+
+LARGEST = 1e30  # of a product: larger ones of whole numbers may take for ever
+
+
+def _of_numbers(operation: Callable[..., Any]) -> Callable[..., Any]:
+    """Restrict an operation to numbers of a size; of texts and lists it could fill the memory."""
+
+    def restricted(*numbers: Any) -> Any:
+        if not all(isinstance(number, int | float) for number in numbers):
+            raise ValueError("a text or list cannot be multiplied")
+        try:
+            result = operation(*numbers)
+        except OverflowError:
+            result = math.inf
+        if isinstance(result, complex) or abs(result) > LARGEST:
+            raise ValueError(f"the result of {' and '.join(map(str, numbers))} is out of range")
+        return result
+
+    return restricted
+
+
+OPERATORS: Mapping[type, Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: _of_numbers(operator.mul),
+    ast.Div: operator.truediv,
+    ast.FloorDiv: operator.floordiv,
+    ast.Mod: _of_numbers(operator.mod),
+    ast.Pow: _of_numbers(lambda base, power: float(base) ** float(power)),
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+    ast.Not: operator.not_,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Is: operator.is_,
+    ast.IsNot: operator.is_not,
+    ast.In: lambda item, items: item in items,
+    ast.NotIn: lambda item, items: item not in items,
+}
+BUILTINS = (list, dict, tuple, len, str, float, int, bool, min, max, round, abs, sum, any, all, sorted)
+FUNCTIONS = (*BUILTINS, *(function for function in vars(math).values() if callable(function)))
+OF_XACRO = ("load_yaml", "abs_filename", "dotify", "arg", "message", "warning", "error", "fatal", "tokenize")
+OF_EVAL = ("arg", "dirname", "env", "optenv", "find")  # in $(eval ...)
+METHODS = {
+    str: ("split", "strip", "replace", "lower", "upper", "startswith", "endswith"),
+    dict: ("get", "keys", "values", "items"),
+    list: ("index", "count"),
+}
+
+
+def evaluated(text: str, names: Mapping[str, Any], functions: Sequence[Any] = ()) -> Any:
+    """Evaluate an expression of a xacro file with the values of ``names``; raises ValueError for any other text."""
+    known = (*FUNCTIONS, *functions)
+
+    def used(value: Any, node: ast.expr) -> Any:
+        if callable(value) and not any(value is function for function in known):
+            raise ValueError(f"'{ast.unparse(node)}' is not read in xacro files")
+        return value
+
+    def first_of(items: Sequence[ast.expr], stop: bool) -> Any:
+        values = (value(item) for item in items)
+        some: Any = None
+        for some in values:
+            if bool(some) is stop:
+                break
+        return some
+
+    def value(node: ast.expr) -> Any:
+        match node:
+            case ast.Constant(value=constant):
+                return constant
+            case ast.Name(id=name):
+                try:
+                    return used(names[name], node)
+                except KeyError:
+                    raise ValueError(f"unknown name '{name}'") from None
+            case ast.UnaryOp(op=sign, operand=operand) if type(sign) in OPERATORS:
+                return OPERATORS[type(sign)](value(operand))
+            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in OPERATORS:
+                return OPERATORS[type(sign)](value(left), value(right))
+            case ast.BoolOp(op=sign, values=items):
+                return first_of(items, isinstance(sign, ast.Or))
+            case ast.Compare(left=left, ops=signs, comparators=others):
+                terms = [value(term) for term in (left, *others)]
+                return all(OPERATORS[type(sign)](*pair) for sign, *pair in zip(signs, terms, terms[1:], strict=False))
+            case ast.IfExp(test=test, body=body, orelse=orelse):
+                return value(body) if value(test) else value(orelse)
+            case ast.List(elts=items) | ast.Tuple(elts=items):
+                return [value(item) for item in items]
+            case ast.Subscript(value=items, slice=ast.Slice(lower=lower, upper=upper, step=None)):
+                return value(items)[slice(*(part and value(part) for part in (lower, upper)))]
+            case ast.Subscript(value=items, slice=key):
+                return used(value(items)[value(key)], node)
+            case ast.Call(func=ast.Attribute(value=owner, attr=name), args=arguments, keywords=[]) if any(
+                isinstance(value(owner), kind) and name in methods for kind, methods in METHODS.items()
+            ):
+                return getattr(value(owner), name)(*map(value, arguments))
+            case ast.Attribute(value=owner, attr=name) if isinstance(value(owner), dict):
+                return used(value(owner)[name], node)
+            case ast.Call(func=function, args=arguments, keywords=[]):
+                return value(function)(*map(value, arguments))
+            case _:
+                raise ValueError(f"'{ast.unparse(node)}' is not read in xacro files")
+
+    return value(ast.parse(text.strip(), mode="eval").body)
+
+
+@contextmanager
+def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | Path]) -> Iterator[Path]:
+    """Write the URDF of a xacro file for the context; its packages are above it, in ``folders`` or known to ROS."""
+    try:
+        import xacro
+        from xacrodoc import packages
+    except ImportError:
+        raise missing_extra(f"reading {path} (a xacro file)", "xacrodoc", "xacro") from None
+
+    def find(package: str) -> str:
+        try:
+            return str(packages.get_path(package))
+        except Exception:  # of rospkg or ament
+            raise GtauError(
+                f"{path}: the package '{package}' is not found; name the folder that holds it (packages: [FOLDER] "
+                "beside the robot's 'file'), or set ROS_PACKAGE_PATH or AMENT_PREFIX_PATH."
+            ) from None
+
+    def read(text: str, names: Mapping[str, Any], _: Any = None) -> Any:
+        own = [names["xacro"][name] for name in OF_XACRO]
+        return evaluated(text, names, own + [names[name] for name in ("load_yaml", "abs_filename", "dotify")])
+
+    def read_in_eval(text: str, _: Any, names: Any) -> Any:
+        return evaluated(text, names, [names[name] for name in OF_EVAL])
+
+    shares = [f"{prefix}/share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    packages.reset()
+    packages.look_in([*map(str, folders), *shares])
+    packages.walk_up_from(path)
+    with ExitStack() as stack, TemporaryDirectory(prefix="gtau-") as folder:
+        stack.enter_context(patch.object(xacro, "safe_eval", read))
+        stack.enter_context(patch.object(xacro.substitution_args, "_eval_find", find))
+        stack.enter_context(patch.object(xacro.substitution_args, "eval", read_in_eval, create=True))
+        try:
+            document = xacro.process_file(str(path), mappings={name: _text(value) for name, value in arguments.items()})
+        except Exception as error:  # xacro wraps what it likes
+            while isinstance(cause := getattr(error, "exc", None), Exception):
+                error = cause
+            if isinstance(error, GtauError):
+                raise error from None
+            reason = short(str(error) or type(error).__name__, 200).rstrip(".")
+            raise GtauError(
+                f"{path} cannot be expanded ({reason}); correct it, or its arguments (xacro: ...)."
+            ) from None
+        urdf = Path(folder) / f"{path.stem.removesuffix('.urdf')}.urdf"
+        urdf.write_text(document.toxml(), encoding="utf-8")
+        try:
+            yield urdf
+        except GtauError as error:
+            raise GtauError(str(error).replace(str(urdf), str(path))) from None
+
+
+def _text(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
