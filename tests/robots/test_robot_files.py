@@ -165,7 +165,10 @@ def test_load_robot_accepts_what_people_have(tmp_path: Path) -> None:
             "robot.sdf",
             "robot.sdf is an SDF file, which is not read; make an MJCF file of it by 'sdf2mjcf robot.sdf robot.xml'",
         ),
-        (__file__, "ends in none of .yaml, .urdf, .xacro, .xml (MJCF), .par or .csv; give it the ending of its format."),
+        (
+            __file__,
+            "ends in none of .yaml, .urdf, .xacro, .xml (MJCF), .par or .csv; give it the ending of its format.",
+        ),
     ],
 )
 def test_load_robot_refuses(name: str, sentence: str) -> None:
@@ -645,7 +648,7 @@ BAD_URDFS: list[tuple[str, str, str]] = [
     (
         "xacro",
         '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="a"/></robot>',
-        ": the file holds xacro macros; expand it with the program xacro first.",
+        ": the file holds xacro macros; end its name in .xacro, so that they are expanded.",
     ),
     ("empty", "<robot name='r'/>", ": robot 'r': it has no joints;"),
     (
@@ -765,7 +768,7 @@ def test_prefixes_that_are_declared_nowhere_do_no_harm(tmp_path: Path) -> None:
     (tmp_path / "arm.urdf").write_text(arm(HINGE.format("")).replace("</robot>", plugin))
     assert load_robot(tmp_path / "arm.urdf").actuated == ("j",)
     (tmp_path / "arm.urdf").write_text(arm(HINGE.format("")).replace("</robot>", "<xacro:arm/></robot>"))
-    with pytest.raises(GtauError, match="holds xacro macros; expand it"):
+    with pytest.raises(GtauError, match="holds xacro macros; end its name"):
         load_robot(tmp_path / "arm.urdf")
 
 

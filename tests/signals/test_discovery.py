@@ -476,6 +476,11 @@ def test_efforts_and_second_clocks_are_marked(tmp_path: Path) -> None:
         "Zeit,Winkel1,Winkel2,Geschwindigkeit1,Geschwindigkeit2,Strom1,Strom2",
         "temps,angle1,angle2,vitesse1,vitesse2,courant1,courant2",
         "tempo,posizione_1,posizione_2,velocità_1,velocità_2,corrente_1,corrente_2",
+        "Zeit,Lageistwert A1,Lageistwert A2,Drehzahlistwert A1,Drehzahlistwert A2,Stromistwert A1,Stromistwert A2",
+        "temps,position axe 1,position axe 2,vitesse axe 1,vitesse axe 2,courant moteur 1,courant moteur 2",
+        "时间,关节1角度,关节2角度,关节1角速度,关节2角速度,电机电流1,电机电流2",
+        "時間,関節角度1,関節角度2,関節角速度1,関節角速度2,モータ電流1,モータ電流2",
+        "시간,관절1 각도,관절2 각도,관절1 속도,관절2 속도,전류1,전류2",
     ],
 )
 def test_names_in_other_languages(header: str, tmp_path: Path) -> None:
@@ -484,6 +489,52 @@ def test_names_in_other_languages(header: str, tmp_path: Path) -> None:
     assert (draft.signals.time_columns, draft.signals.kind, tuple(draft.open)) == ((names[0],), "current", ("robot",))
     assert draft.unused.side == {}
     assert [*draft.signals.position.values(), *draft.signals.command.values()] == [*names[1:3], *names[5:]]
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "reference", "unit"),
+    [
+        ("关节1角度(度)", "position", False, "deg"),
+        ("目标位置1", "position", True, None),
+        ("电机力矩1[牛米]", "motor", False, "N m"),
+        ("关节1加速度", "acceleration", False, None),
+        ("电压1", "other", False, None),
+        ("トルク指令値1", "torque", True, None),
+        ("モータ電流_1(mA)", "current", False, "mA"),
+        ("목표 위치 1", "position", True, None),
+        ("토크_1", "torque", False, None),
+        ("Sollposition1", "position", True, None),
+        ("consigne de couple 1", "torque", True, None),
+        ("Par motor 1 [Nm]", "motor", False, "N m"),
+    ],
+)
+def test_words_of_other_languages(name: str, kind: str, reference: bool, unit: str | None) -> None:
+    column = parse_column_name(name)
+    assert (column.kind, column.reference, column.unit, column.label) == (kind, reference, unit, "1")
+
+
+@pytest.mark.parametrize("header", ["t,enc_J2,enc_J1,iq_J2,iq_J1", "t,joint_2,joint_1,i_2,i_1", "t,j2,j1,cur2,cur1"])
+def test_joints_are_matched_by_number_where_no_name_fits(header: str, tmp_path: Path) -> None:
+    """A robot whose joints have names; two of the logs do not say that these are positions."""
+    robot = load_robot("five-bar")
+    names = header.split(",")
+    draft = discover([save(tmp_path / "a.csv", header, TIME, Q[:, ::-1], V[:, ::-1])], robot, "five-bar")
+    assert draft.signals.position == dict(zip(robot.actuated, names[2:0:-1], strict=True))
+    assert draft.signals.current == dict(zip(robot.actuated, names[4:2:-1], strict=True))
+    assert f"left: {names[2]}, right: {names[1]}" in draft.open["joints"]
+    taken = f"{names[1]} ... {names[2]} taken for positions"
+    assert (taken in draft.open["joints"]) == ("enc" not in header)
+    assert "joints" in discover([tmp_path / "a.csv"]).open or "enc" in header
+
+
+def test_numbers_in_names_of_a_bag_order_them(tmp_path: Path) -> None:
+    """Drivers may list joints by the alphabet; no name is of the robot."""
+    columns = [f"/joint_states/arm_j{k}/{field}" for field in ("position", "effort") for k in (2, 1)]
+    header = ",".join(["/joint_states/header/stamp", *columns])
+    robot = load_robot("five-bar")
+    draft = discover([save(tmp_path / "a.csv", header, TIME, Q[:, ::-1], V[:, ::-1])], robot, "five-bar")
+    assert draft.signals.position == {"left": columns[1], "right": columns[0]}
+    assert "joints" in draft.open
 
 
 def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

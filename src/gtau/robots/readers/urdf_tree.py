@@ -114,7 +114,7 @@ def _parse(path: Path) -> Element:
     if root.tag != "robot":
         raise GtauError(f"the outermost element is <{root.tag}>, not <robot>; give a URDF file.")
     if any("/xacro}" in str(element.tag) or str(element.tag).startswith("xacro.") for element in root.iter()):
-        raise GtauError("the file holds xacro macros; expand it with the program xacro first.")
+        raise GtauError("the file holds xacro macros; end its name in .xacro, so that they are expanded.")
     return root
 
 

@@ -26,27 +26,52 @@ WORDS: dict[str, frozenset[str]] = {
     for kind, words in {
         "time": "t tout time timestamp datetime date stamp sec secs second seconds nanosec nsec nsecs nanosecond "
         "nanoseconds zeit tiempo temps tempo",
-        "position": "q qm pos position positions angle angles theta qpos posn winkel lage posicion angulo posizione",
+        "position": "q qm pos position positions angle angles theta qpos posn enc encoder encoders winkel lage "
+        "stellung posicion angulo posizione angolo",
         "velocity": "dq qd qdm vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad "
         "vitesse velocita",
         "acceleration": "ddq qdd qddm acc accel acceleration beschleunigung aceleracion accelerazione",
         "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente",
         "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza",
-        "motor": "motor",
+        "motor": "motor moteur motore",
+        "reference": "ref reference target desired des cmd commanded con demand demanded setpoint goal d soll sollwert "
+        "consigne consigna referencia riferimento",
+        "measured": "meas measured act actual ist istwert present fb feedback mesure medida real misura",
         "other": "ext external mocap grav gravity err error latency voltage rate success filtered age "
         "fric friction comp compensation coriolis ff feedforward limit limits enable enabled mode status flag",
     }.items()
 }
 WORDS["other"] |= frozenset[str]().union(*(signal.words for signal in SIDE_SIGNALS)) - WORDS["time"]  # temps
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
-REFERENCE = frozenset(
-    "ref reference target desired des cmd commanded con demand demanded setpoint goal d soll".split()  # noqa: SIM905
-)
-MEASURED = frozenset("meas measured act actual ist present fb feedback".split())  # noqa: SIM905
+REFERENCE, MEASURED = WORDS["reference"], WORDS["measured"]
+# Chinese, Japanese and Korean, which write words side by side: the longest come first
+ASIAN = {
+    term: word
+    for word, terms in {
+        "acceleration": "加速度 가속도",
+        "velocity": "角速度 速度 转速 轉速 回転数 각속도 속도",
+        "position": "位置 角度 转角 轉角 关节角 関節角 位移 変位 위치 각도 변위",
+        "current": "电流 電流 전류",
+        "torque": "力矩 扭矩 转矩 轉矩 トルク 토크",
+        "time": "时间 時間 时刻 時刻 시간 시각",
+        "reference": "目标 目標 指令 给定 期望 설정 목표 지령",
+        "actual": "实际 實際 反馈 反饋 実際 実測 실제 실측",
+        "motor": "电机 電機 モーター モータ 모터",
+        "joint": "关节 關節 関節 관절 轴 軸 축",
+        "voltage": "电压 電壓 電圧 전압",
+        "temperature": "温度 溫度 온도",
+        "error": "误差 誤差 오차 偏差 편차",
+    }.items()
+    for term in terms.split()
+}
+IN_ASIAN = re.compile("|".join(sorted(ASIAN, key=len, reverse=True)))
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
 TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # bodies other than the base
 SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
-COMPOUND = re.compile("(ist|soll|motor|gelenk|achs)(?=strom|winkel|lage|position|drehmoment|moment|geschw)")  # German
+COMPOUND = re.compile(  # German: Gelenkwinkel, Iststrom, Lageistwert
+    "(ist|soll|motor|gelenk|achs|strom|lage|positions?|winkel|drehmoment|drehzahl|geschwindigkeits?)"
+    "(?=ist|soll|strom|winkel|lage|position|drehmoment|moment|geschw|drehzahl)"
+)
 COMPONENTS = {  # words before the letter of an axis, and all axes
     "position": ("p|pos|position", "xyz"),
     "quaternion": ("q|quat|quaternion|orientation", "wxyz"),
@@ -55,13 +80,14 @@ COMPONENTS = {  # words before the letter of an axis, and all axes
     "moment": ("m|t|moment|torque", "xyz"),
 }
 COMMAND = frozenset(["v", "u", "control", "action", "command", "load"])  # currents or torques, unless velocities
-NO_UNIT = frozenset[str]().union(*WORDS.values(), REFERENCE, MEASURED)  # words in brackets
+NO_UNIT = frozenset[str]().union(*WORDS.values())  # words in brackets
 JOINT_KINDS = ("position", "velocity", "acceleration", "current", "torque")
 JOINT_WORDS = frozenset(
     ["joint", "joints", "axis", "axes", "link", "motor", "actual", "state", "states", "drive", "encoder"]
 )
 SIGNAL_WORDS = NO_UNIT | COMMAND | JOINT_WORDS
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
+BARE = re.compile(r"(joint|axis|axe|achse|eje|asse|jnt|j|a)[_ .]?#", re.IGNORECASE)  # a joint and no signal
 AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
 
 
@@ -155,6 +181,11 @@ class Group:
     columns: dict[str, str]
     reference: bool = False
     unit: str | None = None
+
+    @property
+    def assumed(self) -> bool:
+        """Whether it is taken for positions although its names name a joint alone."""
+        return self.kind == "position" and self.unit is None and BARE.fullmatch(self.stem) is not None
 
     @property
     def first(self) -> str:
@@ -261,7 +292,8 @@ def _vectors(names: Sequence[str], kind: str) -> dict[str, tuple[str, ...]]:
 
 
 def _words(text: str) -> list[str]:
-    plain = "".join(letter for letter in unicodedata.normalize("NFD", text) if not unicodedata.combining(letter))
+    english = IN_ASIAN.sub(lambda term: f" {ASIAN[term[0]]} ", unicodedata.normalize("NFKC", text))
+    plain = "".join(letter for letter in unicodedata.normalize("NFD", english) if not unicodedata.combining(letter))
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
     return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
 
@@ -281,10 +313,11 @@ def matched(
         commands, more = renamed_labels(commands, robot.actuated)
         names |= more
     pairs, how, by_order = _pairs(positions, commands, robot)
+    how += f", {positions.listed} taken for positions" * positions.assumed
     how += "".join(f", {label} taken for {joint}" for label, joint in names.items())
     columns, currents = ({joint: pair[k] for joint, pair in pairs.items()} for k in (0, 1))
     logged = {joint: labels[column] for joint, column in columns.items()}
-    return columns, currents, logged, how, not by_order and not names
+    return columns, currents, logged, how, not (by_order or names or positions.assumed)
 
 
 def _pairs(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict[str, tuple[str, str]], str, bool]:
@@ -341,5 +374,7 @@ def _chain(robot: Robot) -> tuple[str, ...]:
 
 
 def _ordered(labels: Iterable[str]) -> list[str]:
+    """Sort labels by the last numbers in them if all have one of their own."""
     labels = list(labels)
-    return sorted(labels, key=int) if all(label.isdigit() for label in labels) else labels
+    numbers = {label: int(digits[-1]) for label in labels if (digits := re.findall(r"\d+", label))}
+    return sorted(labels, key=numbers.__getitem__) if len({*numbers.values()}) == len(labels) else labels

@@ -13,6 +13,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import (
+    BARE,
     MEASURED,
     POSE,
     ColumnName,
@@ -161,6 +162,11 @@ class LogContents:
             for name, count in Counter(table.columns).items()
             if name and count == 1
         ]
+        if not _kind_of(path) and all(name.kind != "position" for name in names):
+            bare = [name.kind is None and BARE.fullmatch(name.stem) for name in names]
+            names = [
+                replace(name, kind="position") if is_bare else name for name, is_bare in zip(names, bare, strict=True)
+            ]
         groups = grouped(names)
         is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not _kind_of(path)
         if table.numbered or is_matrix:  # one array whose name says nothing of its columns

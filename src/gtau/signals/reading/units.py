@@ -242,18 +242,18 @@ class Units(optional_keys(Optional)):  # type: ignore[misc]
 
 
 SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
-    "time": "s: s sec secs second seconds sek; ms: ms msec msecs millis milliseconds; us: us usec usecs microseconds; "
-    "ns: ns nsec nsecs nanoseconds; min: min minutes",
+    "time": "s: s sec secs second seconds sek 秒 초; ms: ms msec msecs millis milliseconds 毫秒 ミリ秒 밀리초; "
+    "us: us usec usecs microseconds; ns: ns nsec nsecs nanoseconds; min: min minutes",
     # in German, Grad is no gon
-    "position": "rad: rad rads radian radians radiant; mrad: mrad; deg: deg degs degree degrees ° grad grado gradi; "
-    "cdeg: cdeg; mdeg: mdeg millideg; arcmin: arcmin; arcsec: arcsec; gon: gon gons; m: m meter meters metre metres; "
-    "mm: mm millimeter; cm: cm; um: um micron microns; inch: inch inches; turn: turn turns rev revs revolution "
-    "revolutions rot rotation rotations umdr umdrehungen tours",
-    "current": "A: a amp amps ampere amperes arms aeff; "
-    "mA: ma mamp mamps milliamp milliamps milliampere milliamperes marms",
-    "torque": "N m: nm newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; dN m: dnm; "
-    "daN m: danm; kN m: knm; kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; gf cm: gfcm gcm; "
-    "lbf ft: lbfft lbft ftlb ftlbs ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; ozf inch: ozin ozfin inoz; "
+    "position": "rad: rad rads radian radians radiant 弧度 ラジアン 라디안; mrad: mrad; "
+    "deg: deg degs degree degrees ° 度 도 grad grado gradi; cdeg: cdeg; mdeg: mdeg millideg; arcmin: arcmin; "
+    "arcsec: arcsec; gon: gon gons; m: m meter meters metre metres; mm: mm millimeter; cm: cm; um: um micron microns; "
+    "inch: inch inches; turn: turn turns rev revs revolution revolutions rot rotation rotations umdr umdrehungen tours",
+    "current": "A: a amp amps ampere amperes arms aeff 安 安培 アンペア 암페어; "
+    "mA: ma mamp mamps milliamp milliamps milliampere milliamperes marms 毫安",
+    "torque": "N m: nm 牛米 newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; "
+    "dN m: dnm; daN m: danm; kN m: knm; kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; "
+    "gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; ozf inch: ozin ozfin inoz; "
     "N: n newton newtons; kN: kn; kgf: kgf kp",
     "share": "%: % percent pct prozent; ‰: ‰ permille promille 0.1% 1/1000",
     "other": ": v mv volt volts w watt watts kw hz khz °c degc c celsius k kelvin bar pa j bool",
