@@ -771,8 +771,8 @@ def test_logs_that_are_no_files(here: Path, kind: str) -> None:
         os.mkfifo(here / "free.csv")
     result = run("check", "experiment.yaml")
     assert result.exit_code == 2
-    what = "it is a link to 'gone.csv', which does not exist" if kind == "link" else "is a device or a pipe"
-    assert f"there is no file 'free.csv'; {'' if kind == 'link' else 'it '}{what}." in result.stderr
+    what = "a link to 'gone.csv', which does not exist" if kind == "link" else "a device or a pipe, not a file"
+    assert f"'free.csv' is {what}" in result.stderr
 
 
 @pytest.mark.parametrize(

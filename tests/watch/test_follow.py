@@ -114,7 +114,7 @@ def test_a_file_without_lines_is_no_text_log(model: Result, tmp_path: Path, monk
 
 def test_a_pipe_among_logs_is_no_log(model: Result, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "log.csv")
-    with pytest.raises(GtauError, match="it is a device or a pipe; give a folder"):
+    with pytest.raises(GtauError, match="is a device or a pipe, not a file; give a folder"):
         next(follow(Watch(model), tmp_path / "log.csv", Path.read_text, BLOCK))
     assert list(follow(Watch(model), tmp_path, Path.read_text, BLOCK, lambda: True)) == []
 

@@ -138,8 +138,11 @@ def beside(folder: Path, path: str | Path) -> Path:
 def regular(path: Path) -> Path:
     """Return a path that is not a device or pipe, whose reading might never end; raises OSError otherwise."""
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise OSError(errno.EINVAL, "it is a device or a pipe")
+        raise OSError(errno.EINVAL, NO_FILE)
     return path
+
+
+NO_FILE = "is a device or a pipe, not a file"
 
 
 @contextmanager
@@ -152,7 +155,8 @@ def system_refusals(path: Path, advice: str = "check the path") -> Iterator[None
         raise
     except OSError as error:
         why = (error.strerror or str(error)).lower()
-        raise unreadable(f"{path} cannot be read: {why}; {advice}.", error) from None
+        what = f"{path} {NO_FILE}" if why == NO_FILE else f"{path} cannot be read: {why}"
+        raise unreadable(f"{what}; {advice}.", error) from None
 
 
 def read_at_most(size: int, path: Path, larger: str) -> bytes:
@@ -283,6 +287,8 @@ def refuse_other_kind(path: str | Path, wanted: str) -> None:
     if kind is None or kind == wanted:
         return
     advice = CONVERSIONS.get(Path(path).suffix.lower(), USES[kind]) if kind == BINARY else USES[kind]
+    if (kind, wanted) == (LOG, MODEL):
+        advice = "give the MODEL.json first, then the logs"
     if kind == FOLDER:
         inside = sorted(file for file in Path(path).glob("*") if file.is_file() and kind_of(file) == wanted)
         advice += f", such as {inside[0]}" if inside else ""

@@ -532,7 +532,7 @@ def wide(path: Path) -> None:
         ("log.npz", crowded, "log.npz: it holds more than 5000 arrays"),
         ("log.h5", empty, r"log.h5: 't\x1b\n' is said to hold 1000000000000 numbers, more than the file can"),
         ("log.h5", elsewhere, "log.h5: the values of 't' are in other files"),
-        ("set", of_pipes, "file-001.parquet cannot be read: it is a device or a pipe"),
+        ("set", of_pipes, "file-001.parquet is a device or a pipe, not a file"),
         ("set", described, "info.json is not a readable description"),
         ("log.csv", wide, "log.csv: it has 30000 columns, and at most 20000 are read"),
     ],

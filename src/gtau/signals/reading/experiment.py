@@ -18,7 +18,7 @@ from pydantic import (
     model_validator,
 )
 
-from gtau.documents.files import EXPERIMENT, beside, matching, refuse_other_kind
+from gtau.documents.files import EXPERIMENT, NO_FILE, beside, matching, refuse_other_kind
 from gtau.documents.validation import PATH, Keys, Positive, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
@@ -49,8 +49,8 @@ def file_or_name(robot: str, folder: Path) -> str:
     file = beside(folder, robot)
     if file.is_file() or (file / "robot.urdf").is_file():
         return str(file)
-    if file.suffix or "/" in robot:
-        raise ValueError(f"there is no file '{file}'{_close_file(file)}")
+    if file.suffix or "/" in robot or (file.exists() and not file.is_dir()):
+        raise ValueError(_no_file(file))
     return robot
 
 
@@ -102,7 +102,7 @@ class LoggedRun(Part):
                         f"the folder '{existing}' holds no .parquet files and is not a rosbag2; give a file, or "
                         "such a folder"
                     )
-                raise ValueError(f"there is no file '{existing}'{_close_file(existing)}")
+                raise ValueError(_no_file(existing))
         if len({len(logs) for logs in matches}) > 1:
             raise ValueError(
                 f"'{log[0]}' matches {len(matches[0])} files and '{log[1]}' {len(matches[1])}; they are paired in "
@@ -121,15 +121,16 @@ def _logs_at(path: Path) -> list[Path]:
     return [match for match in matching(path) if match == path or match.suffix not in (".yaml", ".yml")]
 
 
-def _close_file(path: Path) -> str:
+def _no_file(path: Path) -> str:
+    """Say what is at a path in place of a file, or which file was meant."""
     if path.is_symlink():
-        return f"; it is a link to '{path.readlink()}', which does not exist"
+        return f"'{path}' is a link to '{path.readlink()}', which does not exist; correct the link or the path"
     if path.exists():
-        return "; it is a device or a pipe"
+        return f"'{path}' {NO_FILE}; give the path of a file"
     names = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
     if close := get_close_matches(path.name, names, n=1):
-        return f"; did you mean '{close[0]}'?"
-    return "; paths are relative to the file that names them"
+        return f"there is no file '{path}'; did you mean '{close[0]}'?"
+    return f"there is no file '{path}'; paths are relative to the file that names them"
 
 
 class Experiment(Keys):

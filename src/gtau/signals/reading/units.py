@@ -253,8 +253,8 @@ SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
     "mA: ma mamp mamps milliamp milliamps milliampere milliamperes marms 毫安",
     "torque": "N m: nm 牛米 newtonmeter newtonmeters; mN m: mnm; uN m: unm; N cm: ncm; N mm: nmm; cN m: cnm; "
     "dN m: dnm; daN m: danm; kN m: knm; kgf m: kgfm kgm kpm; kgf cm: kgfcm kgcm kpcm; kgf mm: kgfmm kgmm; "
-    "gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; ozf inch: ozin ozfin inoz; "
-    "N: n newton newtons; kN: kn; kgf: kgf kp",
+    "gf cm: gfcm gcm; lbf ft: lbfft lbft ftlb ftlbs ftlbf; lbf inch: lbfin lbin inlb inlbs inlbf; "
+    "ozf inch: ozin ozfin inoz; N: n newton newtons; kN: kn; kgf: kgf kp",
     "share": "%: % percent pct prozent; ‰: ‰ permille promille 0.1% 1/1000",
     "other": ": v mv volt volts w watt watts kw hz khz °c degc c celsius k kelvin bar pa j bool",
 }
