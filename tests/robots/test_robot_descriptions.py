@@ -66,8 +66,8 @@ def test_a_file_on_disk_is_read_by_the_name_of_its_module(cache: Path) -> None:
 
 def test_what_it_does_not_have_is_refused(cache: Path) -> None:
     for name, sentence in (
-        ("made", "is made by xacro; give the path of its xacro file"),
-        ("broken", "broken_description.py cannot be read"),
+        ("made", "names no URDF or MJCF file of 'made_description'; where xacro makes it, give the path"),
+        ("broken", "names no URDF or MJCF file of 'broken_description'"),
         ("two", "no robot is called 'two'"),
         ("_repositories", "no robot is called '_repositories'"),
     ):

@@ -54,12 +54,13 @@ def linear(text: str, names: Mapping[str, float] | None = None) -> AffineInQ:
         raise ValueError(f"'{text}' divides by zero") from None
     except OverflowError:
         value = math.inf
-    constant, coefficient, *more = (*(value.coef if isinstance(value, Polynomial) else [value]), 0.0)
-    if any(more):
+    factors = [*map(float, value.coef)] if isinstance(value, Polynomial) else [float(value)]
+    if any(factors[2:]):
         raise ValueError(ALONE)
-    if not all(map(math.isfinite, (coefficient, constant))):
+    constant, coefficient = [*factors, 0.0][:2]
+    if not math.isfinite(coefficient + constant):
         raise ValueError(f"'{text}' has no finite value")
-    return float(coefficient), float(constant)
+    return coefficient, constant
 
 
 QUOTED = re.compile("`([^`]+)`")

@@ -6,8 +6,8 @@ paths that they join, below the package's folder of repositories. Nothing is exe
 
 from __future__ import annotations
 
-import ast
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from difflib import get_close_matches
@@ -32,7 +32,9 @@ GROUP = "gtau.robots"  # of the entry points that name packages with robot files
 LOOPS = ("closed_loop", "name_mot")  # keys that distinguish a file of loops from a robot file
 PACKAGE = "robot_descriptions"
 FILES = ("URDF_PATH", "MJCF_PATH")
-Value = Path | str | None
+ASSIGNED = re.compile(r"^(\w+)(?:: *str)? *= *_?(clone_to_cache|path\.join)\(([^()]*)", re.MULTILINE)
+ARGUMENT = re.compile(r"(?:^|,)\s*(?:(\w+)|[\"']([^\"']*)[\"'])\s*(?=,|$)")  # no keyword
+REPOSITORY = re.compile(r"[\"']([^\"']+)[\"']: *\w+\([^()]*?cache_path *= *[\"']([^\"']+)[\"']")
 ENDINGS = ".yaml, .urdf, .xacro, .xml (MJCF), .par or .csv"
 
 
@@ -187,58 +189,31 @@ def _described(name: str) -> Path | None:
     module = next((path for path in modules if path.stem.endswith("_description") and path.is_file()), None)
     if module is None:
         return None
-    known: dict[str, Value] = {}
-    repositories = _repositories(module.with_name("_repositories.py"))
-    for statement in _parsed(module).body:
-        if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name) and statement.value:
-            known[statement.target.id] = _value(statement.value, known, repositories)
+    try:
+        texts = [file.read_text(encoding="utf-8") for file in (module, module.with_name("_repositories.py"))]
+    except (OSError, ValueError):
+        raise GtauError(f"{module} cannot be read; install the package {PACKAGE} again, or give a file.") from None
+    cache = Path(os.environ.get("ROBOT_DESCRIPTIONS_CACHE", f"~/.cache/{PACKAGE}")).expanduser()
+    known: dict[str, Path | None] = {}
+    repositories = dict(REPOSITORY.findall(texts[1]))
+    for variable, function, written in ASSIGNED.findall(texts[0]):
+        first, *parts = ARGUMENT.findall(written)
+        if function == "clone_to_cache":
+            known[variable] = cache / repositories[first[1]] if first[1] in repositories else None
+        elif (folder := known.get(first[0])) is not None:
+            known[variable] = folder.joinpath(*(text or str(known.get(name)) for name, text in parts))
     file = next((known[variable] for variable in FILES if known.get(variable)), None)
     if file is None:
         raise GtauError(
-            f"the URDF of '{module.stem}' of the package {PACKAGE} is made by xacro; give the path of its xacro file."
+            f"the package {PACKAGE} names no URDF or MJCF file of '{module.stem}'; where xacro makes it, give the path "
+            "of the xacro file."
         )
-    if not Path(file).is_file():
+    if not file.is_file():
         raise GtauError(
             f"the package {PACKAGE} has '{module.stem}', but not its file on disk ({file}); fetch it ('{PACKAGE} pull "
             f"{module.stem}'), or give the robot's file."
         )
-    return Path(file)
-
-
-def _parsed(module: Path) -> ast.Module:
-    try:
-        return ast.parse(module.read_text(encoding="utf-8"))
-    except (OSError, SyntaxError, ValueError):
-        raise GtauError(f"{module} cannot be read; install the package {PACKAGE} again, or give a file.") from None
-
-
-def _repositories(module: Path) -> dict[str, str]:
-    """Find the folder of each repository, relative to the common folder."""
-    repositories: dict[str, str] = {}
-    tables = [node for node in ast.walk(_parsed(module)) if isinstance(node, ast.Dict)]
-    for key, value in (entry for table in tables for entry in zip(table.keys, table.values, strict=True)):
-        for word in value.keywords if isinstance(value, ast.Call) else ():
-            if word.arg == "cache_path" and isinstance(key, ast.Constant) and isinstance(word.value, ast.Constant):
-                repositories[str(key.value)] = str(word.value.value)
-    return repositories
-
-
-def _value(node: ast.expr, known: Mapping[str, Value], repositories: Mapping[str, str]) -> Value:
-    """Evaluate a name, a text, a join of paths or the folder of a repository; None for anything else."""
-    if isinstance(node, ast.Constant):
-        return str(node.value)
-    if isinstance(node, ast.Name):
-        return known.get(node.id)
-    if not isinstance(node, ast.Call) or not node.args:
-        return None
-    called = ast.unparse(node.func).lstrip("_")
-    parts = [_value(argument, known, repositories) for argument in node.args]
-    if called == "path.join" and None not in parts:
-        return Path(*(part for part in parts if part is not None))
-    if called == "clone_to_cache" and parts[0] in repositories:
-        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", f"~/.cache/{PACKAGE}")
-        return Path(folder).expanduser() / repositories[str(parts[0])]
-    return None
+    return file
 
 
 def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str, Placement]:

@@ -12,11 +12,13 @@ import operator
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 from unittest.mock import patch
 
+from gtau.documents.expressions import OPERATORS as ARITHMETIC
 from gtau.errors import GtauError, missing_extra, short
 
 LARGEST = 1e30  # of a product: larger ones of whole numbers may take for ever
@@ -40,24 +42,13 @@ def _of_numbers(operation: Callable[..., Any]) -> Callable[..., Any]:
 
 
 OPERATORS: Mapping[type, Callable[..., Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
+    **ARITHMETIC,
+    **{ast.FloorDiv: operator.floordiv, ast.UAdd: operator.pos, ast.USub: operator.neg, ast.Not: operator.not_},
+    **{ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge},
+    **{ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Is: operator.is_, ast.IsNot: operator.is_not},
     ast.Mult: _of_numbers(operator.mul),
-    ast.Div: operator.truediv,
-    ast.FloorDiv: operator.floordiv,
     ast.Mod: _of_numbers(operator.mod),
     ast.Pow: _of_numbers(lambda base, power: float(base) ** float(power)),
-    ast.UAdd: operator.pos,
-    ast.USub: operator.neg,
-    ast.Not: operator.not_,
-    ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
-    ast.Lt: operator.lt,
-    ast.LtE: operator.le,
-    ast.Gt: operator.gt,
-    ast.GtE: operator.ge,
-    ast.Is: operator.is_,
-    ast.IsNot: operator.is_not,
     ast.In: lambda item, items: item in items,
     ast.NotIn: lambda item, items: item not in items,
 }
@@ -72,61 +63,63 @@ METHODS = {
 }
 
 
-def evaluated(text: str, names: Mapping[str, Any], functions: Sequence[Any] = ()) -> Any:
-    """Evaluate an expression of a xacro file with the values of ``names``; raises ValueError for any other text."""
-    known = (*FUNCTIONS, *functions)
+@dataclass(frozen=True)
+class _Expression:
+    """What an expression may use: values of ``names``, no function but the ``known``."""
 
-    def used(value: Any, node: ast.expr) -> Any:
-        if callable(value) and not any(value is function for function in known):
-            raise ValueError(f"'{ast.unparse(node)}' is not read in xacro files")
-        return value
+    names: Mapping[str, Any]
+    known: Sequence[Any]
 
-    def first_of(items: Sequence[ast.expr], stop: bool) -> Any:
-        values = (value(item) for item in items)
-        some: Any = None
-        for some in values:
-            if bool(some) is stop:
-                break
-        return some
-
-    def value(node: ast.expr) -> Any:
+    def value(self, node: ast.expr) -> Any:
+        """Evaluate a part of an expression; raises ValueError for what is not read."""
         match node:
-            case ast.Constant(value=constant):
-                return constant
+            case ast.Constant(value=result):
+                pass
             case ast.Name(id=name):
                 try:
-                    return used(names[name], node)
+                    result = self.names[name]
                 except KeyError:
                     raise ValueError(f"unknown name '{name}'") from None
             case ast.UnaryOp(op=sign, operand=operand) if type(sign) in OPERATORS:
-                return OPERATORS[type(sign)](value(operand))
+                result = OPERATORS[type(sign)](self.value(operand))
             case ast.BinOp(left=left, op=sign, right=right) if type(sign) in OPERATORS:
-                return OPERATORS[type(sign)](value(left), value(right))
-            case ast.BoolOp(op=sign, values=items):
-                return first_of(items, isinstance(sign, ast.Or))
+                result = OPERATORS[type(sign)](self.value(left), self.value(right))
+            case ast.BoolOp(op=sign, values=[*first, last]):
+                stop, values = isinstance(sign, ast.Or), (self.value(item) for item in first)
+                result = next((value for value in values if bool(value) is stop), self)
+                result = self.value(last) if result is self else result
             case ast.Compare(left=left, ops=signs, comparators=others):
-                terms = [value(term) for term in (left, *others)]
-                return all(OPERATORS[type(sign)](*pair) for sign, *pair in zip(signs, terms, terms[1:], strict=False))
+                terms = [self.value(term) for term in (left, *others)]
+                result = all(OPERATORS[type(sign)](*pair) for sign, *pair in zip(signs, terms, terms[1:], strict=False))
             case ast.IfExp(test=test, body=body, orelse=orelse):
-                return value(body) if value(test) else value(orelse)
+                result = self.value(body if self.value(test) else orelse)
             case ast.List(elts=items) | ast.Tuple(elts=items):
-                return [value(item) for item in items]
+                result = [self.value(item) for item in items]
             case ast.Subscript(value=items, slice=ast.Slice(lower=lower, upper=upper, step=None)):
-                return value(items)[slice(*(part and value(part) for part in (lower, upper)))]
+                result = self.value(items)[slice(*(part and self.value(part) for part in (lower, upper)))]
             case ast.Subscript(value=items, slice=key):
-                return used(value(items)[value(key)], node)
-            case ast.Call(func=ast.Attribute(value=owner, attr=name), args=arguments, keywords=[]) if any(
-                isinstance(value(owner), kind) and name in methods for kind, methods in METHODS.items()
-            ):
-                return getattr(value(owner), name)(*map(value, arguments))
-            case ast.Attribute(value=owner, attr=name) if isinstance(value(owner), dict):
-                return used(value(owner)[name], node)
+                result = self.value(items)[self.value(key)]
             case ast.Call(func=function, args=arguments, keywords=[]):
-                return value(function)(*map(value, arguments))
+                result = self._called(function)(*map(self.value, arguments))
+            case ast.Attribute(value=owner, attr=name) if isinstance(self.value(owner), dict):
+                result = self.value(owner)[name]
             case _:
                 raise ValueError(f"'{ast.unparse(node)}' is not read in xacro files")
+        if callable(result) and not any(result is function for function in self.known):
+            raise ValueError(f"'{ast.unparse(node)}' is not read in xacro files")
+        return result
 
-    return value(ast.parse(text.strip(), mode="eval").body)
+    def _called(self, function: ast.expr) -> Any:
+        if isinstance(function, ast.Attribute):
+            owner = self.value(function.value)
+            if any(isinstance(owner, kind) and function.attr in methods for kind, methods in METHODS.items()):
+                return getattr(owner, function.attr)
+        return self.value(function)
+
+
+def evaluated(text: str, names: Mapping[str, Any], functions: Sequence[Any] = ()) -> Any:
+    """Evaluate an expression of a xacro file with the values of ``names``; raises ValueError for any other text."""
+    return _Expression(names, (*FUNCTIONS, *functions)).value(ast.parse(text.strip(), mode="eval").body)
 
 
 @contextmanager
@@ -163,7 +156,9 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
         stack.enter_context(patch.object(xacro.substitution_args, "_eval_find", find))
         stack.enter_context(patch.object(xacro.substitution_args, "eval", read_in_eval, create=True))
         try:
-            document = xacro.process_file(str(path), mappings={name: _text(value) for name, value in arguments.items()})
+            texts = {name: str(value) for name, value in arguments.items()}
+            texts |= {name: str(value).lower() for name, value in arguments.items() if isinstance(value, bool)}
+            document = xacro.process_file(str(path), mappings=texts)
         except Exception as error:  # xacro wraps what it likes
             while isinstance(cause := getattr(error, "exc", None), Exception):
                 error = cause
@@ -179,7 +174,3 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
             yield urdf
         except GtauError as error:
             raise GtauError(str(error).replace(str(urdf), str(path))) from None
-
-
-def _text(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)

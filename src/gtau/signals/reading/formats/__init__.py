@@ -70,8 +70,9 @@ class LogTable:
             for frame, done in self.frames(logged, rows):
                 read = {name: _floats(frame[:, k]) for k, name in enumerate(logged)}
                 for column in self.columns:
-                    for text in (read[part][1] for part in parts[column] if read[part][1] is not None):
-                        self.texts.setdefault(column, text)
+                    for text in (read[part][1] for part in parts[column]):
+                        if text is not None:
+                            self.texts.setdefault(column, text)
                     self.clocks.update([column] * any(read[part][2] for part in parts[column]))
                 numbers = {name: column for name, (column, *_) in read.items()}
                 columns = [combined(name, numbers) if name in self.sums else numbers[name] for name in self.columns]
@@ -92,11 +93,12 @@ def _floats(series: pl.Series) -> tuple[np.ndarray, str | None, bool]:
     """Read the finite numbers of a column, nan for other entries; the first of these; whether they are times in s."""
     import polars as pl
 
-    column, is_clock = series, False
-    if not series.dtype.is_numeric():
-        numbers = None if series.dtype.is_temporal() else series.cast(pl.Float64, strict=False)
-        times = seconds(series) if numbers is None or numbers.null_count() == len(numbers) else None
-        column, is_clock = (numbers if times is None else times), times is not None
+    column, times = series, None
+    if not series.dtype.is_temporal():
+        column = series.cast(pl.Float64, strict=False)
+    if series.dtype.is_temporal() or (series.dtype == pl.String and column.null_count() == len(column)):
+        times = seconds(series)
+    is_clock, column = times is not None, column if times is None else times
     values = column.cast(pl.Float64, strict=False).to_numpy().astype(float)  # null becomes nan
     bad = np.flatnonzero(~np.isfinite(values))
     if not bad.size:

@@ -95,7 +95,7 @@ def _columns(schema: Mapping[str, pl.DataType], table: pl.LazyFrame) -> dict[str
     import polars as pl
 
     columns: list[pl.Expr] = []
-    entries = [(name, kind, pl.col(name)) for name, kind in schema.items()]
+    entries: list[tuple[str, Any, pl.Expr]] = [(name, kind, pl.col(name)) for name, kind in schema.items()]
     while entries:
         name, kind, column = entries.pop(0)
         if isinstance(kind, pl.Struct):

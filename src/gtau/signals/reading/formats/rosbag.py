@@ -194,7 +194,7 @@ def _values(bag: Any, connection: Any, received: int, raw: bytes) -> tuple[dict[
     else:
         message = bag.deserialize(raw, connection.msgtype)
     fields = vars(message)
-    joints = next((fields[key] for key in ("name", "joint_names") if isinstance(fields.get(key), list)), [])
+    joints: list[str] = next((fields[key] for key in ("name", "joint_names") if isinstance(fields.get(key), list)), [])
     values = dict[str, float]()
     for key, field in fields.items():
         if joints and isinstance(field, (list, np.ndarray)) and len(field) == len(joints):

@@ -100,13 +100,13 @@ def _columns(titles: dict[int, tuple[str, ...]], width: int) -> tuple[tuple[str,
     if not names:
         return numbers(width), {}, []
     (line, columns), *below = names.items()
-    taken = [line, *filter(None, [unit_line])]
+    taken = [line] if unit_line is None else [line, unit_line]
     columns += ("",) * (width - len(columns))
     if below and len(set(columns)) < width:
-        spanning = accumulate(columns, lambda before, name: name or before)
+        spanning: Iterator[str] = accumulate(columns, lambda before, name: name or before)
         columns = tuple(f"{name} {lower}".strip() for name, lower in zip(spanning, below[0][1], strict=True))
         taken.append(below[0][0])
-    by_column = zip(columns, units.get(unit_line) or (), strict=False)
+    by_column = zip(columns, units[unit_line] if unit_line is not None else (), strict=False)
     return columns, {name: unit for name, unit in by_column if unit}, taken
 
 
