@@ -384,7 +384,7 @@ def test_torque_sensors_beside_currents(name: str, tmp_path: Path) -> None:
     text = draft_text(draft, tmp_path)
     (line,) = [each for each in text.splitlines() if "joint_torque:" in each]
     assert line.lstrip().startswith("#") == (name == "tau")
-    assert ("CHECK: torques of sensors" in text) == ("torques" in draft.open) == (name == "tau")
+    assert ("remove the '#' of joint_torque" in text) == ("torques" in draft.open) == (name == "tau")
     assert "Not used" not in text
     (tmp_path / "experiment.yaml").write_text(text.replace("NAME-OR-FILE", "five-bar"), encoding="utf-8")
     if name == "torque_sensor":
@@ -572,8 +572,8 @@ def test_columns_of_a_base_and_of_wrenches_are_named(tmp_path: Path) -> None:
     assert ",".join(draft.unused.wrenches) == hook
     assert draft.unused.others == ("other",)
     text = draft_text(draft, tmp_path)
-    assert "# CHECK: px, py, pz, qw, qx, qy, qz look like the motion of a base." in text
-    assert "# CHECK: hook_fx, hook_fy, hook_fz, hook_mx, hook_my, hook_mz look like forces and moments." in text
+    assert "# CHECK: px, py, pz, qw, qx, qy, qz: if the base of the robot moved, write" in text
+    assert "# CHECK: hook_fx, hook_fy, hook_fz, hook_mx, hook_my, hook_mz: if forces that act on the robot" in text
     fixed = discover([log], base="fixed")
     assert (fixed.unused.motion, fixed.robot["base"], fixed.unused.wrenches) == (
         (),

@@ -236,8 +236,7 @@ def experiment_of(
     from gtau.signals.reading.drafting import alternatives, draft_logs, guesses, to_weigh, with_sensors, write_draft
 
     masses = _masses(payloads or [])
-    of_logs = None if kind is None else kind.value
-    drafted = draft_logs(sources, robot, masses=masses, kind=of_logs, preset=preset, xacro=xacro)
+    drafted = draft_logs(sources, robot, None, masses, None if kind is None else kind.value, preset, xacro)
     draft = to_weigh(drafted) if weigh else with_sensors(drafted)
     if "file" not in draft.robot:
         raise GtauError(

@@ -56,7 +56,7 @@ BUILTINS = (list, dict, tuple, len, str, float, int, bool, min, max, round, abs,
 FUNCTIONS = (*BUILTINS, *(function for function in vars(math).values() if callable(function)))
 OF_XACRO = ("load_yaml", "abs_filename", "dotify", "arg", "message", "warning", "error", "fatal", "tokenize")
 OF_EVAL = ("arg", "dirname", "env", "optenv", "find")  # in $(eval ...)
-METHODS = {
+METHODS: Mapping[type, tuple[str, ...]] = {
     str: ("split", "strip", "replace", "lower", "upper", "startswith", "endswith"),
     dict: ("get", "keys", "values", "items"),
     list: ("index", "count"),
@@ -72,9 +72,10 @@ class _Expression:
 
     def value(self, node: ast.expr) -> Any:
         """Evaluate a part of an expression; raises ValueError for what is not read."""
+        result: Any
         match node:
-            case ast.Constant(value=result):
-                pass
+            case ast.Constant(value=constant):
+                result = constant
             case ast.Name(id=name):
                 try:
                     result = self.names[name]

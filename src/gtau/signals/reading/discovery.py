@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -10,11 +10,12 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau.documents.validation import read_group
-from gtau.errors import GtauError, short
+from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading.column_names import POSE, Group, base_like, has_word, matched, renamed_labels, wrench_like
 from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.formats import listed
 from gtau.signals.reading.log_contents import COMMANDS, LogContents
 from gtau.signals.reading.statements import masses_in_name
 from gtau.signals.reading.units import SI, is_unit, read_unit
@@ -100,12 +101,6 @@ class Draft:
     unused: Unused
     stated: frozenset[Path] = frozenset()
     urdf: str | None = None
-
-
-def listed(columns: Iterable[str]) -> str:
-    """List some columns, the first eight of many."""
-    columns = tuple(columns)
-    return ", ".join(map(short, columns[:8])) + (", ..." if len(columns) > 8 else "")
 
 
 def listed_units(units: Mapping[str, Any]) -> str:
@@ -217,8 +212,7 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
     """Select the columns of positions and of commands; raises GtauError where a log has none."""
     positions, commands = log.group("position"), command_log.command_group()
     if positions is None or commands is None:
-        names = log.table.columns
-        columns = ", ".join(map(short, names[:20])) + (", ..." if len(names) > 20 else "")
+        columns = listed(log.table.columns, 20)
         what = "positions" if positions is None else "currents or torques"
         still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
         columns += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)
@@ -226,12 +220,6 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
         raise GtauError(
             f"no columns of {what} are recognised among {columns}; {named}write the experiment file by hand "
             "(docs/lookup/experiment-file.md), or rename columns or arrays, such as q1 and current1.",
-            source=log.table.path,
-        )
-    if log.elsewhere and len(positions.columns) == 1:
-        raise GtauError(
-            f"every joint has a topic of its own ({listed((positions.first, *log.elsewhere[:7]))}), but gtau takes the "
-            "positions of a run from one; merge the topics into a table with one clock.",
             source=log.table.path,
         )
     return positions, commands

@@ -19,7 +19,8 @@ from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading.columns import PRESETS, SampleRate
-from gtau.signals.reading.discovery import QUESTIONS, Draft, discover, listed
+from gtau.signals.reading.discovery import QUESTIONS, Draft, discover
+from gtau.signals.reading.formats import listed
 from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
 
@@ -248,17 +249,11 @@ def _unused(draft: Draft) -> Iterator[str]:
             yield f"  # {signal.key}: {_flow(columns)}  # {signal.effect}: remove the first '#'"
     if unused.pose:
         yield f"  # A pose tests the robot's geometry; if {listed(unused.pose)} hold one, describe it under 'pose:'."
-    if unused.motion:
-        yield f"  # {CHECK}{listed(unused.motion)} look like the motion of a base. If it moved, write"
-        yield "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here"
-        yield "  # (docs/lookup/experiment-file.md, 'A base that floats')."
-    if unused.wrenches:
-        yield f"  # {CHECK}{listed(unused.wrenches)} look like forces and moments. Describe those that act"
-        yield "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'"
-        yield "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies')."
+    doubtful = {"base": unused.motion, "wrenches": unused.wrenches, "torques": unused.torques.values()}
+    for key, columns in doubtful.items():
+        if columns:
+            yield f"  # {CHECK}{listed(columns)}: {QUESTIONS[key]}."
     if unused.torques:
-        yield f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
-        yield "  # gains; if these columns are such torques, remove the '#':"
         yield from (f"  #{line[1:]}" for line in _by_joint("joint_torque", unused.torques, ""))
     if unused.others:
         yield f"  # Not used: columns {'; '.join(unused.others)}."

@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike
 
 from gtau.documents.expressions import columns_in
 from gtau.documents.files import system_refusals
-from gtau.errors import GtauError, short
+from gtau.errors import GtauError
 from gtau.extensions import find
 from gtau.findings import Finding, moment
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.column_names import split_name
 from gtau.signals.reading.columns import PRESETS, Signals
-from gtau.signals.reading.formats import ALL, LONGEST_STEP, MOST_COLUMNS, LogTable, interpolated, reading
+from gtau.signals.reading.formats import ALL, LONGEST_STEP, MOST_COLUMNS, LogTable, interpolated, listed, reading
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
@@ -114,8 +114,7 @@ def _refuse_missing(names: Iterable[str], table: LogTable) -> None:
             )
         close = get_close_matches(name, columns, n=1)
         hint = f"did you mean '{close[0]}'? The" if close else "the"
-        listed = ", ".join(map(short, columns[:40])) + (", ..." if len(columns) > 40 else "")
-        raise GtauError(f"there is no column '{name}'; {hint} columns are {listed}.", source=path)
+        raise GtauError(f"there is no column '{name}'; {hint} columns are {listed(columns, 40)}.", source=path)
 
 
 def read_logs(

@@ -5,7 +5,7 @@ A module names its readers in a constant ``LOG_FORMATS``, by the endings of the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -177,6 +177,12 @@ def repair(
     grade = Grade.WARNING if share > COSTLY else Grade.INFORMATION
     note = reading(kind, text, advice, joints)
     return replace(note, share=share, time=time, grade=grade, shown_as="repair")
+
+
+def listed(columns: Iterable[str], most: int = 8) -> str:
+    """List some columns, the first of many."""
+    columns = tuple(columns)
+    return ", ".join(map(short, columns[:most])) + ", ..." * (len(columns) > most)
 
 
 def listed_joints(joints: Sequence[str]) -> str:
