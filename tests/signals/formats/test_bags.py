@@ -84,19 +84,23 @@ def state(time: float, joints: tuple[str, ...], effort: bool = True) -> dict[str
 
 
 def test_columns_are_those_of_all_messages(write: Callable[..., Path]) -> None:
-    """A gripper speaks first, and the arm's two joints have names of the same length as another gripper's."""
+    """A gripper speaks first, with names as long as the arm's, and a wrist once, in the last message."""
 
     def messages() -> Iterator[tuple[float, str, str, dict[str, Any]]]:
         for time in TIME:
-            yield time - 0.002, "/joint_states", STATE, state(time, ("gripper_", "fing"))
+            yield time - 0.002, "/joint_states", STATE, state(time, ("gripper_", "fing_"))
             yield time, "/joint_states", STATE, state(time, ("shoulder", "elbow"))
-            yield time + 0.001, "/joint_states", STATE, state(time, ("shoulder", "wrist"))
+        yield TIME[-1] + 0.001, "/joint_states", STATE, state(TIME[-1], ("lifting_", "wrist"))
 
     bag = write(messages())
     columns = find_columns(bag).columns
-    assert {f"/joint_states/{joint}/position" for joint in (*JOINTS, "gripper_", "fing", "wrist")} <= {*columns}
+    joints = (*JOINTS, "gripper_", "fing_", "lifting_", "wrist")
+    assert {f"/joint_states/{joint}/position" for joint in joints} <= {*columns}
     draft = discover([bag], ARM, "arm.yaml")
     assert draft.signals.position == {joint: f"/joint_states/{joint}/position" for joint in JOINTS}
+    run = read_run(bag, draft.signals)
+    assert "rows that hold only other signals" in str(run.notes)
+    np.testing.assert_allclose(run.position, np.column_stack([q(k, run.time) for k in (0, 1)]), atol=1e-6)
 
 
 def test_dynamic_joint_states(write: Callable[..., Path]) -> None:
