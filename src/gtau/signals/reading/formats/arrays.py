@@ -62,7 +62,8 @@ def open_npz(path: Path) -> LogTable:
             elif dtype.kind == "U" and len(shape) == 1 and shape[0] <= WIDEST:
                 texts.append(name)
             for field, (kind, *_) in (dtype.fields or {}).items():
-                places[f"{name}.{field}"], shapes[f"{name}.{field}"] = (name, field), (*shape, *kind.shape)
+                if kind.base.kind in TIMED:
+                    places[f"{name}.{field}"], shapes[f"{name}.{field}"] = (name, field), (*shape, *kind.shape)
             if dtype.kind in TIMED:
                 places[name], shapes[name] = (name, None), shape
         columns = archive[texts[0]].tolist() if len(texts) == 1 else []
@@ -72,7 +73,8 @@ def open_npz(path: Path) -> LogTable:
             "numeric arrays (np.savez(path, t=..., q=..., current=...))."
         )
     matrices = [name for name, shape in shapes.items() if len(shape) == 2 and min(shape) == len(columns) > 1]
-    titles = {matrices[0]: columns} if len(matrices) == 1 and not {*columns} & shapes.keys() else {}
+    unique = len({*columns}) == len(columns) and not {*columns} & shapes.keys()
+    titles = {matrices[0]: columns} if len(matrices) == 1 and unique else {}
 
     @contextmanager
     def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:

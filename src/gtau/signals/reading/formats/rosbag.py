@@ -99,7 +99,7 @@ def robot_description(path: Path) -> str | None:
             if connection.topic.split("/")[-1] != "robot_description" or connection.msgtype != STRING:
                 continue
             for _, _, raw in bag.messages(connections=[connection]):
-                text = bag.deserialize(raw, connection.msgtype).data
+                text = _message(bag, connection, raw).data
                 if "<robot" in text:
                     return str(text)
     return None
@@ -111,7 +111,8 @@ def open_rosbag(path: Path) -> LogTable:
     Columns of several topics whose messages have one type, as of drives with a topic each, are read at the stamps of
     the first: between theirs by linear interpolation.
     """
-    topics, counts, kinds = _contents(path, path.stat().st_mtime_ns)
+    files = [path, *path.glob("*")]  # of a folder
+    topics, counts, kinds = _contents(path, tuple((file.stat().st_mtime_ns, file.stat().st_size) for file in files))
     notes = list[Finding]()
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
@@ -149,7 +150,9 @@ def open_rosbag(path: Path) -> LogTable:
 
 
 @lru_cache(maxsize=16)
-def _contents(path: Path, _changed: int) -> tuple[dict[str, str], dict[str, int], dict[str, str]]:
+def _contents(
+    path: Path, _changed: tuple[tuple[int, int], ...]
+) -> tuple[dict[str, str], dict[str, int], dict[str, str]]:
     """Find the topic of each column, and each topic's number of messages and their type.
 
     Messages like an earlier one, with as many bytes and the same names, have no other columns.
@@ -188,12 +191,7 @@ def _rows(bag: Any, topic: str, names: Sequence[str], rows: range = ALL) -> Iter
 
 def _values(bag: Any, connection: Any, received: int, raw: bytes) -> tuple[dict[str, float], str]:
     """Name the numbers in a message, and its receipt stamp; and return the last of the joints' names in it."""
-    if getattr(connection.ext, "serialization_format", "") == "json":
-        message = json.loads(raw, object_hook=lambda entries: SimpleNamespace(**entries))
-        message = message if hasattr(message, "__dict__") else SimpleNamespace(data=message)
-    else:
-        message = bag.deserialize(raw, connection.msgtype)
-    fields = vars(message)
+    fields = vars(_message(bag, connection, raw))
     joints: list[str] = next((fields[key] for key in ("name", "joint_names") if isinstance(fields.get(key), list)), [])
     values = dict[str, float]()
     for key, field in fields.items():
@@ -207,6 +205,13 @@ def _values(bag: Any, connection: Any, received: int, raw: bytes) -> tuple[dict[
         else:
             values |= _numbers(field, key)
     return values | {"received": received * 1e-9}, str(joints[-1]) if joints else ""
+
+
+def _message(bag: Any, connection: Any, raw: bytes) -> Any:
+    if getattr(connection.ext, "serialization_format", "") != "json":
+        return bag.deserialize(raw, connection.msgtype)
+    message = json.loads(raw, object_hook=lambda entries: SimpleNamespace(**entries))
+    return message if hasattr(message, "__dict__") else SimpleNamespace(data=message)
 
 
 def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
