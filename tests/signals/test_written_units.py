@@ -193,6 +193,12 @@ def test_unknown_units_in_a_row_are_not_skipped(head: tuple[str, ...], tmp_path:
     assert table.notes == () or "line 1 before" in str(table.notes[0])
 
 
+def test_names_that_begin_like_units_stay_names(tmp_path: Path) -> None:
+    table = find_columns(save(tmp_path / "a.csv", "sec,q1,q2,tau1,tau2", "clock,shoulder,elbow,shoulder,elbow"))
+    assert (table.columns[:2], dict(table.units)) == (("sec", "q1"), {})
+    assert str(table.notes[0]).startswith("skipped line 2 before the table")
+
+
 @pytest.mark.parametrize(
     "head",
     [

@@ -142,8 +142,8 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
             ) from None
 
     def read(text: str, names: Mapping[str, Any], _: Any = None) -> Any:
-        own = [names["xacro"][name] for name in OF_XACRO]
-        return evaluated(text, names, own + [names[name] for name in ("load_yaml", "abs_filename", "dotify")])
+        functions = [names["xacro"][name] for name in OF_XACRO]
+        return evaluated(text, names, functions + [names[name] for name in ("load_yaml", "abs_filename", "dotify")])
 
     def read_in_eval(text: str, _: Any, names: Any) -> Any:
         return evaluated(text, names, [names[name] for name in OF_EVAL])

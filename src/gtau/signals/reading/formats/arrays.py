@@ -180,7 +180,9 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Log
         file.visititems(visit)
     parts, episodes = _demonstrations(shapes)
     parts = {column.replace("/", between): names for column, names in parts.items()}
-    whole = {column: (sum(shapes[name][0] for name in names), *shapes[names[0]][1:]) for column, names in parts.items()}
+    joined = {
+        column: (sum(shapes[name][0] for name in names), *shapes[names[0]][1:]) for column, names in parts.items()
+    }
 
     @contextmanager
     def load(names: Collection[str]) -> Iterator[Mapping[str, Any]]:
@@ -189,7 +191,7 @@ def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> Log
             yield {column: some[0] if len(some) == 1 else np.concatenate(some) for column, some in read.items()}
 
     by_column = {column: units[names[0]] for column, names in parts.items() if names[0] in units}
-    return replace(_table(path, whole, load, by_column), episodes=episodes)
+    return replace(_table(path, joined, load, by_column), episodes=episodes)
 
 
 def _demonstrations(shapes: Mapping[str, Shape]) -> tuple[dict[str, list[str]], dict[int, range]]:

@@ -63,7 +63,7 @@ def open_text(path: Path) -> LogTable:
 
     titles = [k for k in range(begin if header is None else header, begin) if len(fields[k]) == width]
     titles = titles or ([] if header is None else [header])
-    columns, units, taken = _columns({k: fields[k] for k in titles}, width)
+    columns, units, title_lines = _columns({k: fields[k] for k in titles}, width)
     first_byte += sum(map(len, lines[:begin]))
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
@@ -79,9 +79,9 @@ def open_text(path: Path) -> LogTable:
                 return
 
     notes: tuple[Finding, ...] = ()
-    if skipped := [k + 1 for k in written if k < begin and k not in taken]:
+    if skipped := [k + 1 for k in written if k < begin and k not in title_lines]:
         which = f"lines {skipped[0]} to {skipped[-1]}" if len(skipped) > 1 else f"line {skipped[0]}"
-        names = "" if header is None else f", took the names of its columns from line {taken[0] + 1}"
+        names = "" if header is None else f", took the names of its columns from line {title_lines[0] + 1}"
         notes = (reading("skipped lines", text=f"skipped {which} before the table{names}"),)
     table = LogTable(path, columns, frames, begin + 1, notes, units=units)
     return table
@@ -92,22 +92,22 @@ def _columns(titles: dict[int, tuple[str, ...]], width: int) -> tuple[tuple[str,
 
     A name that spans columns, as over merged cells of a spreadsheet, stands before the names in the line below.
     """
-    named = any(len(set(filter(None, fields))) == width for fields in titles.values())
-    units = {k: row for k, fields in titles.items() if len(titles) > 1 and (row := unit_row(fields, named))}
+    first = next((k for k, fields in titles.items() if len(set(filter(None, fields))) == width), LOOK)
+    units = {k: row for k, fields in titles.items() if len(titles) > 1 and (row := unit_row(fields, k > first))}
     unit_line = max(units, default=None)
     names = {k: fields for k, fields in titles.items() if k != unit_line}
     names = {k: fields for k, fields in names.items() if sum(map(bool, fields)) > 1} or names  # a title is no names
     if not names:
         return numbers(width), {}, []
     (line, columns), *below = names.items()
-    taken = [line] if unit_line is None else [line, unit_line]
+    title_lines = [line] if unit_line is None else [line, unit_line]
     columns += ("",) * (width - len(columns))
     if below and len(set(columns)) < width:
         spanning: Iterator[str] = accumulate(columns, lambda before, name: name or before)
         columns = tuple(f"{name} {lower}".strip() for name, lower in zip(spanning, below[0][1], strict=True))
-        taken.append(below[0][0])
+        title_lines.append(below[0][0])
     by_column = zip(columns, units[unit_line] if unit_line is not None else (), strict=False)
-    return columns, {name: unit for name, unit in by_column if unit}, taken
+    return columns, {name: unit for name, unit in by_column if unit}, title_lines
 
 
 @contextmanager
