@@ -171,6 +171,13 @@ def test_what_is_wrong_in_the_urdf_names_the_xacro_file(tmp_path: Path) -> None:
         load_robot(package(tmp_path, "${'a'}"))
 
 
+def test_loops_beside_a_xacro_file(tmp_path: Path) -> None:
+    """Of the same name without its endings; here they only name the motors."""
+    file = package(tmp_path)
+    (file.parent / "arm.yaml").write_text("name_mot: [l_shoulder]\n")
+    assert load_robot(file, xacro={"prefix": "l_"}).actuated == ("l_shoulder",)
+
+
 def test_arguments_of_another_file_are_refused(tmp_path: Path) -> None:
     with pytest.raises(GtauError, match="'xacro' and 'packages' are for xacro files, which 'five-bar' is not"):
         load_robot("five-bar", xacro={"a": 1})

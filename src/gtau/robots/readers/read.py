@@ -122,7 +122,7 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
         case ".yaml" | ".yml":
             return _from_yaml(path)
         case ".urdf":
-            return _from_urdf(path, base)
+            return _from_urdf(path, base, path.parent)
         case ".xml" | ".mjcf":
             from gtau.robots.readers.mjcf import read_mjcf
 
@@ -144,7 +144,7 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
             from gtau.robots.readers.xacro import expanded
 
             with expanded(path, written.xacro, written.packages) as urdf:
-                return _from_urdf(urdf, base)
+                return _from_urdf(urdf, base, path.parent)
         case _ if path.is_file():
             raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
     if (described := _described(str(source))) is not None:
@@ -172,10 +172,10 @@ def _from_yaml(path: Path) -> Robot:
     return read_native(path)
 
 
-def _from_urdf(path: Path, base: BaseChoice) -> Robot:
+def _from_urdf(path: Path, base: BaseChoice, folder: Path) -> Robot:
     from gtau.robots.readers.urdf import read_urdf, read_urdf_with_loops
 
-    for loops in (path.with_suffix(".yaml"), path.with_suffix(".yml")):
+    for loops in (folder / f"{path.stem}.yaml", folder / f"{path.stem}.yml"):
         if is_loops_file(loops):
             return read_urdf_with_loops(path, loops)
     return read_urdf(path, base)

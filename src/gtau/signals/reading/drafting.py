@@ -250,9 +250,9 @@ def _unused(draft: Draft) -> Iterator[str]:
     if unused.pose:
         yield f"  # A pose tests the robot's geometry; if {listed(unused.pose)} hold one, describe it under 'pose:'."
     doubtful = {"base": unused.motion, "wrenches": unused.wrenches, "torques": unused.torques.values()}
-    for key, columns in doubtful.items():
-        if columns:
-            yield f"  # {CHECK}{listed(columns)}: {QUESTIONS[key]}."
+    for key, names in doubtful.items():
+        if names:
+            yield f"  # {CHECK}{listed(names)}: {QUESTIONS[key]}."
     if unused.torques:
         yield from (f"  #{line[1:]}" for line in _by_joint("joint_torque", unused.torques, ""))
     if unused.others:
