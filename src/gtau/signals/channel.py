@@ -69,6 +69,7 @@ class SideSignal:
 
 
 VOLTAGE = "beside currents it gives the drive gains without a payload"
+VOLT_WORDS = frozenset(["voltage", "voltages", "volt", "volts", "电压", "電壓", "電圧", "전압"])
 VOLTS, SHARES, AMPERES = ("V", "mV"), ("1", "%", "‰"), ("A", "mA")
 SI = {"mV": 1e-3, "%": 1e-2, "‰": 1e-3, "mA": 1e-3, "deg": np.pi / 180, "mm": 1e-3}
 """Factors of units of side signals, other than 1, to SI units."""
@@ -78,10 +79,10 @@ SIDE_SIGNALS = (
     SideSignal(
         "temperature",
         units=("degC", "K", "s", "min", "h"),  # or the time since the start
-        words=frozenset(["temp", "temps", "temperature", "temperatures"]),
+        words=frozenset(["temp", "temps", "temperature", "temperatures", "温度", "溫度", "온도"]),
         effect="friction may depend on it",
     ),
-    SideSignal("voltage", VOLTS, frozenset(["voltage", "voltages", "volt", "volts"]), VOLTAGE, slow=False),
+    SideSignal("voltage", VOLTS, VOLT_WORDS, VOLTAGE, slow=False),
     SideSignal("duty", SHARES, frozenset(["duty", "pwm"]), f"times supply_voltage, {VOLTAGE}", slow=False),
     SideSignal("supply_voltage", VOLTS, frozenset(["vbus", "vdc", "ubus"]), f"times duty, {VOLTAGE}", slow=False),
     SideSignal("supply_current", AMPERES, frozenset(["ibus"]), "over duty it is the motor's current", slow=False),

@@ -25,46 +25,28 @@ WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())
     for kind, words in {
         "time": "t tout time timestamp datetime date stamp sec secs second seconds nanosec nsec nsecs nanosecond "
-        "nanoseconds zeit tiempo temps tempo",
+        "nanoseconds zeit tiempo temps tempo 时间 時間 时刻 時刻 시간 시각",
         "position": "q qm pos position positions angle angles theta qpos posn enc encoder encoders winkel lage "
-        "stellung posicion angulo posizione angolo",
+        "stellung posicion angulo posizione angolo 位置 角度 转角 轉角 关节角 関節角 位移 変位 위치 각도 변위",
         "velocity": "dq qd qdm vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad "
-        "vitesse velocita",
-        "acceleration": "ddq qdd qddm acc accel acceleration beschleunigung aceleracion accelerazione",
-        "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente",
-        "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza",
-        "motor": "motor moteur motore",
+        "vitesse velocita 角速度 速度 转速 轉速 回転数 각속도 속도",
+        "acceleration": "ddq qdd qddm acc accel acceleration beschleunigung aceleracion accelerazione 加速度 가속도",
+        "current": "current currents cur curr amp amps ampere iq i strom corriente courant corrente 电流 電流 전류",
+        "torque": "tau torque torques jts effort moment trq tq force drehmoment kraft par couple coppia fuerza "
+        "力矩 扭矩 转矩 轉矩 トルク 토크",
+        "motor": "motor moteur motore 电机 電機 モーター モータ 모터",
         "reference": "ref reference target desired des cmd commanded con demand demanded setpoint goal d soll sollwert "
-        "consigne consigna referencia riferimento",
-        "measured": "meas measured act actual ist istwert present fb feedback mesure medida real misura",
+        "consigne consigna referencia riferimento 目标 目標 指令 给定 期望 설정 목표 지령",
+        "measured": "meas measured act actual ist istwert present fb feedback mesure medida real misura "
+        "实际 實際 反馈 反饋 実際 実測 실제 실측",
         "other": "ext external mocap grav gravity err error latency voltage rate success filtered age "
-        "fric friction comp compensation coriolis ff feedforward limit limits enable enabled mode status flag",
+        "fric friction comp compensation coriolis ff feedforward limit limits enable enabled mode status flag "
+        "误差 誤差 오차 偏差 편차",
     }.items()
 }
 WORDS["other"] |= frozenset[str]().union(*(signal.words for signal in SIDE_SIGNALS)) - WORDS["time"]  # temps
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
 REFERENCE, MEASURED = WORDS["reference"], WORDS["measured"]
-# Chinese, Japanese and Korean, which write words side by side: the longest come first
-ASIAN = {
-    term: word
-    for word, terms in {
-        "acceleration": "加速度 가속도",
-        "velocity": "角速度 速度 转速 轉速 回転数 각속도 속도",
-        "position": "位置 角度 转角 轉角 关节角 関節角 位移 変位 위치 각도 변위",
-        "current": "电流 電流 전류",
-        "torque": "力矩 扭矩 转矩 轉矩 トルク 토크",
-        "time": "时间 時間 时刻 時刻 시간 시각",
-        "reference": "目标 目標 指令 给定 期望 설정 목표 지령",
-        "actual": "实际 實際 反馈 反饋 実際 実測 실제 실측",
-        "motor": "电机 電機 モーター モータ 모터",
-        "joint": "关节 關節 関節 관절 轴 軸 축",
-        "voltage": "电压 電壓 電圧 전압",
-        "temperature": "温度 溫度 온도",
-        "error": "误差 誤差 오차 偏差 편차",
-    }.items()
-    for term in terms.split()
-}
-IN_ASIAN = re.compile("|".join(sorted(ASIAN, key=len, reverse=True)))
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
 TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # bodies other than the base
 SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
@@ -86,6 +68,9 @@ JOINT_WORDS = frozenset(
     ["joint", "joints", "axis", "axes", "link", "motor", "actual", "state", "states", "drive", "encoder"]
 )
 SIGNAL_WORDS = NO_UNIT | COMMAND | JOINT_WORDS
+SIDE_BY_SIDE = re.compile(  # words of languages that write them so: the longest come first
+    "|".join(sorted((word for word in NO_UNIT if not word.isascii()), key=len, reverse=True))
+)
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
 BARE = re.compile(r"(joint|axis|axe|achse|eje|asse|jnt|j|a)[_ .]?#", re.IGNORECASE)  # a joint and no signal
 AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
@@ -143,7 +128,7 @@ def parse_column_name(name: str, joints: Sequence[str] = (), unit: str | None = 
         kind = "torque"
     elif kind == "torque" and not SENSOR.isdisjoint(words):
         kind = "sensor"
-    elif kind == "torque" and "motor" in words:
+    elif kind == "torque" and not WORDS["motor"].isdisjoint(words):
         kind = "motor"
     if kind is None and not COMMAND.isdisjoint(words):
         kind = "command"
@@ -292,10 +277,10 @@ def _vectors(names: Sequence[str], kind: str) -> dict[str, tuple[str, ...]]:
 
 
 def _words(text: str) -> list[str]:
-    english = IN_ASIAN.sub(lambda term: f" {ASIAN[term[0]]} ", unicodedata.normalize("NFKC", text))
-    plain = "".join(letter for letter in unicodedata.normalize("NFD", english) if not unicodedata.combining(letter))
+    plain = "".join(letter for letter in unicodedata.normalize("NFD", text) if not unicodedata.combining(letter))
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|°", plain)]
-    return [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
+    words = [part for word in words for part in COMPOUND.sub(r"\1 ", word).split()]
+    return words + SIDE_BY_SIDE.findall(unicodedata.normalize("NFKC", text))
 
 
 def matched(

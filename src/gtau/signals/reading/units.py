@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple
@@ -317,7 +317,7 @@ def read_unit(text: str) -> WrittenUnit | None:
     return WrittenUnit(unit.measures, f"{size:g} {unit.text}")
 
 
-def split_unit(name: str, remarks: Collection[str] = ()) -> tuple[str, WrittenUnit | None]:
+def split_unit(name: str, remarks: frozenset[str] = frozenset()) -> tuple[str, WrittenUnit | None]:
     """Split a column's name into the rest and its unit, in brackets, after a stroke, or else a word.
 
     Brackets at the end may hold an unknown unit, unless one of the words in them is a remark.
@@ -326,7 +326,7 @@ def split_unit(name: str, remarks: Collection[str] = ()) -> tuple[str, WrittenUn
         remark = match[1] == "(" and re.fullmatch(r"\s*[a-z]\s*", match[2])  # measured, set, actual
         if not remark and (unit := read_unit(match[2])):
             return name[: match.start()].rstrip(" /") + name[match.end() :], unit
-    if (odd := ODD.search(name)) and not {*re.findall(r"[a-z]{2,}|°", odd[1].lower())} & {*remarks}:
+    if (odd := ODD.search(name)) and remarks.isdisjoint(re.findall(r"[a-z]{2,}|°", odd[1].lower())):
         return name[: odd.start()], WrittenUnit(None, odd[1])
     if (quotient := QUOTIENT.fullmatch(name)) and (unit := read_unit(quotient[1])):
         return name[: quotient.start(1)].rstrip("/ "), unit
