@@ -3,7 +3,7 @@
     python benchmarks/calibration.py arm five-bar --seeds 3 --clean 20
     python benchmarks/calibration.py delta ur10e --resume --clean 8
     python benchmarks/calibration.py seven scara 3-rrr --effects docs/evidence/coverage/effects.csv
-    python benchmarks/calibration.py real --resume --page docs/evidence/coverage.md
+    python benchmarks/calibration.py real --resume --page docs/evidence/index.md
 
 Each experiment has two runs without and two with a payload, friction that differs by 2 % from run to run, and current
 noise of 0.3 %; robots and their motions are those of realism/plants.py, departures those of realism/departures.py.
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--store", type=Path, default=Path("calibration.jsonl"))
     parser.add_argument("--resume", action="store_true", help="keep what stands in the store")
     parser.add_argument(
-        "--page", type=Path, help="the page whose tables are replaced; the others go to the folder of its name"
+        "--page", type=Path, help="the page whose tables are replaced; the others go to the folder coverage beside it"
     )
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     options = parser.parse_args()
@@ -142,7 +142,7 @@ def main() -> None:
         print(tables)
     else:
         replace_tables(options.page, tables)
-        write_files(read(options.store), options.page.with_suffix(""))
+        write_files(read(options.store), options.page.with_name("coverage"))
 
 
 def said(record: dict) -> str:

@@ -1,7 +1,7 @@
 """Identify the same logs with gtau and its peers, and print one table, also where gtau is behind.
 
     pip install '.[benchmarks]'
-    python benchmarks/peers_on_logs.py [--only NAME ...] [--update docs/evidence/benchmarks.md]
+    python benchmarks/peers_on_logs.py [--only NAME ...] [--update docs/evidence/index.md]
 
 The measured logs lie beside the checkout (``../shared/data``, or ``--data``); the EMPS is simulated here. Errors are
 rms errors over rms torques, per cent, of the same rows behind the same filter. Processor time is that of the whole
@@ -272,10 +272,11 @@ HEADER = (
 
 
 def of_page(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the table of the page: means over the joints, of the tools that ran."""
-    head, *body = rows
-    shown = [[*cells[:2], *(cells[k].split(" (")[0] for k in (2, 3)), *cells[5:]] for cells in body if cells[7] != NONE]
-    return [line([*head[:4], *head[5:]]), line(["---"] * 7), *map(line, shown)]
+    """Return the table of the page: means over the joints, of all samples and without reversals, by tool."""
+    means = {tuple(cells[:2]): [cell.split(" (")[0] for cell in cells[2:4]] for cells in rows[1:] if cells[7] != NONE}
+    logs, tools = (list(dict.fromkeys(names)) for names in zip(*means, strict=True))
+    shown = [[name, *(" / ".join(dict.fromkeys(means.get((name, tool), [NONE]))) for tool in tools)] for name in logs]
+    return [line(["logs", *tools]), line(["---"] * (1 + len(tools))), *map(line, shown)]
 
 
 TOOLS = {"script": (by_hand, "pinocchio"), "FIGAROH": (figaroh, "figaroh"), "mujoco.sysid": (mujoco_sysid, "absl")}
@@ -302,7 +303,7 @@ def main() -> None:
                 print(line(rows[-1]), flush=True)
     if arguments.update:
         update(arguments.update, MARKS, of_page(rows))
-        write_csv(arguments.update.with_suffix("") / "peers.csv", rows)
+        write_csv(arguments.update.with_name("benchmarks") / "peers.csv", rows)
 
 
 if __name__ == "__main__":

@@ -193,10 +193,7 @@ def coverage(sets: int, noise: float) -> None:
 
 def ur10e(data: Path, folder: Path) -> tuple[Result, Run]:
     """The UR10e pair, with the URDF beside it, and a run of another day."""
-    text = (ROOT / "docs" / "evidence" / "measured.md").read_text(encoding="utf-8")
-    (entry,) = (
-        each for each in re.findall(r"^```yaml\n(.*?)^```$", text, re.DOTALL | re.MULTILINE) if "robot: ur10e" in each
-    )
+    entry = (ROOT / "docs" / "evidence" / "measured" / "ur10e.yaml").read_text(encoding="utf-8")
     entry = entry.replace("robot: ur10e", f"robot: {data}/ur10e/ur10e.urdf")
     (folder / "ur10e.yaml").write_text(re.sub(r"([\w-]+\.csv)", lambda log: str(data / "ur10e" / log[1]), entry))
     described = read_experiment(folder / "ur10e.yaml")

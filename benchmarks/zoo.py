@@ -1,10 +1,10 @@
 """Identify every shared log with default settings and print what comes out beside what is published.
 
-    python benchmarks/zoo.py [--only NAME ...] [--update docs/evidence/zoo.md]
+    python benchmarks/zoo.py [--only NAME ...] [--update docs/evidence/index.md]
 
 The logs lie beside the checkout (``../shared/data``, or ``--data``); each folder has a README with source, columns and
 references. Nothing is set by hand: where logs cannot give what is asked, the row shows the sentence that a user gets.
-``--update`` puts the table between the marks in a page, and all columns into logs.csv in the folder of its name.
+``--update`` puts the table between the marks in a page, and every joint into zoo/logs.csv beside it.
 """
 
 # ruff: noqa: E501 (rows of a table)
@@ -58,7 +58,7 @@ def main() -> None:
         print(line(rows[-1]), flush=True)
     if arguments.update:
         update(arguments.update, MARKS, of_page(rows))
-        write_csv(arguments.update.with_suffix("") / "logs.csv", rows)
+        write_csv(arguments.update.with_name("zoo") / "logs.csv", rows)
 
 
 def update(path: Path, marks: tuple[str, str], lines: list[str]) -> None:
@@ -78,7 +78,7 @@ HEADER = (
     "what gtau says",
     "s",
 )
-SHOWN = 0, 2, 3, 4  # of these, on the page; the rest in logs.csv beside it
+SHOWN = 0, 2, 3, 4  # of these, on the page; the rest in logs.csv
 
 
 def line(cells: Sequence[str]) -> str:
@@ -87,9 +87,19 @@ def line(cells: Sequence[str]) -> str:
 
 
 def of_page(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the table of the page."""
+    """Return the table of the page: what others published, with the best and the worst joint in place of all."""
     head, *body = ([cells[k] for k in SHOWN] for cells in rows)
+    body = [[*cells[:2], *map(extremes, cells[2:])] for cells in body if cells[3] != "none published"]
     return [line(head), line(["---"] * len(head)), *map(line, body)]
+
+
+def extremes(cell: str) -> str:
+    """Return the smallest and the largest of the errors in a cell, with its other words; gains as they are."""
+    listed = re.search(r"^(?:fit: )?[\d.]+(, [\d.]+){3,}(?= %|$)", cell)
+    if listed is None:
+        return cell
+    errors = sorted(re.findall(r"[\d.]+", listed[0]), key=float)
+    return cell.replace(listed[0].removeprefix("fit: "), f"{errors[0]} to {errors[-1]}")
 
 
 def row(entry: Entry, data: Path) -> list[str]:
@@ -325,7 +335,7 @@ def aliengo(data: Path, folder: Path) -> str:
 G105, G205 = ", payload: {name: 105 g%s}", ", payload: {name: 205 g%s}"
 ENTRIES = (
     Entry("orthoglide", "Orthoglide, simulated elsewhere", "gains, N per A", "true 2170, 2100, 2070", orthoglide),
-    Entry("ur10e", "UR10e", "gains, N m/A", "controller 11.98, 11.98, 9.84, 10.76, 10.76, -", ur10e),
+    Entry("ur10e", "UR10e, January pair", "gains, N m/A", "controller 11.98, 11.98, 9.84, 10.76, 10.76, -", ur10e),
     Entry("tx40", "Stäubli TX40", "torques of the motors", "6.7, 6.4, 10.8, 9.4, 30, 22 % (WLS, last third)", tx40),
     Entry("panda", "Franka Panda, polled", "link torques", "8.7, 1.4, 3.7, 1.2, 6.8, 3.4, 19.6 % (WLS behind 10 Hz)", panda),
     Entry("panda_rosbag2", "Franka Panda, ROS", "link torques", "none published", panda_rosbag2),

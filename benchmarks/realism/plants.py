@@ -58,7 +58,7 @@ ARM = Robot(
     gravity=(0.0, -9.80665, 0.0),
 )
 
-# A UR10e that moves and rubs like the one of docs/evidence/measured.md. Links: mass in kg and centre in m in the frames
+# A UR10e that moves and rubs like the one of docs/evidence/measured. Links: mass in kg and centre in m in the frames
 # of the catalog, by the maker's description; viscous and Coulomb friction, rotor inertias (the first two with the share
 # that the links leave) and gains as identified from the pair of real runs; reach, speed and acceleration of those runs.
 LINKS = (

@@ -1,4 +1,4 @@
-"""The tables of docs/evidence/coverage.md, and the CSV files beside it, from the store of experiments."""
+"""The tables of docs/evidence/index.md, and the CSV files in coverage, from the store of experiments."""
 
 from __future__ import annotations
 
@@ -175,9 +175,9 @@ def widths(made: Sequence[dict]) -> list[list[str]]:
 
 
 def notable(made: Sequence[dict]) -> str:
-    """Show the departures of which an interval missed or a gain was beyond the accuracy."""
+    """Show the departures of which an interval missed."""
     head, *rows = by_departure(made)
-    rows = [row for row in rows if len(set(row[3].split(" of "))) > 1 or float(row[1] or 0) > 100 * ACCURACY]
+    rows = [row for row in rows if len(set(row[3].split(" of "))) > 1]
     return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---", *["---:"] * (len(head) - 1)], *rows])
 
 

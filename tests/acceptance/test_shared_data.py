@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 from dataclasses import replace
@@ -23,16 +24,23 @@ from gtau.uses.identify import read_log
 from gtau.uses.weigh import weigh
 from gtau.watch.watch import Watch
 
-PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "measured.md"
+DOCS = Path(__file__).parents[2] / "docs"
+MEASURED = DOCS / "evidence" / "measured"
 CONTROLLER = (11.976, 11.976, 9.839, 10.763, 10.76, 10.76)  # N m/A
 
 
 @pytest.fixture(scope="module")
 def folder(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("experiments")
-    texts = re.findall(r"^```yaml\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    places = {"orthoglide": "orthoglide_sim", "weighing": "orthoglide_sim", "ur10e": "ur10e", "tx40": "tx40"}
-    for (name, place), text in zip(places.items(), texts, strict=True):
+    places = {
+        "orthoglide": "orthoglide_sim",
+        "orthoglide-second-payload": "orthoglide_sim",
+        "ur10e": "ur10e",
+        "tx40": "tx40",
+    }
+    assert {path.stem for path in MEASURED.glob("*.yaml")} == set(places)
+    for name, place in places.items():
+        text = (MEASURED / f"{name}.yaml").read_text(encoding="utf-8")
         text = re.sub(r"([\w-]+\.csv)", lambda log: str(shared / place / log[1]), text)  # noqa: B023
         (folder / f"{name}.yaml").write_text(text)
     return folder
@@ -88,7 +96,7 @@ def test_orthoglide_validation(orthoglide: Result, folder: Path) -> None:
 
 @pytest.mark.parametrize(("gains", "mass", "off"), [("identified", 1.136, 0.005), ("prior", 1.09, 0.01)])
 def test_the_second_payload(orthoglide: Result, folder: Path, gains: str, mass: float, off: float) -> None:
-    (second,) = weigh(orthoglide, folder / "weighing.yaml", gains=gains)
+    (second,) = weigh(orthoglide, folder / "orthoglide-second-payload.yaml", gains=gains)
     estimate = second.parameters["m"]
     assert (second.name, second.run) == ("second", "second_payload_1136g")
     assert estimate.value == pytest.approx(mass, abs=off)
@@ -108,12 +116,11 @@ def test_ur10e_gains(ur10e: Result) -> None:
     assert gains[2].verdict.outcome == Grade.GOOD
 
 
-def test_the_page_shows_the_gains_that_are_found(orthoglide: Result, ur10e: Result) -> None:
+def test_the_files_behind_the_page_have_the_gains_that_are_found(orthoglide: Result, ur10e: Result) -> None:
     rows = {
-        cells[0]: cells[1:]
-        for line in PAGE.read_text(encoding="utf-8").splitlines()
-        if line.startswith("| ")
-        for cells in [[cell.strip() for cell in line.split("|")[1:-1]]]
+        joint: cells
+        for name in ("orthoglide", "ur10e")
+        for joint, *cells in csv.reader((MEASURED / f"{name}.csv").read_text(encoding="utf-8").splitlines())
     }
     for joint, gain in ur10e.drive_gains.items():
         found, std, verdict, *_ = rows[joint]
@@ -168,7 +175,7 @@ def test_a_second_pair_narrows_gains_as_the_page_says(ur10e: Result, folder: Pat
     )
     (folder / "both.yaml").write_text(text.replace("validation:", f"{second}\nvalidation:"))
     both = identify(folder / "both.yaml")
-    page = (PAGE.parents[1] / "do" / "trust-a-result.md").read_text(encoding="utf-8")
+    page = (DOCS / "do" / "trust-a-result.md").read_text(encoding="utf-8")
     shown = re.search(r"two wrist gains of a UR10e\s+from ([\d.]+) and ([\d.]+) % to ([\d.]+) and ([\d.]+) %", page)
     assert shown is not None
     halves = [

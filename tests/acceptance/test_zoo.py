@@ -17,8 +17,8 @@ PUBLISHED = {
     "tx40": (6.7, 6.4, 10.8, 9.4, 30.0, 22.0),  # weighted least squares of the log's source
     "panda": (8.7, 1.4, 3.7, 1.2, 6.8, 3.4, 19.6),  # weighted least squares behind a 10 Hz filter
 }
-# The same of docs/evidence/zoo.md, where nothing is published, or the fit itself: those of UPV are published as 12.1,
-# 13.4, 16.2 and 11.3 %.
+# The same of docs/evidence/zoo/logs.csv, where nothing is published, or the fit itself: those of UPV are published as
+# 12.1, 13.4, 16.2 and 11.3 %.
 MEASURED = {
     "xmate7p": (9.7, 3.3, 4.1, 3.2, 14, 12, 14),
     "kuka_med7": (46, 2.3, 19, 3.6, 13, 7, 20),

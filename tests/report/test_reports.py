@@ -175,7 +175,7 @@ def test_a_report_is_one_file_with_its_sections(reports: Path, command: str) -> 
 
 
 def test_the_page_on_reports_lists_every_section(reports: Path) -> None:
-    page = (Path(__file__).parents[2] / "docs" / "do" / "report.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "do" / "identify.md").read_text(encoding="utf-8")
     titles = re.findall(r"<h2>(.*?)</h2>", text_of(reports, "identify"))
     assert len(titles) == len(SECTIONS["identify"].split())
     assert set(titles) <= set(re.findall(r"^\| ([^|]+?) \|", page, re.MULTILINE))

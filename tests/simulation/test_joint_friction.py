@@ -178,7 +178,7 @@ def test_an_identified_model_is_simulated_with_its_friction(tmp_path: Path) -> N
     held = {joint: replace(delay, value=PERIOD / 2) for joint, delay in identified.delays.items()}
     left, right = identified.replaced(delays=held).validate(scaled)
     assert left.relative < 0.5
-    assert left.relative_all < 3.5  # 3.0, as the path is smoothed against noise: docs/evidence/measured.md
+    assert left.relative_all < 3.5  # 3.0, as the path is smoothed against noise: docs/evidence/index.md
     assert 2 * left.relative_all < of_equations(identified).replaced(delays=held).validate(scaled)[0].relative_all
     assert right.relative < 0.5 < right.relative_all
     with pytest.raises(GtauError, match="identified with another robot than 'ur10e'"):

@@ -7,7 +7,7 @@ calibrated anew between runs: it has a frame in each (the tracker of the UPV log
 
 A wrong length leaves residuals that depend on the pose. Each constant of the geometry is fitted alone, and the one that
 explains most is selected; further ones are added while they explain most of the remaining residuals. Torques hardly
-show a wrong length: a platform 26 mm too large leaves the torque errors of the UPV robot (docs/evidence/zoo.md).
+show a wrong length: a platform 26 mm too large leaves the torque errors of the UPV robot (docs/evidence/index.md).
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import finish
 from gtau.estimation.regression.run_blocks import WINDOWS
 
-FLOOR = 5e-4  # of a gain, as robots have effects that are not on the list: docs/evidence/coverage.md
+FLOOR = 5e-4  # of a gain, as robots have effects that are not on the list: docs/evidence/index.md
 NONLINEAR, FAR = 0.005, 0.5  # moves of a gain between which columns are made again
 STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
 

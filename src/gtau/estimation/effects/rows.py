@@ -30,7 +30,7 @@ UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which n
 RANK = 1e-6  # of the largest singular value: directions below it are left out of a least-squares step
 FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs
 ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (experience; 1 and 10 change no interval
-# of the experiments in docs/evidence/coverage.md by more than a fifth)
+# of the experiments in docs/evidence/index.md by more than a fifth)
 MODES = 8  # largest modes that are kept of a longer series
 
 

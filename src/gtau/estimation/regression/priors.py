@@ -118,7 +118,7 @@ def scale_of_file(model: InverseDynamics, base: BaseParameters, problem: Problem
 
     ``<tau_file, tau(theta)> = <tau_file, tau_file>`` over the rows of all joints that share parameters, forces times
     the robot's length, with relative standard deviation ``std``: errors of a file's masses are alike in all bodies, so
-    that they do not average out (docs/evidence/scale-without-payload.md). With a prior for each parameter instead,
+    that they do not average out (docs/evidence/index.md). With a prior for each parameter instead,
     gains near zero fit best where file and data differ.
     """
     values, inertial, unstated = file_sums(model, base)
