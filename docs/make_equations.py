@@ -1,4 +1,4 @@
-"""Write ``lookup/equations.md``: where each numbered equation of the paper stands in the code.
+"""Write ``lookup/equations.csv``: where each numbered equation of the paper stands in the code.
 
 The table is made of the citations "eq. (15)" or "eqs. 29 to 33" in docstrings and comments.
 """
@@ -6,6 +6,7 @@ The table is made of the citations "eq. (15)" or "eqs. 29 to 33" in docstrings a
 from __future__ import annotations
 
 import ast
+import csv
 import io
 import re
 import tokenize
@@ -15,7 +16,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-TABLE = ROOT / "docs" / "lookup" / "equations.md"
+TABLE = ROOT / "docs" / "lookup" / "equations.csv"
 CITATION = re.compile(r"\beqs?\.\s*(\(?\d+\)?(?:\s*(?:,\s*and|,|and|to|-)\s*\(?\d+\)?)*)")
 EQUATIONS = {
     1: "inverse dynamic model of the virtual tree, linear in its standard parameters",
@@ -116,33 +117,13 @@ def collect() -> dict[int, list[str]]:
     return {number: sorted(functions[number] or modules[number]) for number in functions.keys() | modules.keys()}
 
 
-def by_module(places: list[str]) -> str:
-    """Write places into a cell, a line for each module."""
-    named: dict[str, list[str]] = defaultdict(list)
-    for place in places:
-        parts = place.split(".")
-        paths = ((ROOT / "src").joinpath(*parts[:k]).with_suffix(".py") for k in range(len(parts), 0, -1))
-        depth = len(parts) - [path.is_file() for path in paths].index(True)
-        named[".".join(parts[:depth])].append(f"`{'.'.join(parts[depth:])}`")
-    return "<br>".join(f"`{module}`: {', '.join(names)}" for module, names in named.items())
-
-
 def page() -> str:
-    """Return the page with the table."""
-    found = collect()
-    rows = [f"| ({number}) | {what} | {by_module(found.get(number, []))} |" for number, what in EQUATIONS.items()]
-    return "\n".join(
-        [
-            "# Equations of the paper in the code",
-            "",
-            "This page is made by `python docs/make_equations.py` from the citations in docstrings and comments.",
-            "",
-            "| equation | subject | where |",
-            "| --- | --- | --- |",
-            *rows,
-            "",
-        ]
-    )
+    """Return the table: number, subject, and the places in the code."""
+    table = io.StringIO()
+    rows = csv.writer(table, lineterminator="\n")
+    rows.writerow(("equation", "subject", "where"))
+    rows.writerows((number, what, ", ".join(collect().get(number, []))) for number, what in EQUATIONS.items())
+    return table.getvalue()
 
 
 if __name__ == "__main__":
