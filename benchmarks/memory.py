@@ -25,7 +25,7 @@ from time import perf_counter
 import numpy as np
 import polars as pl
 
-from gtau.demo.run import DRIVE_GAINS, PAYLOAD_MASS, standard_parameters
+from gtau.demo.run import DRIVE_GAINS, MASSES, SIMULATION
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 
@@ -56,7 +56,7 @@ def write_log(folder: Path, samples: int, mass: float, kind: str) -> str:
     q = np.sum(amplitude * np.sin(angle), axis=2)
     qd = np.sum(amplitude * rate * np.cos(angle), axis=2)
     qdd = -np.sum(amplitude * rate**2 * np.sin(angle), axis=2)
-    chi = standard_parameters()
+    chi = SIMULATION.parameters
     chi["m_P"] += mass
     current = model.torques(q, qd, qdd, chi) / np.array(list(DRIVE_GAINS.values()))
     q = COUNT * np.round(q / COUNT)
@@ -86,8 +86,9 @@ def measure(samples: int, kind: str, folder: Path) -> dict[str, float]:
         here = Path(name)
         # by another process: the kernel counts the peak of the one that starts gtau as gtau's
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as maker:
-            free, loaded = (maker.submit(write_log, here, samples // 2, m, kind).result() for m in (0.0, PAYLOAD_MASS))
-        (here / "experiment.yaml").write_text(EXPERIMENT.format(free=free, loaded=loaded, mass=PAYLOAD_MASS))
+            masses = (0.0, MASSES["steel"])
+            free, loaded = (maker.submit(write_log, here, samples // 2, m, kind).result() for m in masses)
+        (here / "experiment.yaml").write_text(EXPERIMENT.format(free=free, loaded=loaded, mass=MASSES["steel"]))
         program = Path(sys.executable).with_name("gtau")
         arguments = [str(program), "identify", str(here / "experiment.yaml"), "--json"]
         begin = perf_counter()

@@ -83,9 +83,9 @@ def make_case(source: str, repeated: bool = False) -> Case:
     robot = load_robot(source)
     model, rng = InverseDynamics(robot), np.random.default_rng(SEED)
     if source == "orthoglide":
-        from gtau.demo.run import standard_parameters
+        from gtau.demo.run import SIMULATION
 
-        chi = standard_parameters()
+        chi = SIMULATION.parameters
     else:
         chi = {k: v for k, v in links(robot, rng).items() if k in model.parameter_names}
     time = np.arange(round(SECONDS * RATE) + 1) / RATE

@@ -23,7 +23,7 @@ from peers import ExcitationByHand, figaroh_wls, gains_by_hand, random_parameter
 from table import Row, check, medians, motion
 
 import gtau
-from gtau.demo.run import PAYLOAD_MASS, standard_parameters
+from gtau.demo.run import MASSES, SIMULATION
 from gtau.excitation.design_file import read_design
 from gtau.excitation.nlp import Programme
 from gtau.model.home import load_robot
@@ -59,15 +59,15 @@ def write_logs(folder: Path, robot: Robot, chi: Mapping[str, float], samples: in
 
 def orthoglide_gains(samples: int, few: int) -> list[Row]:
     """Logs to drive gains, and the memory that takes beyond the input."""
-    robot, chi = load_robot("orthoglide"), standard_parameters()
+    robot, chi = load_robot("orthoglide"), SIMULATION.parameters
     with TemporaryDirectory() as one, TemporaryDirectory() as other:
-        long = write_logs(Path(one), robot, chi, samples, [0.0, PAYLOAD_MASS])
-        short = write_logs(Path(other), robot, chi, few, [0.0, PAYLOAD_MASS])
+        long = write_logs(Path(one), robot, chi, samples, [0.0, MASSES["steel"]])
+        short = write_logs(Path(other), robot, chi, few, [0.0, MASSES["steel"]])
         result = gtau.identify(short)
         factor, cutoff = result.preparation.decimator.factor, result.preparation.cutoff
 
         def theirs() -> np.ndarray:
-            return gains_by_hand(robot, Path(other), PAYLOAD_MASS, cutoff, PEERS_DECIMATION, ELIMINATIONS)
+            return gains_by_hand(robot, Path(other), MASSES["steel"], cutoff, PEERS_DECIMATION, ELIMINATIONS)
 
         found = np.array([gain.value for gain in result.drive_gains.values()])
         check("gains", found, np.full(3, GAIN), 1e-2)
@@ -97,14 +97,14 @@ def _memory_of_a_job(whose: str, experiment: Path, *settings: str) -> float:
     """As :func:`peak`, in this process."""
     robot = load_robot("orthoglide")
     with TemporaryDirectory() as folder:
-        warm = write_logs(Path(folder), robot, standard_parameters(), 6000, [0.0, PAYLOAD_MASS])
+        warm = write_logs(Path(folder), robot, SIMULATION.parameters, 6000, [0.0, MASSES["steel"]])
 
         def work(path: Path) -> None:
             if whose == "ours":
                 gtau.identify(path)
             else:
                 cutoff, factor = settings
-                gains_by_hand(robot, path.parent, PAYLOAD_MASS, float(cutoff), int(factor), 1)
+                gains_by_hand(robot, path.parent, MASSES["steel"], float(cutoff), int(factor), 1)
 
         work(warm)
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # peak = what is resident now

@@ -23,6 +23,8 @@ LAST_SENTENCE = re.compile(r"(Attributes\n-{10}\n.*)\n\n(\S[^\n]*\.)$", re.DOTAL
 LINK = re.compile(r"\]\(([\w./-]+?)(?:\.md|\.html)(?:#[\w-]*)?\)")
 ITEM = re.compile(r"^- \[(?P<title>[^]]+)\]\((?P<page>[^)]+)\.\w+\): (?P<text>.+)\n", re.MULTILINE)
 CARD = ":::{{grid-item-card}} {title}\n:link: {page}\n:link-type: doc\n\n{text}\n:::\n\n"
+START = re.compile(r"^\[(Get started)\]\((.+)\.md\)$", re.MULTILINE)
+BUTTON = r":::{button-ref} \2\n:ref-type: doc\n:color: primary\n\n\1\n:::"
 ELSEWHERE = {r"README\.md": "index.md", r"examples/gallery/README\.rst": "gallery/index.rst"}
 SHELVES = ("start/index", "do/index", "lookup/index", "evidence/index", "gallery/index")
 
@@ -37,7 +39,7 @@ def add_menu(app: Sphinx, name: str, content: list[str]) -> None:
     if name == "index":
         pages = list(SHELVES)
         cards = "".join(CARD.format(**each.groupdict()) for each in ITEM.finditer(content[0]))
-        content[0] = ITEM.sub("", content[0]) + f"\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}::::\n"
+        content[0] = START.sub(BUTTON, ITEM.sub("", content[0])) + f"\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}::::\n"
     elif name.endswith("/index") and name != "gallery/index":
         here = Path(app.srcdir, name).parent
         listed = [page for page in LINK.findall(content[0]) if (here / f"{page}.md").is_file()]

@@ -21,12 +21,10 @@ from gtau.demo.run import (
     CASES,
     DRIVE_GAINS,
     LOGS,
+    MASSES,
     PRIOR_GAINS,
-    RATE,
-    SECOND_PAYLOAD_MASS,
-    VALIDATION,
+    SIMULATION,
     make_experiment,
-    standard_parameters,
 )
 from gtau.documents.files import folder_of, write_atomically
 from gtau.estimation.experiment_runs import read_runs
@@ -184,7 +182,8 @@ def write_figures(study: Study, folder: Path, duration: float, images: Path) -> 
     """Draw the pictures of the page, ``case-study-*.png``, and that of the robot."""
     result, prediction, compared = study.result, study.prediction, study.comparison
     planned = read_simulation(folder / "simulation.yaml").runs[0]
-    exciting, shown = sample(make_trajectory(planned.trajectory, result.robot, planned.name)[0], duration, RATE), 5
+    path, _ = make_trajectory(planned.trajectory, result.robot, planned.name)
+    exciting, shown = sample(path, duration, SIMULATION.rate), 5
     motion = (exciting.q[::shown], exciting.qd[::shown], exciting.qdd[::shown])
     units = [each.unit for each in study.errors]
     time = prediction.time - prediction.time[0]
@@ -192,9 +191,9 @@ def write_figures(study: Study, folder: Path, duration: float, images: Path) -> 
     part, time = prediction.part(begun), time[begun]
     charts = {
         "gains": gains_chart(result.drive_gains),
-        "payload": payload_chart(study.weighings["prior"], study.weighings["identified"], SECOND_PAYLOAD_MASS),
-        "torques": torques_chart(part, units, "current", time, title=VALIDATION),
-        "trajectory": trajectory_chart(exciting.time[::shown], motion, prediction.joints, "m", LOGS[0][0]),
+        "payload": payload_chart(study.weighings["prior"], study.weighings["identified"], MASSES["second"]),
+        "torques": torques_chart(part, units, "current", time, title=LOGS[-1]),
+        "trajectory": trajectory_chart(exciting.time[::shown], motion, prediction.joints, "m", LOGS[0]),
         "test-trajectories": references_chart(compared.references, compared.joints, compared.units),
         **{f"tracking-{name.replace('_', '-')}": tracking_chart(compared, name) for name in compared.references},
     }
@@ -214,7 +213,7 @@ def page(study: Study) -> str:
             TABLE_3_NOTES,
             "## Torques on a run that was not used (Fig. 5)\n",
             "![Measured and predicted torques](../images/case-study-torques.png)\n",
-            "The picture shows raw torques, the table errors in the band of the identification, away from reversals.\n",
+            "The picture shows raw torques, the table errors in the band of the identification, without reversals.\n",
             _table(
                 ("joint", "signal rms, N", "error rms, N", "error, %"),
                 [
@@ -226,8 +225,8 @@ def page(study: Study) -> str:
             _table(
                 ("drive gains", "paper, kg (std)", "found, kg (std)"),
                 [
-                    ("manufacturer's (case 1)", "1.09 (0.02)", _with_std(study.weighings["prior"])),
-                    ("identified (case 2)", "1.14 (0.02)", _with_std(study.weighings["identified"])),
+                    ("the manufacturer's", "1.09 (0.02)", _with_std(study.weighings["prior"])),
+                    ("the identified ones", "1.14 (0.02)", _with_std(study.weighings["identified"])),
                 ],
             ),
             "\n![Masses weighed](../images/case-study-payload.png)\n",
@@ -242,8 +241,7 @@ def page(study: Study) -> str:
 
 
 def _table_3(result: Result) -> list[Sequence[str]]:
-    chi = standard_parameters()
-    standard = [chi.get(name, 0.0) for name in result.idm.parameter_names]
+    standard = [SIMULATION.parameters.get(name, 0.0) for name in result.idm.parameter_names]
     true = dict(zip(result.base.names, result.base.matrix @ standard, strict=True))
     true |= DRIVE_GAINS
     ours: dict[str, Estimate] = {**result.drive_gains, **result.essential}

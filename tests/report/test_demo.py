@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import gtau
 from gtau.cli.commands import app
-from gtau.demo.run import COMMANDS, CONTENT, LOGS, PAYLOAD_MASS, demo, standard_parameters
+from gtau.demo.run import COMMANDS, CONTENT, LOGS, MASSES, SIMULATION, demo
 from gtau.errors import GtauError
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
@@ -72,7 +72,7 @@ def test_a_joint_without_limits_is_refused() -> None:
 
 def test_the_true_orthoglide_has_the_sums_of_the_papers_table_3(model: gtau.InverseDynamics) -> None:
     base = gtau.base_parameters(model)
-    chi = standard_parameters()
+    chi = SIMULATION.parameters
     value = dict(zip(base.names, base.matrix @ [chi.get(name, 0.0) for name in model.parameter_names], strict=True))
     table = {"m_11R": 9.40, "m_12R": 8.95, "m_13R": 0.87, "ia_13R": 8.05, "m_PR": 0.92, "fv_12": 86.7, "fs_13": 24.1}
     assert {name: value[name] for name in table} == pytest.approx(table, abs=1e-4)
@@ -99,7 +99,7 @@ def test_the_files_of_the_demo_fit_each_other(made: tuple[Path, dict[str, Any], 
     assert payloads[1][4:] == [Payload(name="second"), None]
     assert [run.payload for run in simulated.validation] == [run.payload for run in experiment.validation]
     task, _ = read_design(out / "design.yaml")
-    assert [load and load.mass for load in task.payloads] == [None, PAYLOAD_MASS]
+    assert [load and load.mass for load in task.payloads] == [None, MASSES["steel"]]
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_pages_show_what_the_demo_finds(tmp_path: Path) -> None:
         assert shown is not None
         assert float(shown[1]) == pytest.approx(gain["value"], rel=5e-4)
     masses = [document["second_payload"][gains]["value"] for gains in ("prior", "identified")]
-    assert [*map(float, re.findall(r"^case \d: .*? gains +([\d.]+) ", readme, re.MULTILINE))] == pytest.approx(
+    assert [*map(float, re.findall(r"^with .*? gains +([\d.]+) ", readme, re.MULTILINE))] == pytest.approx(
         masses, rel=2e-3
     )
 
@@ -178,7 +178,7 @@ def test_an_interrupted_demo_leaves_no_half_written_file(tmp_path: Path) -> None
 
     with pytest.raises(Stop):
         demo(tmp_path, stop, duration=3.0)
-    assert [path.name for path in (tmp_path / "logs").iterdir()] == [f"{LOGS[0][0]}.csv"]
+    assert [path.name for path in (tmp_path / "logs").iterdir()] == [f"{LOGS[0]}.csv"]
 
 
 def test_a_figure_leaves_the_users_settings_alone_and_is_the_same_each_time(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from gtau.demo.run import DRIVE_GAINS, standard_parameters
+from gtau.demo.run import DRIVE_GAINS, SIMULATION
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.reading.statements import Payload
@@ -41,7 +41,7 @@ class Plan:
         model, rng = orthoglide(), np.random.default_rng(self.seed)
         path = (point_to_point if self.moves else sines)(envelope(model.robot), SECONDS, rng)
         time = np.arange(round(SECONDS * RATE) + 1) / RATE
-        chi = standard_parameters()
+        chi = SIMULATION.parameters
         chi["m_P"] += self.mass
         tau = model.torques(*path(time + DELAY), chi)
         q = path(time)[0]

@@ -1,20 +1,14 @@
-"""The demo: simulation, identification and payload estimation on an Orthoglide with known true values.
-
-The identifiable sums (paper, Table 3) are the paper's; we distributed them among the bodies by the dimensions of such a
-machine.
-"""
+"""The demo: simulation, identification and payload estimation on an Orthoglide with known true values."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import deepcopy
 from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
 
 from gtau.documents.files import folder_of, write_atomically
-from gtau.documents.yaml_document import yaml_text
 from gtau.estimation.experiment_runs import read_validation
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_file import save
@@ -32,23 +26,13 @@ from gtau.uses.identify import identify
 from gtau.uses.weigh import weigh
 
 FILES = Path(__file__).with_name("orthoglide_files")
-"""Experiment files and a design file, beside this module."""
-
-DRIVE_GAINS = {"11": 2170.0, "12": 2100.0, "13": 2070.0}  # N per A, Table 3
-PRIOR_GAINS = {"11": 2001.0, "12": 2001.0, "13": 2001.0}  # N per A, the manufacturer's 637 pi
-PAYLOAD_MASS = 1.983  # kg, the known payload
-SECOND_PAYLOAD_MASS = 1.136  # kg, the one to be weighed
-
-BAR_LENGTH = 0.31  # m
-
-# Table 3: m_1R (foot, rotor, and the bar's share, kg), fv (N s/m), fs (N); and the offset of the axis, N.
-AXES = {"11": (9.40, 85.7, 35.2, 1.8), "12": (8.95, 86.7, 41.7, -1.2), "13": (0.87 + 8.05, 84.0, 24.1, 0.5)}
-FOOT_3 = 0.87  # kg, m_13R: on the vertical axis gravity separates the foot from the rotor
-PLATFORM = 0.92  # kg, m_6R: with its share of the bars and their joints
-BARS = {"1": 0.170, "2": 0.174, "3": 0.172}  # kg, both bars of a parallelogram
-# Viscous (N m s/rad) and Coulomb friction (N m) of passive joints 2 to 5.
-PASSIVE_FRICTION = {"2": (0.42, 0.30), "3": (0.28, 0.22), "4": (0.27, 0.21), "5": (0.40, 0.28)}
-CASES = {"prior": "case 1: manufacturer's gains", "identified": "case 2: identified gains"}
+"""The simulated robot with its runs, experiment files, and a design file."""
+SIMULATION = read_simulation(FILES / "simulation.yaml")
+DRIVE_GAINS = {joint: drive.gain for joint, drive in SIMULATION.drives.items()}  # N per A
+PRIOR_GAINS = SIMULATION.prior_gains  # N per A, the manufacturer's 637 pi
+MASSES = {run.payload.name: run.payload.mass or 0.0 for run in SIMULATION.runs if run.payload}  # kg
+LOGS = [run.name for run in (*SIMULATION.runs, *SIMULATION.validation)]
+CASES = {"prior": "with the manufacturer's gains", "identified": "with identified gains"}
 COMMANDS = (
     "gtau identify experiment.yaml --out .",
     "gtau validate model.json experiment.yaml",
@@ -65,136 +49,6 @@ CONTENT = {
     "model.json": "the identified robot",
     "logs/": "what was logged",
 }
-
-
-def drives() -> dict[str, dict[str, Any]]:
-    """List drives and sensors as in a simulation file: ball screws of 20 mm lead, 0.4 A at most."""
-    return {
-        joint: {
-            "gain": gain,
-            "current_limit": 0.4,
-            "ripple": 1.0,
-            "ripple_period": round(0.02 / 6, 6),
-            "position_quantum": 2.5e-6,
-            "current_noise": 3e-4,
-            "current_quantum": 1e-5,
-        }
-        for joint, gain in DRIVE_GAINS.items()
-    }
-
-
-def standard_parameters() -> dict[str, float]:
-    """List standard parameters by name, SI units; others are zero."""
-    chi: dict[str, float] = {}
-    for leg, bar in BARS.items():
-        chi |= _leg(leg, bar)
-    share = sum(chi[f"mx_3{leg}"] / BAR_LENGTH + chi[f"m_4{leg}"] + chi[f"m_5{leg}"] for leg in BARS)
-    return chi | {"m_P": PLATFORM - share}
-
-
-def _leg(leg: str, bar: float) -> dict[str, float]:
-    """List foot and rotor (1), universal joint (2), bar (3), and the joint at the platform (4, 5) of a leg."""
-    regrouped, fv, fs, off = AXES[f"1{leg}"]
-    knuckle = 0.05  # kg, bodies 2 and 4; body 5 is lighter
-    moment = bar * BAR_LENGTH / 2
-    carried = knuckle + bar - moment / BAR_LENGTH  # the foot's share of the universal joint and the bar
-    foot = (FOOT_3 + off / 9.80665 if leg == "3" else 0.80) - carried
-    slender = bar * BAR_LENGTH**2 / 3  # about its end
-    chi = {
-        f"m_1{leg}": foot,
-        f"ia_1{leg}": regrouped - foot - carried,
-        f"fv_1{leg}": fv,
-        f"fs_1{leg}": fs,
-        f"off_1{leg}": off,
-        f"m_2{leg}": knuckle,
-        f"xx_2{leg}": 2e-5,
-        f"yy_2{leg}": 1e-5,
-        f"zz_2{leg}": 2e-5,
-        f"m_3{leg}": bar,
-        f"mx_3{leg}": moment,
-        f"xx_3{leg}": 1.5e-4,
-        f"yy_3{leg}": slender,
-        f"zz_3{leg}": slender + 1.5e-4,
-        f"m_4{leg}": knuckle,
-        f"xx_4{leg}": 2e-5,
-        f"yy_4{leg}": 2e-5,
-        f"zz_4{leg}": 1e-5,
-        f"m_5{leg}": 0.025,
-    }
-    for joint, (viscous, coulomb) in PASSIVE_FRICTION.items():
-        chi |= {f"fv_{joint}{leg}": viscous, f"fs_{joint}{leg}": coulomb}
-    return chi
-
-
-RATE = 1000.0  # Hz
-
-# Payload entry of a run in the simulation file.
-EMPTY: dict[str, Any] = {}
-STEEL = {"payload": {"name": "steel", "mass": PAYLOAD_MASS, "mass_std": 0.001}}
-SECOND = {"payload": {"name": "second", "mass": SECOND_PAYLOAD_MASS}, "weigh": True}
-# Log, kind of trajectory, payload.
-LOGS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("exciting_1_unloaded", "sines", EMPTY),
-    ("exciting_2_unloaded", "moves", EMPTY),
-    ("exciting_3_loaded", "sines", STEEL),
-    ("exciting_4_loaded", "moves", STEEL),
-    ("validation_loaded", "sines", STEEL),
-    ("second_payload", "sines", SECOND),
-    ("second_payload_unloaded", "sines", EMPTY),
-)
-VALIDATION = "validation_loaded"  # the log kept out of the identification
-# Points (m) of joints 11, 12 and 13 on which control laws are compared: in a horizontal plane, where the vertical axis
-# 13 hardly moves, and in space.
-CONTROL: dict[str, tuple[tuple[float, float, float], ...]] = {
-    "trajectory_1": (
-        (0.015, 0.015, 0.015),
-        (0.08, -0.05, 0.015),
-        (0.08, 0.08, 0.02),
-        (-0.05, 0.08, 0.015),
-        (-0.05, -0.05, 0.01),
-        (0.015, 0.015, 0.015),
-    ),
-    "trajectory_2": (
-        (0.015, 0.015, 0.015),
-        (0.09, 0.07, 0.05),
-        (-0.06, -0.04, -0.05),
-        (0.09, -0.05, 0.08),
-        (-0.03, 0.09, -0.05),
-        (0.015, 0.015, 0.015),
-    ),
-}
-SIMULATION = """\
-# The robot that replaces a real one: its true parameters, its drives and sensors, and the runs. Made again from
-# this file, the logs are the same: gtau simulate simulation.yaml --out simulated
-"""
-
-
-def simulation_text(duration: float) -> str:
-    """Write the simulation file of the demo, its logs ``duration`` s long."""
-    runs = [
-        {"name": name, "trajectory": {kind: {"seed": seed, "duration": duration}}, **deepcopy(carried)}
-        for seed, (name, kind, carried) in enumerate(LOGS)
-    ]
-    control = [
-        {
-            "name": name,
-            "trajectory": {"points": {"through": [dict(zip(DRIVE_GAINS, point, strict=True)) for point in points]}},
-            **deepcopy(STEEL),
-        }
-        for name, points in CONTROL.items()
-    ]
-    document = {
-        "robot": "orthoglide",
-        "rate": RATE,
-        "seed": 1,
-        "prior_gains": PRIOR_GAINS,
-        "drives": drives(),
-        "parameters": standard_parameters(),
-        "runs": [run for run in runs if run["name"] != VALIDATION],
-        "validation": [run for run in runs if run["name"] == VALIDATION],
-        "control": control,
-    }
-    return SIMULATION + yaml_text(document)
 
 
 # The demo
@@ -218,10 +72,10 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
         (payload,) = weigh(result, out / "second_payload.yaml", gains=case, progress=progress)
         weighings[case] = payload.parameters["m"]
     files = [name for name in CONTENT if not name.endswith("/")]
-    files += [f"logs/{name}.csv" for name, _, _ in LOGS]
+    files += [f"logs/{name}.csv" for name in LOGS]
     document = _document(result, weighings) | {
         "folder": str(out),
-        "logs": {"count": len(LOGS), "duration": duration, "rate": RATE},
+        "logs": {"count": len(LOGS), "duration": duration, "rate": SIMULATION.rate},
         "files": files,
         "commands": list(COMMANDS),
     }
@@ -232,17 +86,17 @@ def demo(out: Path, progress: Progress, duration: float = 10.0) -> tuple[dict[st
 
 def make_experiment(out: Path, duration: float, progress: Progress) -> None:
     """Simulate the robot, and write its logs and the files that describe them."""
-    write_atomically(out / "simulation.yaml", simulation_text(duration))
+    folder_of(out / "logs")
+    for file in FILES.iterdir():
+        text = file.read_text(encoding="utf-8").replace("duration: 10.0", f"duration: {duration}")
+        write_atomically(out / file.name, text)
     simulation = read_simulation(out / "simulation.yaml")
     model = InverseDynamics(load_robot(simulation.robot))
-    folder_of(out / "logs")
     runs = (*simulation.runs, *simulation.validation)
     for k, run in enumerate(runs):
         progress("simulating", k, len(runs))
         write_log(make_run(simulation, model, run).run, out / "logs" / f"{run.name}.csv")
     progress("simulating", len(runs), len(runs))
-    for file in FILES.iterdir():
-        write_atomically(out / file.name, file.read_bytes())
 
 
 def _document(result: IdentifiedModel, weighings: Mapping[str, Estimate]) -> dict[str, Any]:
@@ -261,14 +115,14 @@ def _document(result: IdentifiedModel, weighings: Mapping[str, Estimate]) -> dic
         for joint, gain in result.drive_gains.items()
     ]
     masses = {
-        case: {"value": mass.value, "std": mass.std, "error": _percent(mass.value, SECOND_PAYLOAD_MASS)}
+        case: {"value": mass.value, "std": mass.std, "error": _percent(mass.value, MASSES["second"])}
         for case, mass in weighings.items()
     }
     return {
         "robot": result.robot.name,
-        "known_payload": {"mass": PAYLOAD_MASS, "unit": "kg"},
+        "known_payload": {"mass": MASSES["steel"], "unit": "kg"},
         "drive_gains": gains,
-        "second_payload": {"true": SECOND_PAYLOAD_MASS, "unit": "kg", **masses},
+        "second_payload": {"true": MASSES["second"], "unit": "kg", **masses},
     }
 
 

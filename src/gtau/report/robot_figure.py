@@ -29,6 +29,7 @@ OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0
 COILS = 8  # turns of a spring
 PARALLEL = 1e-6  # tolerance of a cosine
 FLAT = 0.05  # share of its size below which a robot is drawn from the front
+TIP = 0.25  # m, of an arm whose length no file states
 
 
 def sketch_of(robot: Robot) -> Sketch:
@@ -108,9 +109,12 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
     robot, frames, reach = scene.robot, scene.frames, scene.size
     tool = robot.tool if len(robot.tool) <= LETTERS else robot.tool[: LETTERS - 1] + "\u2026"
     payload = f"payload on {tool}"
+    spokes = [float(np.linalg.norm(foot - frames[GROUND][1])) for foot in scene.feet]
+    hub = len(spokes) < 3 or np.ptp(spokes) < FLAT * max(spokes)  # else lines to the feet would look like struts
     for foot in scene.feet:
         x, y = scene.on_page(foot)
-        pen.line([scene.on_page(frames[GROUND][1]), (x, y)], "measured", 2.4, label="" if robot.floating else "base")
+        origin = scene.on_page(frames[GROUND][1]) if hub else (x, y)
+        pen.line([origin, (x, y)], "measured", 2.4, label="" if robot.floating else "base")
         pen.line([(x, y), (x, y - 0.06 * reach)], "measured")
         pen.line([(x - 0.03 * reach, y - 0.06 * reach), (x + 0.03 * reach, y - 0.06 * reach)], "measured", 2.4)
     for joint, rail in scene.rails:
@@ -122,6 +126,7 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
         colour, label = (GREEN, payload) if platform.name == robot.tool else (SKY, "platform")
         _draw_platform(pen, scene, platform.name, colour, label)
     R, place = frames[robot.tool]
+    place = place + scene.shifts.get(robot.tool, 0.0)
     if robot.tool not in {body for body, _ in scene.lines} | {platform.name for platform in robot.platforms}:
         pen.mark(scene.on_page(place), ("disc", 13.0, ""), GREEN, payload)
     for joint in sorted(scene.joints, key=lambda joint: joint.name in robot.driven):  # driven joints on top
@@ -130,6 +135,8 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
             half = (0.06 if driven else 0.04) * reach / scene.scale * (frames[joint.name][0] @ np.array(joint.axis))
             pen.line(scene.on_page(np.array([centre - half, centre + half])), INK, 1.0)
         size, fill = DRIVEN if driven else PASSIVE
+        if driven:
+            _draw_direction(pen, scene, joint)
         words = ("motor, " if driven else "passive, ") + ("turns" if joint.turns else "slides")
         pen.mark(scene.on_page(centre), ("disc" if joint.turns else "square", size, fill), label=words)
     pen.triad(scene.on_page(place), 0.13 * reach * scene.view @ R, GREEN)
@@ -138,6 +145,24 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
         pen.line(zigzag(start, end, 0.025 * reach), INK, label="spring")
     for closure in robot.closures:
         pen.mark(scene.on_page(attached(closure.a, frames)[1]), ("diamond", 6.0, ORANGE), label="closes a loop")
+
+
+def _draw_direction(pen: Pen, scene: Scene, joint: Joint) -> None:
+    """Draw an arrow in the positive direction of a joint: around its axis, or beside it."""
+    axis, reach = scene.frames[joint.name][0] @ np.array(joint.axis), 0.08 * scene.size / scene.scale
+    if joint.turns:
+        angle = np.pi * np.linspace(0.2, 1.5, 20)[:, None]
+        x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+        x /= np.linalg.norm(x)
+        path = scene.on_page(scene.centre(joint) + reach * (np.cos(angle) * x + np.sin(angle) * np.cross(axis, x)))
+    else:
+        path = scene.on_page(scene.centre(joint) + reach * np.linspace(-1.0, 1.0, 5)[:, None] * axis)
+    back = path[-3] - path[-1]
+    back *= 4.5 / max(float(np.linalg.norm(back)), 1e-9)
+    across = np.array([-back[1], back[0]])
+    path = path if joint.turns else path + 2.2 * across
+    wings = [path[-1] + 0.8 * back + side * across for side in (0.5, -0.5)]
+    pen.line([*path, wings[0], path[-1], wings[1]], RED, label="positive direction")
 
 
 def _draw_platform(pen: Pen, scene: Scene, name: str, colour: str, label: str) -> None:
@@ -161,7 +186,7 @@ def _draw_names(pen: Pen, scene: Scene) -> None:
     marks = np.array([shape.points.mean(axis=0) for shape in shapes if shape.closed])
     along = np.linspace(0, 1, 30)[:, None]
     lines = [shape.points for shape in shapes if not shape.closed]
-    strokes = np.vstack([ends[:1] + along * (ends[1:2] - ends[:1]) for ends in lines])
+    strokes = np.vstack([*(ends[:1] + along * (ends[1:2] - ends[:1]) for ends in lines), *lines])
     named: dict[tuple[float, ...], tuple[np.ndarray, list[str]]] = {}
     for joint in scene.joints:
         if joint.name in scene.robot.driven:
@@ -211,7 +236,8 @@ class Scene:
     """Layout of a robot with gravity down the page; ``view`` (2, 3) projects m to the page at ``scale`` points/m.
 
     ``frames`` holds the frames of all bodies, ``joints`` the drawn joints, ``lines`` bodies and lines (2, 3) of their
-    links, ``rails`` prismatic joints and their travel (2, 3), ``feet`` (3,) the points where joints stand on the base.
+    links, ``rails`` prismatic joints and their travel (2, 3), ``feet`` (3,) the points where joints stand on the base,
+    ``shifts`` (3,) of joints that meet in one point, along their axes.
     """
 
     robot: Robot
@@ -224,6 +250,7 @@ class Scene:
     lines: list[tuple[str, np.ndarray]]
     rails: list[tuple[Joint, np.ndarray]]
     feet: list[np.ndarray]
+    shifts: dict[str, np.ndarray]
 
     def on_page(self, points: np.ndarray) -> np.ndarray:
         """Project points (..., 3) onto the page, (..., 2)."""
@@ -231,7 +258,7 @@ class Scene:
 
     def centre(self, joint: Joint) -> np.ndarray:
         """Locate the mark of a joint, (3,)."""
-        place = self.frames[joint.name][1]
+        place = self.frames[joint.name][1] + self.shifts.get(joint.name, 0.0)
         return np.asarray((place + foot_of(joint, self.frames)) / 2 if joint.kind == "prismatic" else place)
 
 
@@ -243,13 +270,18 @@ def scene_of(robot: Robot) -> Scene:
     frames = {name: (upright @ R, upright @ p) for name, (R, p) in poses(layout, layout.home).items()}
     shafts = {joint.name for joint in robot.joints if joint.parameters == "drive" and joint.antecedent == GROUND}
     joints = [joint for joint in robot.joints if joint.name not in shafts.union(robot.base)]
+    shifts = shifts_of([joint for joint in joints if joint.name in robot.driven], frames)
     lines = link_lines(robot, joints, frames)
+    lines += [(name, frames[name][1] + np.array([0.0 * shift, shift])) for name, shift in shifts.items()]
     rails = []
     for joint in (joint for joint in joints if joint.kind == "prismatic"):
         R, p = frames[joint.name]
         ends = joint.limits.position or (joint.home, joint.home)
         rails.append((joint, np.array([p + (end - joint.home) * (R @ np.array(joint.axis)) for end in ends])))
-    feet = [foot_of(joint, frames) for joint in joints if joint.antecedent == GROUND]
+    if not lines and not rails:  # the link of one joint, drawn along x
+        R, p = frames[robot.tool]
+        lines = [(robot.tool, p + np.array([0.0 * R[:, 0], TIP * R[:, 0]]))]
+    feet = [foot_of(joint, frames) + shifts.get(joint.name, 0.0) for joint in joints if joint.antecedent == GROUND]
     attachments = [attached(end, frames)[1] for end in robot.ends]
     drawn = (*(line for _, line in lines), *(rail for _, rail in rails))
     points = np.vstack([*drawn, *feet, *attachments, *(frame[1] for frame in frames.values())])
@@ -257,7 +289,27 @@ def scene_of(robot: Robot) -> Scene:
     span = np.maximum(np.ptp(points @ view.T, axis=0), 1e-9)
     size = float(span.max()) if span.max() > 1e-9 else 1.0
     scale = float(min((WIDTH - 2 * MARGIN) / (1.2 * size), TALLEST / span[1]))
-    return Scene(robot, upright, view, scale, scale * size, frames, joints, lines, rails, feet)
+    return Scene(robot, upright, view, scale, scale * size, frames, joints, lines, rails, feet, shifts)
+
+
+def shifts_of(joints: Sequence[Joint], frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
+    """Move joints of a chain that meet in a point apart, (3,) each, along their axes, of which any point is as good.
+
+    The first moves towards its link, the last of three away from it.
+    """
+    places = {joint.name: frames[joint.name][1] for joint in joints}
+    reach = float(np.ptp(np.vstack([*places.values(), np.zeros(3)]), axis=0).max())
+    shifts = {}
+    for first in joints:
+        group = [other for other in joints if np.linalg.norm(places[other.name] - places[first.name]) <= FLAT * reach]
+        if first != group[0] or not 1 < len({joint.antecedent for joint in group if joint.turns}) == len(group):
+            continue
+        back = frames[first.antecedent][1] - places[first.name]
+        down = back if np.linalg.norm(back) > FLAT * reach else np.array([0.0, 0.0, -1.0])
+        for joint, side in ((first, 1.0), *([(group[-1], -1.0)] if len(group) > 2 else [])):
+            axis = frames[joint.name][0] @ np.array(joint.axis)
+            shifts[joint.name] = side * 0.14 * reach * (axis if axis @ down > 0 else -axis)
+    return shifts
 
 
 def upright_rotation(gravity: np.ndarray) -> np.ndarray:
@@ -278,6 +330,9 @@ def view_plane(extent: np.ndarray, normal: np.ndarray | None = None) -> np.ndarr
         right = right if right[np.argmax(np.abs(right))] > 0 else -right
         up = np.cross(normal, right)
         return np.array([right, up if up[np.argmax(np.abs(up))] > 0 else -up])
+    wide = extent > FLAT * extent.max()
+    if wide.sum() == 1 and not wide[2]:  # a level line
+        return np.array([wide.astype(float), [0.0, 0.0, 1.0]])
     thin = int(np.argmin(extent))
     flat = extent[thin] < FLAT * extent.max()
     e, a = np.radians(((18.0, -20.0), (18.0, -72.0), (62.0, -72.0))[thin] if flat else (24.0, -58.0))
@@ -288,7 +343,7 @@ def normal_of(joints: Sequence[Joint], frames: Mapping[str, Frame]) -> np.ndarra
     """Return the common axis (3,) of a planar robot's revolute joints, normal to its prismatic ones; else None."""
     axes = {joint: frames[joint.name][0] @ np.array(joint.axis) for joint in joints}
     turns = [axis for joint, axis in axes.items() if joint.turns]
-    if len(turns) < 2:
+    if not turns:
         return None
     across = [abs(axis @ turns[0]) for joint, axis in axes.items() if not joint.turns]
     parallel = all(abs(axis @ turns[0]) > 1 - PARALLEL for axis in turns)
