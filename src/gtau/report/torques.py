@@ -186,7 +186,7 @@ def torques_chart(
             words += f", {error.relative_raw:.2f} % raw" if error.relative_raw is not None else ""
         measured, predicted = prediction.measured[:, j], prediction.predicted[:, j]
         masked = stretches(time, ~prediction.keep[:, j])
-        both = (Series(label, time, measured, "measured", width=5.0), Series("predicted", time, predicted, width=1.2))
+        both = (Series(label, time, measured, "measured", width=3.2), Series("predicted", time, predicted, width=1.2))
         axis = Axis(f"{'force' if unit == 'N' else 'torque'}, {unit}")
         panels.append(Panel(TIME, axis, both, words, shaded=masked))
         residual = Series("residual", time, measured - predicted, "residual", width=1.0)
