@@ -1,4 +1,4 @@
-"""Write ``lookup/messages.md``: every finding by its name, with its message and its remedy.
+"""Write ``lookup/messages.md``: every finding by its name, with its remedy.
 
 The words are read from where a finding is raised in the source, with ``…`` for what differs from case to case.
 """
@@ -22,15 +22,13 @@ SOURCE = ROOT / "src" / "gtau"
 PAGE = ROOT / "docs" / "lookup" / "messages.md"
 HEAD = """# Messages
 
-Every finding that can appear in a summary, a report or `gtau check`, with its remedy. This page is generated from the
-source by `python docs/make_messages.py`; … stands for what differs from case to case, and long messages are cut.
+Every finding that can appear in a summary, a report or `gtau check`, with its remedy; … stands for what differs from
+case to case. A name is the `kind` in `model.json` and `finding.kind` in Python. An error, which ends a command with
+exit code 2, is one sentence with its remedy, and is not listed. `python docs/make_messages.py` makes this page.
 
 - [Verdicts](#verdicts): findings that lower a verdict
 - [Notes](#notes): other findings
 - [Causes](#causes): effects that the model may lack, and errors that the description may have
-
-The first column is the `kind` in `model.json` and `finding.kind` in Python. An error, which ends a command with exit
-code 2, is one sentence that states the problem, its place and the remedy; it is not listed here.
 """
 # functions that raise findings, and the names of their positional arguments
 RAISE = {
@@ -41,7 +39,6 @@ RAISE = {
 }
 GRADES = {"reading": Grade.INFORMATION, "repair": Grade.INFORMATION, "contradiction": Grade.CONTRADICTORY}
 ADVISE = {"write_limits", "clock_advice", "unloaded_advice", "which_payload", "log_with_gravity", "check_milliamperes"}
-LONGEST = 12  # words of a message
 Line = tuple[int, ast.expr]
 
 
@@ -169,25 +166,10 @@ def by_kind(listed: Iterable[Finding]) -> dict[str, Finding]:
     return found
 
 
-def shortened(text: str) -> str:
-    """Cut a long message."""
-    words = re.sub(r"…[ %]+(?=…)", "", text).split()
-    return " ".join([*words[: LONGEST - 1], "…"]) if len(words) > LONGEST else text
-
-
 def cell(text: str) -> str:
     """Write a text into a table, what is typed as code."""
     text = re.sub(r"(?<![\w'])(--[a-z-]+)", r"`\1`", (text[:1].upper() + text[1:]).replace("+-", "±")) or "-"
     return re.sub(r"([|<*_\[\]])", r"\\\1", text)
-
-
-def table(listed: Iterable[Finding]) -> str:
-    """Return a table of findings."""
-    lines = ["| name | message | what to do |", "| --- | --- | --- |"]
-    for finding in listed:
-        message = shortened(finding.text.replace("{own}", "…"))
-        lines.append(f"| {finding.kind} | {cell(message)} | {cell(finding.advice)} |")
-    return "\n".join(lines) + "\n"
 
 
 def remedies(listed: Iterable[Finding]) -> str:
@@ -195,7 +177,7 @@ def remedies(listed: Iterable[Finding]) -> str:
     actions: dict[str, list[str]] = defaultdict(list)
     for finding in listed:
         actions[finding.advice].append(finding.kind)
-    rows = (f"| {', '.join(alike)} | {cell(action)} |\n" for action, alike in actions.items())
+    rows = (f"| {', '.join(dict.fromkeys(alike))} | {cell(action)} |\n" for action, alike in actions.items())
     return "| name | what to do |\n| --- | --- |\n" + "".join(rows)
 
 
@@ -206,7 +188,7 @@ def page() -> str:
     causes = by_kind([*effects(), *(finding for finding in raised if finding.grade == Grade.GIVEN)]).values()
     text = HEAD + "\n## Verdicts\n"
     for grade in reversed(VERDICTS):
-        text += f"\n### {grade.value.capitalize()}\n\n" + table(each for each in said if each.grade == grade)
+        text += f"\n### {grade.value.capitalize()}\n\n" + remedies(each for each in said if each.grade == grade)
     notes = [finding for finding in said if not finding.decisive]
     text += "\n## Notes\n\n" + remedies(finding for finding in notes if finding.advice)
     text += "\nFor information, without a remedy: "

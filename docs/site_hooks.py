@@ -39,7 +39,9 @@ def add_menu(app: Sphinx, name: str, content: list[str]) -> None:
     if name == "index":
         pages = list(SHELVES)
         cards = "".join(CARD.format(**each.groupdict()) for each in ITEM.finditer(content[0]))
-        content[0] = START.sub(BUTTON, ITEM.sub("", content[0])) + f"\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}::::\n"
+        content[0] = (
+            START.sub(BUTTON, ITEM.sub("", content[0])) + f"\n::::{{grid}} 1 2 3 3\n:gutter: 3\n\n{cards}::::\n"
+        )
     elif name.endswith("/index") and name != "gallery/index":
         here = Path(app.srcdir, name).parent
         listed = [page for page in LINK.findall(content[0]) if (here / f"{page}.md").is_file()]

@@ -91,7 +91,7 @@ def test_the_first_call_writes_a_rehearsed_motion(begun: tuple[Path, CampaignSta
     assert motion["rehearsal"]["used"] <= 1
     assert set(motion["files"]) == {"motion.csv", "../design.yaml"}
     assert any(guard.startswith("jerk: not limited") for guard in motion["guards"])
-    assert "rest: runs begin and end at 'left' 2.094 rad, 'right' 1.047 rad; state rest" in motion["guards"]
+    assert "rest: runs begin and end at 'left' 2.094 rad, 'right' 1.047 rad; to change: rest" in motion["guards"]
     before = (folder / "01" / "motion.json").stat().st_mtime_ns
     assert campaign(folder).say == state.say  # and nothing is done twice
     assert (folder / "01" / "motion.json").stat().st_mtime_ns == before
@@ -227,7 +227,7 @@ def test_the_larger_part_of_the_worst_interval_decides() -> None:
     limited = decide(result_of(gain("a", 1.0, 0.01, 0.03)), 3.0, first, None)
     assert limited.kind == "model part"
     assert limited.say == (
-        "'a' is known to +-6.2 %, 3 % is asked for; the model part of its interval is the larger one"
+        "'a' is known to +-6.2 %, the target is 3 %; the model part of its interval is the larger one"
     )
     assert decide(result_of(gain("a", 1.0, 0.005, 0.005)), 3.0, first, None).kind == "confirm"
     five = [round_of("random part") for _ in range(5)]

@@ -149,7 +149,7 @@ def decide(
     if reached and alone is None:
         if len(rounds) >= ROUNDS:
             return Decision(STOPPED, f"{within}; five rounds are over, so none is left to confirm it", gains)
-        return Decision(CONFIRM, f"{within}; one more round must agree", gains)
+        return Decision(CONFIRM, f"{within}; a confirming round must agree", gains)
     if isinstance(alone, Decision):
         return replace(alone, say=f"the confirming round by itself: {alone.say}")
     if alone is not None and (apart := _apart(alone, before)):
@@ -159,7 +159,7 @@ def decide(
         return Decision(DONE, f"{within}, and the last round agrees", gains)
     limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
     size = f"known to {width}" if np.isfinite(wide[joint]) else "not identifiable"
-    say = f"'{joint}' is {size}, {accuracy:g} % is asked for; the {limited} of its interval is the larger one"
+    say = f"'{joint}' is {size}, the target is {accuracy:g} %; the {limited} of its interval is the larger one"
     if len(rounds) >= ROUNDS:
         return Decision(STOPPED, f"five rounds are over: {say}", gains, notes=_cause(result, joint))
     if limited == RANDOM:

@@ -110,7 +110,7 @@ def identify(
     Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does, without questions; the summary
     lists the guesses, which you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
 
-    The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, --consistent finds no
+    The exit code is 3 if any verdict is contradictory, no drive gain is identifiable, --consistent finds no
     parameters, or the result misses a requirement of EXPERIMENT.yaml.
     """
     hold(out)

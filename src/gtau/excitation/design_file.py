@@ -194,7 +194,7 @@ def _rest(robot: Robot, rest: np.ndarray, file: DesignFile, limits: MotionLimits
                 f"{high:.4g}; give its position under 'rest', or write 'approach: false'."
             )
     poses = (f"'{name}' {q:.4g} {robot.joint(name).unit}" for name, q in zip(robot.actuated, rest, strict=True))
-    yield f"rest: runs begin and end at {', '.join(poses)}; state rest"
+    yield f"rest: runs begin and end at {', '.join(poses)}; to change: rest"
 
 
 def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assumed: Mapping[str, str]) -> Iterator[str]:
@@ -214,7 +214,7 @@ def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assume
     located = {name for name, load in loads.items() if {*FIRST_MOMENTS} & {*load.parameters}} | {*prior.centers}
     if central := [f"'{name}'" for name in loads if name not in located]:
         off = f"{ARM:g} m off along each axis of '{model.robot.tool}'"
-        yield f"payload: the centre of {some_of(central, 4)} is taken {off}; state its parameters (mx, my, mz)"
+        yield f"payload: the centre of {some_of(central, 4)} is unknown: assumed {off}; give mx, my, mz"
 
 
 def _require_actuated(file: DesignFile, robot: Robot) -> None:
@@ -252,7 +252,10 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
         )
     joints = tuple(replace(joint, limits=limits.get(joint.name, joint.limits)) for joint in robot.joints)
     beyond = f" (but for {some_of(near, 4)} out to where it rests)" if near else ""
-    notes = [f"limits: {100 * share:.3g} % of the robot file's{beyond}, in full where stated; state limits.share"]
+    notes = [
+        f"limits: {100 * share:.3g} % of the robot file's{beyond}, limits you give are used in full; change with "
+        "limits.share"
+    ]
     if free := [f"'{name}'" for name, limit in limits.items() if limit.position is None]:
         notes.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
     efforts = {name: limit.effort or entry.current.get(name) for name, limit in limits.items()}

@@ -24,7 +24,7 @@ VISIBLE = (
     Column("grown slowly", Kind.NUMBER, 2, missing="no"),
 )
 """Columns of :func:`visible_changes`."""
-END = "Once explained, accept it with --acknowledge NOTE; after maintenance start again with --reset DATE."
+END = "Once explained, accept with --acknowledge NOTE; after maintenance start again with --reset DATE."
 NO_SAFETY_FUNCTION = (
     "This is not a safety function: it detects wear and mistakes between logs and protects nobody. Keep the robot's "
     "own safety functions."
@@ -78,8 +78,7 @@ def verdict_text(watch: Watch) -> Text:
     send = f"{settings.robots} robots send" if settings.robots > 1 else "the robot sends"
     promise = (
         f"False alarms of changes: on average {settings.false_alarms_per_year:.3g} a year if {send} "
-        f"{settings.logs_per_year:g} logs a year and healthy logs scatter as an autoregression of correlation up to "
-        "0.98 beside white noise; the evidence page says what was measured for other kinds of scatter."
+        f"{settings.logs_per_year:g} logs a year and healthy logs vary as assumed (see the evidence page, 'Watching')."
     )
     style: Any = "bad" if watch.alarm else "neutral" if watch.phase == "baseline" else "good"
     return Text(head, (*points, promise, NO_SAFETY_FUNCTION), style)
@@ -124,7 +123,7 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
     yield Table(columns, [row(k) for k in (*first, *others)], name="quantities-table", faint=faint)
     yield Text(
         "Changes since the identification, or since they were acknowledged: mean of the last week ± half its 95 % "
-        "interval. Beyond tolerance: the whole interval is outside. Visible: the smallest sudden change that would be "
+        "interval. Beyond tolerance: the total interval is outside. Visible: the smallest sudden change that would be "
         "found within a week and within a month of such logs, and the smallest that is found however slowly it grows."
     )
     yield from _hidden(watch)
