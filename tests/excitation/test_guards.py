@@ -121,7 +121,7 @@ def test_a_bare_arm_keeps_off_the_floor_and_itself(tmp_path: Path) -> None:
     for words in ("The tool moves at up to", "m/s",
                   "Floor: guessed at z = 0 m of the base; state 'limits: {floor: HEIGHT}'",
                   "Self-collision: bodies are capsules, guessed about lines from joint to joint for",
-                  "Limits: 80 % of the robot file's", "state limits.share"):  # fmt: skip
+                  "Limits: 80 % of the robot file's", "change with limits.share"):  # fmt: skip
         assert words in first
 
 

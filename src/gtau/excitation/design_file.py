@@ -252,10 +252,7 @@ def _with_limits(robot: Robot, entry: LimitsEntry, rest: Mapping[str, float]) ->
         )
     joints = tuple(replace(joint, limits=limits.get(joint.name, joint.limits)) for joint in robot.joints)
     beyond = f" (but for {some_of(near, 4)} out to where it rests)" if near else ""
-    notes = [
-        f"limits: {100 * share:.3g} % of the robot file's{beyond}, limits you give are used in full; change with "
-        "limits.share"
-    ]
+    notes = [f"limits: {100 * share:.3g} % of the robot file's{beyond}, yours in full; change with limits.share"]
     if free := [f"'{name}'" for name, limit in limits.items() if limit.position is None]:
         notes.append(f"position: no limit in the file for {some_of(free, 4)}; state limits.position")
     efforts = {name: limit.effort or entry.current.get(name) for name, limit in limits.items()}
