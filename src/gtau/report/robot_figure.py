@@ -205,7 +205,7 @@ def _draw_names(pen: Pen, scene: Scene) -> None:
 
 def _draw_compass(pen: Pen, scene: Scene, place: np.ndarray) -> None:
     """Draw the axes of the base around a place (2,), and the direction of gravity."""
-    pen.triad(place, 18.0 * scene.view @ scene.upright, GREY)
+    pen.triad(place, 18.0 * scene.view @ upright_rotation(np.array(scene.robot.gravity)), GREY)
     x, y = place
     pen.word("world" if scene.robot.floating else "base", np.array([x, y - 31.0]), colour=GREY)
     if not np.any(scene.robot.gravity):
@@ -241,7 +241,6 @@ class Scene:
     """
 
     robot: Robot
-    upright: np.ndarray
     view: np.ndarray
     scale: float
     size: float  # points, larger side
@@ -289,7 +288,7 @@ def scene_of(robot: Robot) -> Scene:
     span = np.maximum(np.ptp(points @ view.T, axis=0), 1e-9)
     size = float(span.max()) if span.max() > 1e-9 else 1.0
     scale = float(min((WIDTH - 2 * MARGIN) / (1.2 * size), TALLEST / span[1]))
-    return Scene(robot, upright, view, scale, scale * size, frames, joints, lines, rails, feet, shifts)
+    return Scene(robot, view, scale, scale * size, frames, joints, lines, rails, feet, shifts)
 
 
 def shifts_of(joints: Sequence[Joint], frames: Mapping[str, Frame]) -> dict[str, np.ndarray]:
