@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -170,8 +172,19 @@ def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatc
         assert abs(delay["value"] - 0.5 / 500) < 4 * delay["std"]
 
 
+def commands() -> dict[str, dict[str, str]]:
+    """What the table of the commands' keys says of each, by command."""
+    told: dict[str, dict[str, str]] = defaultdict(dict)
+    with (DOCS / "lookup/json-keys.csv").open(encoding="utf-8", newline="") as file:
+        for command, names, what in list(csv.reader(file))[1:]:
+            told[command] |= dict.fromkeys(names.split(", "), what)
+    return told
+
+
 def keys(heading: str) -> set[str]:
-    """The keys in the first table under a heading of the page on results."""
+    """The keys in the first table under a heading of the page on results, or of a command."""
+    if heading.startswith("gtau "):
+        return set(commands()[heading])
     text = (DOCS / "lookup/results.md").read_text(encoding="utf-8")
     section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
     rows = re.search(r"(^\|.*\n)+", section, re.MULTILINE)
@@ -186,7 +199,10 @@ def documented(heading: str, document: dict) -> None:
 
 
 def named(heading: str, key: str, document: dict) -> None:
-    """Every key of a part of a document stands in the line of the page that describes the part."""
+    """Every key of a part of a document stands in the line that describes the part."""
+    if heading.startswith("gtau "):
+        assert set(document) <= set(re.findall(r"\w+", commands()[heading][key])), (heading, key)
+        return
     text = (DOCS / "lookup/results.md").read_text(encoding="utf-8")
     section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
     line = re.search(rf"^\| `{key}` \|.*$", section, re.MULTILINE)
