@@ -22,7 +22,7 @@ from gtau.report.chart import Shape, Word
 from gtau.report.render.charts import robot_figure
 from gtau.report.render.terminal import plain
 from gtau.report.robot import robot_document, robot_page
-from gtau.report.robot_figure import sketch_of
+from gtau.report.robot_figure import scene_of, sketch_of
 from gtau.robots.geometry import float_base, oddities, tool_note
 from gtau.robots.readers.native import native_text, parse_native
 from gtau.robots.readers.read import catalog_names
@@ -259,6 +259,51 @@ def test_picture_hides_no_name_under_a_joint_or_another_name(name: str) -> None:
         assert not any(box.contains(*mark) for mark in marks)
         assert whole.contains(box.x0, box.y0)
         assert whole.contains(box.x1, box.y1)
+
+
+def arrows(name: str) -> list[np.ndarray]:
+    """Arrows of positive directions, (K, 2) each, without their heads."""
+    shapes = (item for item in sketch_of(load_robot(name)).items if isinstance(item, Shape))
+    return [
+        shape.points[:-3] for shape in shapes if shape.stroke == "c1" and not shape.closed and len(shape.points) > 2
+    ]
+
+
+@pytest.mark.parametrize(("name", "sense"), [("five-bar", 1.0), ("test-bench", -1.0), ("3-rrr", 1.0)])
+def test_arrows_turn_as_the_joints_do(name: str, sense: float) -> None:
+    """About axes towards the reader counter-clockwise, about those away from the reader clockwise."""
+    for arc in arrows(name):
+        x, y = (arc - arc.mean(axis=0)).T
+        assert sense * np.sum(x[:-1] * np.diff(y) - y[:-1] * np.diff(x)) > 100  # square points
+
+
+def test_the_arrow_of_a_level_axis_is_level_and_points_where_it_slides() -> None:
+    ((first, *_, last),) = arrows("emps")
+    assert last[1] == pytest.approx(first[1])
+    assert last[0] < first[0] - 10  # along -y, which points to the left: q is along z of a frame turned about x
+
+
+@pytest.mark.parametrize("name", ["puma560", "staubli-tx40"])
+def test_joints_that_meet_in_a_point_are_drawn_apart(name: str) -> None:
+    scene = scene_of(load_robot(name))
+    driven = [joint for joint in scene.joints if joint.name in scene.robot.driven]
+    places = np.array([scene.on_page(scene.centre(joint)) for joint in driven])
+    apart = np.linalg.norm(places[:, None] - places, axis=2)[np.triu_indices(len(driven), 1)]
+    assert apart.min() > 10  # points
+    for joint in driven:  # on their own axes
+        axis = scene.frames[joint.name][0] @ np.array(joint.axis)
+        assert np.linalg.norm(np.cross(scene.shifts.get(joint.name, 0 * axis), axis)) < 1e-9
+
+
+def test_no_line_looks_like_a_strut() -> None:
+    """The base of an Orthoglide has no spokes to its motors, that of a platform has."""
+
+    def spokes(name: str) -> int:
+        shapes = [item for item in sketch_of(load_robot(name)).items if isinstance(item, Shape)]
+        return sum(shape.stroke == "measured" and np.ptp(shape.points, axis=0).max() > 20 for shape in shapes)
+
+    assert spokes("orthoglide") == 0
+    assert spokes("gough-stewart") == 6
 
 
 @pytest.mark.parametrize("length", [3e-4, 0.03, 1.0, 350.0])
