@@ -1,4 +1,4 @@
-"""Write ``lookup/messages.md``: every finding by its name, with its remedy.
+"""Write ``lookup/messages.csv``: every finding by its name, with its grade and remedy.
 
 The words are read from where a finding is raised in the source, with ``…`` for what differs from case to case.
 """
@@ -6,11 +6,13 @@ The words are read from where a finding is raised in the source, with ``…`` fo
 from __future__ import annotations
 
 import ast
+import csv
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -19,17 +21,7 @@ from gtau.findings import VERDICTS, Finding, Grade
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "src" / "gtau"
-PAGE = ROOT / "docs" / "lookup" / "messages.md"
-HEAD = """# Messages
-
-Every finding that can appear in a summary, a report or `gtau check`, with its remedy; … stands for what differs from
-case to case. A name is the `kind` in `model.json` and `finding.kind` in Python. An error, which ends a command with
-exit code 2, is one sentence with its remedy, and is not listed. `python docs/make_messages.py` makes this page.
-
-- [Verdicts](#verdicts): findings that lower a verdict
-- [Notes](#notes): other findings
-- [Causes](#causes): effects that the model may lack, and errors that the description may have
-"""
+PAGE = ROOT / "docs" / "lookup" / "messages.csv"
 # functions that raise findings, and the names of their positional arguments
 RAISE = {
     "Finding": ("kind",),
@@ -166,35 +158,24 @@ def by_kind(listed: Iterable[Finding]) -> dict[str, Finding]:
     return found
 
 
-def cell(text: str) -> str:
-    """Write a text into a table, what is typed as code."""
-    text = re.sub(r"(?<![\w'])(--[a-z-]+)", r"`\1`", (text[:1].upper() + text[1:]).replace("+-", "±")) or "-"
-    return re.sub(r"([|<*_\[\]])", r"\\\1", text)
-
-
-def remedies(listed: Iterable[Finding]) -> str:
-    """Return a table of names with remedies; names with the same one share a row."""
-    actions: dict[str, list[str]] = defaultdict(list)
-    for finding in listed:
-        actions[finding.advice].append(finding.kind)
-    rows = (f"| {', '.join(dict.fromkeys(alike))} | {cell(action)} |\n" for action, alike in actions.items())
-    return "| name | what to do |\n| --- | --- |\n" + "".join(rows)
-
-
 def page() -> str:
-    """Return the page."""
+    """Return the table: findings by grade, notes, and the causes that verdicts and notes name."""
     raised = list(findings(modules()))
     said = by_kind(finding for finding in raised if finding.grade != Grade.GIVEN).values()
     causes = by_kind([*effects(), *(finding for finding in raised if finding.grade == Grade.GIVEN)]).values()
-    text = HEAD + "\n## Verdicts\n"
-    for grade in reversed(VERDICTS):
-        text += f"\n### {grade.value.capitalize()}\n\n" + remedies(each for each in said if each.grade == grade)
-    notes = [finding for finding in said if not finding.decisive]
-    text += "\n## Notes\n\n" + remedies(finding for finding in notes if finding.advice)
-    text += "\nFor information, without a remedy: "
-    text += ", ".join(finding.kind for finding in notes if not finding.advice) + ".\n"
-    text += "\n## Causes\n\nVerdicts and notes name these with their size and a remedy.\n\n"
-    return text + remedies(causes)
+    listed = [(grade.value, finding) for grade in reversed(VERDICTS) for finding in said if finding.grade == grade]
+    listed += [(finding.grade.value, finding) for finding in said if not finding.decisive]
+    listed += [("cause", finding) for finding in causes]
+    table = StringIO()
+    rows = csv.writer(table, lineterminator="\n")
+    rows.writerow(("grade", "name", "message", "what to do"))
+    rows.writerows((grade, finding.kind, *map(words, (finding.text, finding.advice))) for grade, finding in listed)
+    return table.getvalue()
+
+
+def words(text: str) -> str:
+    """Return a text with … for what differs from case to case."""
+    return re.sub(r"…[ %]+(?=…)", "", text.replace("{own}", "…")).strip()
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""What the page on extensions shows is installed beside gtau, as another distribution, and used."""
+"""The example of the page on extensions is installed beside gtau, as another distribution, and used."""
 
 from __future__ import annotations
 
 import re
+import shutil
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,8 @@ from gtau.cli.commands import app
 from gtau.extensions import registered
 from gtau.signals.reading.logs import read_log
 
-PAGE = Path(__file__).parents[2] / "docs" / "lookup" / "extending.md"
+ROOT = Path(__file__).parents[2]
+PAGE, EXAMPLE = ROOT / "docs" / "lookup" / "extending.md", ROOT / "examples" / "extension"
 
 
 @pytest.fixture
@@ -40,16 +42,11 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]
 
 @pytest.fixture
 def my_lab(tmp_path: Path, install) -> None:
-    """Write the files of the page."""
-    text = PAGE.read_text(encoding="utf-8")
-    files = re.findall(r"^`([\w/.]+)`.*?```\w+\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    assert len(files) == 5
-    (tmp_path / "my_lab" / "robots").mkdir(parents=True)
-    for folder in ("my_lab", "my_lab/robots"):
-        (tmp_path / folder / "__init__.py").touch()
-    for name, content in files:
-        assert len(content.splitlines()) <= 32
-        (tmp_path / name).write_text(content)
+    """Copy the example, whose files the page links to."""
+    shutil.copytree(EXAMPLE, tmp_path, dirs_exist_ok=True)
+    links = re.findall(r"examples/extension/([\w/.]+)\)", PAGE.read_text(encoding="utf-8"))
+    files = {path.relative_to(EXAMPLE).as_posix() for path in EXAMPLE.rglob("*.*") if path.suffix != ".pyc"}
+    assert {name for name in files if "__init__" not in name} == set(links)
     install(tomllib.loads((tmp_path / "pyproject.toml").read_text())["project"]["entry-points"])
 
 
