@@ -40,10 +40,12 @@ def table() -> str:
 def effects() -> str:
     """Return the table of the effects."""
     rows = ["| effect | what it is | contradicts the description |", "| --- | --- | --- |"]
+    named: dict[tuple[str, str], list[str]] = {}  # by what they are: effects of one module share a row
     for effect in EFFECTS:
         what, _ = sentences(import_module(effect.say.__module__).__doc__ or "")
         beyond = f"beyond {effect.harmless:g}" if effect.harmless < float("inf") else ""
-        rows.append(f"| {effect.name} | {what} | {'yes' if effect.description else beyond} |")
+        named.setdefault((what, "yes" if effect.description else beyond), []).append(effect.name)
+    rows += [f"| {', '.join(names)} | {what} | {against} |" for (what, against), names in named.items()]
     return "\n".join(rows)
 
 
