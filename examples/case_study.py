@@ -107,12 +107,12 @@ the distribution of mass, small frictions and trajectories, which the paper does
 Four runs of 20 s, two without and two with a payload of 1.983 kg: sums of sines, and point-to-point moves.
 """
 TABLE_3_NOTES = """\
-- **Gains** match the plant to some hundredths of a per cent. Standard deviations are smaller than the paper's because a
+- **Gains** match the plant to 0.14 %. Standard deviations are smaller than the paper's because a
   simulated robot has no elasticity, backlash or warm-up. They come from a block jackknife, which remains valid for
   autocorrelated residuals; the paper's formula (39) does not.
 - **Passive frictions, `mx_21`, `off_21R`, `off_23R`.** The paper keeps values such as `fv_33R = -5.57`, a friction that
   adds energy, opposite to `fv_21R = 5.57`: kept parameters absorb the effects of cancelled ones. Our plant has small
-  passive frictions, and the identification recovers them.
+  passive frictions, and the identification recovers most of them.
 - **The set** is selected by the Bayesian information criterion, which also keeps some parameters that the paper
   cancels. The paper's rule (`--ratio 10`) would cancel even `m_PR` here.
 """
