@@ -29,10 +29,14 @@ BANDS = (
     "Against the raw torque at all samples; each band starts where the previous one ends. Near 100 % the model does "
     "not explain the torque in a band: the torque is noise, or faster than the positions show."
 )
-EXTERNAL = (
-    "Behind the low-pass filter of the identification. rms, largest, beyond 4: without reversals. all: over all "
-    "samples. residual: torque residual of the identification. beyond 4: share of samples above four residuals, by "
-    "chance 0.006 %; a contact or an unknown payload raises it."
+EXTERNAL = Text(
+    "Behind the low-pass filter of the identification.",
+    (
+        "rms, largest, beyond 4: without reversals",
+        "rms, all: with reversals",
+        "residual: torque residual of the identification",
+        "beyond 4: share of samples above four residuals, by chance 0.006 %; a contact or an unknown payload raises it",
+    ),
 )
 SEEN = "seen: share of samples whose pose shows the component; elsewhere the component has no value."
 SHORTEST = 1e-3  # of the duration: stretches closer together are shaded as one
@@ -109,7 +113,7 @@ def external_page(torques: TorquesAlongLog) -> Page:
     ]
     joint = ((Column("rms, all", Kind.NUMBER), "rms_all"), (Column("residual", Kind.NUMBER), "residual"))
     listed = table_of(torques.joints, (Column(""), "joint"), rms, *joint, *more)
-    sections = [Section("External torque", listed, Text(EXTERNAL))]
+    sections = [Section("External torque", listed, EXTERNAL)]
     if (wrench := torques.wrench) is not None:
         component = ((Column("±", Kind.NUMBER), "interval"), (Column("seen, %", Kind.SHARE, decimals=0), "seen"))
         listed = table_of(wrench.components, (Column(""), "name"), rms, *component, *more)
