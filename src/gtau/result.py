@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
+from gtau.documents.validation import FUNCTION, NUMBER, PATH, TEXT, TRUTH, takes
+from gtau.errors import GtauError, UnknownName
 from gtau.estimation.experiment_runs import ACCURACY, options_of
-from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.model_file import load, save
+from gtau.estimation.results import model_file
+from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.result import IdentifiedModel, estimates_frame
 from gtau.progress import Progress, silent
 from gtau.robots.robot import Robot
@@ -19,11 +20,13 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identify as uses
+from gtau.uses import rigid_body
 from gtau.uses.prediction import Prediction, predict, torques, validate
 
 if TYPE_CHECKING:
     import polars as pl
 
+    from gtau.export.exported import Exported
     from gtau.report.plots import Plots
 
 
@@ -79,6 +82,22 @@ class Result(IdentifiedModel):
         """
         return self.torques(q, qd, qdd, payload) / self.gains
 
+    def gravity(self, q: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
+        """Compute the torques of gravity and springs g(q), (N, n) in N m or N, at positions (N, n); or (n,) of one.
+
+        With :meth:`inertia`, :meth:`coriolis` and friction these are the torques of :meth:`torques`:
+        ``M(q) qdd + C(q, qd) qd + g(q)`` + friction, offsets and damping. Raises GtauError as that method does.
+        """
+        return np.asarray(rigid_body.gravity(self, q, as_payload(payload)))
+
+    def inertia(self, q: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
+        """Compute the inertia matrix M(q), (N, n, n) in kg m2 (kg m or kg where joints slide), rotors included."""
+        return np.asarray(rigid_body.inertia(self, q, as_payload(payload)))
+
+    def coriolis(self, q: np.ndarray, qd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
+        """Compute the Coriolis matrix C(q, qd), (N, n, n), by Christoffel's symbols: dM/dt - 2 C is skew-symmetric."""
+        return np.asarray(rigid_body.coriolis(self, q, qd, as_payload(payload)))
+
     def predict(self, run: Run) -> Prediction:
         """Predict torques along ``run``, beside the raw measured ``v g_tau``.
 
@@ -106,6 +125,13 @@ class Result(IdentifiedModel):
 
         write(self, Path(path))
 
+    def __getitem__(self, name: str) -> Estimate:
+        """Refuse: an estimate is in its group."""
+        for group in ("drive_gains", "parameters", "friction", "motors"):
+            if name in getattr(self, group):
+                raise UnknownName(f"estimates are in groups; did you mean result.{group}[{str(name)!r}]?")
+        raise UnknownName(f"there is no estimate '{name}'; result.to_frame() lists all.")
+
     def to_frame(self) -> pl.DataFrame:
         """Return all estimates as a Polars table, one row per estimate.
 
@@ -120,12 +146,40 @@ class Result(IdentifiedModel):
 
     def save(self, path: str | Path) -> None:
         """Write the result as JSON, atomically; see :mod:`gtau.estimation.results.model_file`."""
-        save(self, path)
+        model_file.save(self, path)
+
+    def export(self, kind: str, out: str | Path, **options: Any) -> Exported:
+        """Export the result to a folder, as :func:`gtau.export_model` does."""
+        from gtau.export.exported import export_model
+
+        return export_model(self, kind, out, **options)
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
-        """Load a result written by :meth:`save`; raises GtauError if the file is not one."""
-        return cls.of(load(path))
+        """Refuse: the function is :func:`gtau.load`."""
+        raise GtauError(f"a result is loaded by a function; did you mean gtau.load({str(path)!r})?")
+
+
+@takes(path=PATH)
+def load(path: str | Path) -> Result:
+    """Load a result that :meth:`Result.save` or ``gtau identify`` wrote.
+
+    Parameters
+    ----------
+    path : path
+        Such as ``result/model.json``.
+
+    Returns
+    -------
+    Result
+        Without the runs, which the file does not hold.
+
+    Raises
+    ------
+    GtauError
+        The file does not exist, or is no result.
+    """
+    return Result.of(model_file.load(path))
 
 
 @takes(

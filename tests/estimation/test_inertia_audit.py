@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.inertia_audit import PRIOR_INERTIA, AuditedParameter
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.report.parameters import inertias_section
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.robots.robot import Robot
 
 
@@ -68,7 +68,7 @@ def test_the_link_whose_mass_is_wrong_is_named(true: Robot, heavier: Result) -> 
 
 def test_the_audit_is_in_the_file_of_the_model(heavier: Result, tmp_path: Path) -> None:
     heavier.save(tmp_path / "model.json")
-    assert Result.load(tmp_path / "model.json").audit == heavier.audit
+    assert load(tmp_path / "model.json").audit == heavier.audit
 
 
 @pytest.mark.parametrize("std", [0.02, 0.2])

@@ -138,7 +138,7 @@ def test_what_cannot_be_drawn(result: gtau.Result, folder: Path, tmp_path: Path)
     with pytest.raises(GtauError, match=r"from 4 to 2 s is empty"):
         result.plot.torques("left", start=4.0, stop=2.0)
     result.save(tmp_path / "model.json")
-    loaded = gtau.Result.load(tmp_path / "model.json")
+    loaded = gtau.load(tmp_path / "model.json")
     for call in (lambda: loaded.plot.torques("left"), loaded.plot.singular_values, loaded.plot.distances):
         with pytest.raises(GtauError, match="loaded from a file"):
             call()

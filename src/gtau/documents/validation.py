@@ -227,7 +227,10 @@ def expect(what: str, value: object, accepted: Accepted) -> None:
     """Refuse a value of another type; raises GtauError."""
     words, types = accepted
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-        raise GtauError(f"{what} cannot be of type {type(value).__name__}; give {words}.")
+        advice = f"give {words}."
+        if "..." in words and isinstance(value, (str, Path)):
+            advice = f"did you mean {words.replace('...', repr(str(value)))}?"
+        raise GtauError(f"{what} cannot be of type {type(value).__name__}; {advice}")
 
 
 def some_of(texts: Sequence[str], most: int, between: str = ", ") -> str:

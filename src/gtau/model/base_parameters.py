@@ -89,7 +89,7 @@ def seen_by_sensor(names: Sequence[Parameter], joint: str) -> np.ndarray:
     return np.array([not belongs_to_drive(name, joint) for name in names], dtype=float)
 
 
-@takes(idm=("a model (gtau.InverseDynamics)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES, progress=FUNCTION)
+@takes(idm=("gtau.InverseDynamics(robot)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES, progress=FUNCTION)
 @single_threaded_blas()
 def base_parameters(
     idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress = silent

@@ -79,8 +79,8 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
     """Show the friction of each joint, with curves if ``runs`` are given; None if only the plain law was fitted."""
     if not result.curves:
         return None
-    panels = _curves(result, [run for run in runs if run.used])
-    drawn = (Text(CURVES, style="soft"), Chart(tuple(panels), columns=2)) if panels else ()
+    chart = friction_chart(result, [run for run in runs if run.used])
+    drawn = (Text(CURVES, style="soft"), chart) if chart.panels else ()
     friction = {**result.friction, **result.friction_parameters}
 
     def value(kind: str, curve: FrictionCurve) -> tuple[float, float] | None:
@@ -103,7 +103,7 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
     return Section("Friction on all samples", Text(FRICTION), listed, *drawn, id="friction")
 
 
-def _curves(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]:
+def friction_chart(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Chart:
     """Draw measured and predicted friction torque over the speed of each joint."""
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     for evidence in runs:
@@ -129,7 +129,7 @@ def _curves(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]
         x = Axis(f"speed, {position_unit(result.robot, joint)}/s")
         y = Axis(f"friction, {torque_unit(result.robot, joint)}")
         panels.append(Panel(x, y, series, joint_label(joint), height=2))
-    return panels
+    return Chart(tuple(panels), columns=2)
 
 
 # Inertias in the robot file

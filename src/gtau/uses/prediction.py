@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, spelled
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import at_rate_of
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
+@spelled(plot="gtau.plot(prediction)")
 @dataclass(frozen=True)
 class Prediction:
     """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.

@@ -55,7 +55,7 @@ WORSE = (
 )
 
 
-@takes(model=("the result of gtau.identify or gtau.Result.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)
+@takes(model=("the result of gtau.identify or gtau.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)
 @single_threaded_blas()
 def weigh(
     model: IdentifiedModel,

@@ -96,6 +96,9 @@ def _no_body(parameters: Mapping[str, float], mass: float | None) -> str:
 
 def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
     """Read a payload from a mapping as in the experiment file; raises GtauError."""
+    if isinstance(payload, (str, float, int)):
+        name, mass = (repr(payload), "...") if isinstance(payload, str) else ("'load'", f"{payload:g}")
+        raise GtauError(f"a payload has keys; did you mean payload={{'name': {name}, 'mass': {mass}}}?")
     return None if payload is None else read_group(Payload, "payload", payload)
 
 

@@ -1,0 +1,134 @@
+"""What people of the field type in Python: it works, or the answer can be typed."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import polars
+import pytest
+from engines import Pinocchio, random_parameters
+from five_bar_logs import Plant, write_experiment
+from matplotlib.figure import Figure
+from models_to_export import model_of
+from robots_for_tests import seven_r
+
+import gtau
+
+SIGNALS = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_experiment(tmp_path_factory.mktemp("hand"), Plant(noise=0.01)).parent
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> gtau.Result:
+    return gtau.identify(folder / "experiment.yaml")
+
+
+def test_numbers_of_an_estimate(result: gtau.Result) -> None:
+    gain = result.drive_gains["left"]
+    assert float(gain) == gain.value
+    assert f"{gain:.3f}" == f"{gain.value:.3f}"
+    assert f"{gain}" == str(gain)
+
+
+def test_a_saved_result_is_loaded(result: gtau.Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "model.json")
+    assert gtau.load(tmp_path / "model.json").drive_gains == result.drive_gains
+    assert result.export("csv", tmp_path / "csv").files
+
+
+def test_figures(result: gtau.Result, folder: Path) -> None:
+    run = result.data[0]
+    shown = {
+        "robot": gtau.plot(result.robot),
+        "run": gtau.plot(run),
+        "prediction": gtau.plot(result.predict(run)),
+        "result": gtau.plot(result),
+        "panel": result.plot(),
+        "friction": result.plot.friction(),
+        "of left": result.plot.friction("left", run),
+    }
+    assert all(isinstance(figure, Figure) for figure in shown.values())
+    assert [axes.get_ylabel() for axes in shown["run"].axes] == ["position, rad or m", "current, A"]
+    assert len(shown["panel"].axes) == 3  # gains, and torques and residuals of the joint that fits worst
+    assert [len(shown[name].axes) for name in ("friction", "of left")] == [2, 1]
+    result.save(folder / "saved.json")
+    assert len(gtau.load(folder / "saved.json").plot().axes) == 1  # of the gains: there are no runs
+    with pytest.raises(gtau.GtauError, match="a str has no figure; give a result, a prediction, a run or a robot"):
+        gtau.plot("five-bar")  # type: ignore[arg-type]
+
+
+def test_a_run_is_a_table_that_is_read_again(result: gtau.Result) -> None:
+    run = result.data[0]
+    frame = run.to_frame()
+    assert frame.columns == ["t", "qleft", "qright", "vleft", "vright"]
+    signals = {"time": "t"} | {
+        kind: {joint: f"{letter}{joint}" for joint in run.joints}
+        for kind, letter in (("position", "q"), ("current", "v"))
+    }
+    assert gtau.read_run(frame, signals).command == pytest.approx(run.command)
+    assert isinstance(result.predict(run).to_frame(), polars.DataFrame)
+
+
+def test_terms_of_the_equation_of_motion(result: gtau.Result) -> None:
+    """Of a robot with loops: they add up to the torques, and C is that of Christoffel's symbols."""
+    rng = np.random.default_rng(0)
+    home = np.array([joint.home for joint in result.robot.joints if joint.actuated])
+    q, qd, qdd = (home + 0.2 * rng.normal(size=(4, 2))), rng.normal(size=(4, 2)), rng.normal(size=(4, 2))
+    for payload in (None, {"name": "steel"}):
+        M, C, g = result.inertia(q, payload), result.coriolis(q, qd, payload), result.gravity(q, payload)
+        tau = (M @ qdd[..., None] + C @ qd[..., None])[..., 0] + g
+        friction = result.torques(q, qd, 0 * qd, payload) - ((C @ qd[..., None])[..., 0] + g)
+        assert tau + friction == pytest.approx(result.torques(q, qd, qdd, payload), abs=1e-9)
+        assert pytest.approx(M.transpose(0, 2, 1), abs=1e-9) == M
+        assert (np.linalg.eigvalsh(M) > 0).all()
+        h = 1e-6
+        rate = (result.inertia(q + h * qd, payload) - result.inertia(q - h * qd, payload)) / (2 * h)
+        assert rate == pytest.approx(C + C.transpose(0, 2, 1), abs=1e-6)  # dM/dt - 2 C is skew-symmetric
+    assert result.gravity(q[0]).shape == (2,)
+    assert result.inertia(q[0]) == pytest.approx(result.inertia(q)[0])
+    assert result.coriolis(q[0], qd[0]).shape == (2, 2)
+
+
+def test_terms_agree_with_pinocchio() -> None:
+    pin, robot, rng = pytest.importorskip("pinocchio"), seven_r(), np.random.default_rng(1)
+    chi = random_parameters(robot, rng)
+    arm, tree = model_of(robot, chi=chi), Pinocchio(robot, chi)
+    q, qd = rng.normal(size=(2, 7))
+    rotors = np.diag([chi[f"ia_{joint.name}"] for joint in robot.joints])
+    M = pin.crba(tree.model, tree.data, q)
+    assert arm.inertia(q) == pytest.approx(np.triu(M) + np.triu(M, 1).T + rotors, abs=1e-9)
+    assert arm.coriolis(q, qd) == pytest.approx(pin.computeCoriolisMatrix(tree.model, tree.data, q, qd), abs=1e-9)
+    assert arm.gravity(q) == pytest.approx(pin.computeGeneralizedGravity(tree.model, tree.data, q), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "answer"),
+    [
+        ("gtau.Robot('five-bar')", "did you mean gtau.load_robot('five-bar')?"),
+        ("gtau.InverseDynamics('arm.urdf')", "did you mean gtau.load_robot('arm.urdf')?"),
+        ("gtau.base_parameters(robot)", "give gtau.InverseDynamics(robot)."),
+        ("gtau.Result.load('model.json')", "did you mean gtau.load('model.json')?"),
+        ("robot.plot()", "did you mean gtau.plot(robot)?"),
+        ("run.plot()", "did you mean gtau.plot(run)?"),
+        ("result.predict(run).plot()", "did you mean gtau.plot(prediction)?"),
+        ("result['left']", "did you mean result.drive_gains['left']?"),
+        ("result['fv_left']", "did you mean result.parameters['fv_left']?"),
+        ("result['middle']", "there is no estimate 'middle'; result.to_frame() lists all."),
+        ("result.drive_gains.left", "did you mean ['left']?"),
+        ("gtau.read_run('a.csv', SIGNALS, payload=1.2)", "did you mean payload={'name': 'load', 'mass': 1.2}?"),
+        ("gtau.read_run('a.csv', SIGNALS, payload='steel')", "did you mean payload={'name': 'steel', 'mass': ...}?"),
+        ("result.torques(q, q, q, payload='steel')", "did you mean payload={'name': 'steel', 'mass': ...}?"),
+    ],
+)  # fmt: skip
+def test_another_spelling_is_answered_by_the_one_that_works(call: str, answer: str, result: gtau.Result) -> None:
+    names = {"gtau": gtau, "robot": result.robot, "run": result.data[0], "result": result, "q": np.zeros((1, 2))}
+    with pytest.raises(gtau.GtauError) as refused:
+        eval(call, {**names, "SIGNALS": SIGNALS})
+    assert str(refused.value).endswith(answer)
+    assert re.search(r"^(?!.*Traceback)", str(refused.value))
