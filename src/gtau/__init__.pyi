@@ -40,6 +40,7 @@ from .signals.run import read_run as read_run
 from .simulation.simulate import Simulation as Simulation
 from .simulation.simulate import simulate as simulate
 from .uses.external_torques import momentum_observer as momentum_observer
+from .uses.logs import draft as draft
 from .uses.prediction import Prediction as Prediction
 from .uses.weigh import weigh as weigh
 from .watch.watch import Watch as Watch

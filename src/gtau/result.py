@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.documents.validation import FUNCTION, NUMBER, PATH, TEXT, TRUTH, takes
+from gtau.documents.validation import FUNCTION, MAPPING, NUMBER, PATH, TEXT, TRUTH, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.experiment_runs import ACCURACY, options_of
 from gtau.estimation.results import model_file
@@ -21,6 +21,7 @@ from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identify as uses
 from gtau.uses import rigid_body
+from gtau.uses.logs import draft
 from gtau.uses.prediction import Prediction, predict, torques, validate
 
 if TYPE_CHECKING:
@@ -190,9 +191,11 @@ def load(path: str | Path) -> Result:
     consistent=TRUTH,
     accuracy=NUMBER,
     progress=FUNCTION,
+    robot=PATH,
+    payload=MAPPING,
 )
 def identify(
-    source: str | Path | Experiment | Robot,
+    source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
     method: str | None = None,
     prior_gains: Mapping[str, float] | None = None,
@@ -203,17 +206,20 @@ def identify(
     accuracy: float = ACCURACY,
     progress: Progress = silent,
     prior_inertias: float | None = None,
+    robot: str | Path | None = None,
+    payload: Mapping[str, float] | None = None,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
     Parameters
     ----------
-    source : path, Experiment or Robot
-        An experiment file or the experiment read from it; or a robot, together with ``runs``.
+    source : path, Experiment, Robot or sequence of path
+        An experiment file or the experiment read from it; or a robot, together with ``runs``; or logs, from which an
+        experiment is drafted as by :func:`gtau.draft`: the notes of the result list what is guessed.
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     method : str, optional
-        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md describes each, and when
+        A name of :data:`gtau.estimation.estimators.registry.NAMES`; ``gtau docs verdicts`` describes each, and when
         to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
         torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
         torques.
@@ -240,6 +246,10 @@ def identify(
         Take the inertias of the robot's file (URDF or MJCF) as priors with this relative standard deviation, 0.3 for
         30 %; the experiment file's if left out. Where nothing else gives the scale of the gains, they give it, and
         that alone.
+    robot : path, optional
+        With logs: a name of the catalog or the path of a robot's file.
+    payload : mapping, optional
+        With logs: log to mass of its payload, kg, 0 for none.
 
     Returns
     -------
@@ -261,4 +271,10 @@ def identify(
         ratio=ratio,
         prior_inertias=prior_inertias,
     )
-    return Result.of(uses.identify(source, runs, options, progress))
+    if not isinstance(source, (list, tuple)):
+        if robot or payload:
+            raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
+        return Result.of(uses.identify(source, runs, options, progress))
+    if any(isinstance(run, Run) for run in source):
+        raise GtauError("runs go with their robot; did you mean gtau.identify(gtau.load_robot(...), runs)?")
+    return Result.of(uses.identify(draft(source, robot, payload), runs, options, progress))

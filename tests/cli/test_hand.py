@@ -9,7 +9,7 @@ import numpy as np
 import polars
 import pytest
 from engines import Pinocchio, random_parameters
-from five_bar_logs import Plant, write_experiment
+from five_bar_logs import STEEL, Plant, write_experiment
 from matplotlib.figure import Figure
 from models_to_export import model_of
 from robots_for_tests import seven_r
@@ -40,6 +40,29 @@ def test_a_saved_result_is_loaded(result: gtau.Result, tmp_path: Path) -> None:
     result.save(tmp_path / "model.json")
     assert gtau.load(tmp_path / "model.json").drive_gains == result.drive_gains
     assert result.export("csv", tmp_path / "csv").files
+
+
+def test_logs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With columns by name, or stated: the same result, and the notes say what was guessed."""
+    monkeypatch.chdir(tmp_path)
+    for name, load in (("empty", None), ("loaded", STEEL)):
+        run = Plant(noise=0.01).run(name, payload=load, seed=len(name))
+        table = run.to_frame().rename({"qleft": "enc_J1", "qright": "enc_J2", "vleft": "iq_J1", "vright": "iq_J2"})
+        table.write_csv(f"{name}.csv")
+    columns = {"position": "enc_J*", "current": "iq_J*", "time": "t"}
+    experiment = gtau.draft(["empty.csv", "loaded.csv"], "five-bar", {"loaded.csv": 1.2}, columns=columns)
+    assert experiment.signals.position == {"left": "enc_J1", "right": "enc_J2"}
+    assert any("columns were assigned to the joints" in guess.what for guess in experiment.guesses)
+    drafted = gtau.identify(experiment)
+    assert any("columns were assigned" in note.what for note in drafted.notes)
+    for name in ("empty", "loaded"):
+        polars.read_csv(f"{name}.csv").rename({"enc_J1": "q1", "enc_J2": "q2", "iq_J1": "v1", "iq_J2": "v2"}).write_csv(
+            f"{name}.csv"
+        )
+    result = gtau.identify(["empty.csv", "loaded.csv"], robot="five-bar", payload={"loaded.csv": 1.2})
+    assert result.gains == pytest.approx(drafted.gains)
+    assert result.gains == pytest.approx([2.5, 4.0], rel=0.01)
+    assert not list(tmp_path.glob("*.yaml"))
 
 
 def test_figures(result: gtau.Result, folder: Path) -> None:
@@ -114,6 +137,10 @@ def test_terms_agree_with_pinocchio() -> None:
         ("gtau.InverseDynamics('arm.urdf')", "did you mean gtau.load_robot('arm.urdf')?"),
         ("gtau.base_parameters(robot)", "give gtau.InverseDynamics(robot)."),
         ("gtau.Result.load('model.json')", "did you mean gtau.load('model.json')?"),
+        ("gtau.identify('five-bar', [run])", "gtau.load_robot('five-bar'), or an experiment file alone."),
+        ("gtau.identify([run, run])", "did you mean gtau.identify(gtau.load_robot(...), runs)?"),
+        ("gtau.identify(robot, [run], payload={'a': 1.0})", "give their paths, ['empty.csv', 'loaded.csv']."),
+        ("gtau.draft('a.csv')", "give ['empty.csv', 'loaded.csv']."),
         ("robot.plot()", "did you mean gtau.plot(robot)?"),
         ("run.plot()", "did you mean gtau.plot(run)?"),
         ("result.predict(run).plot()", "did you mean gtau.plot(prediction)?"),

@@ -6,7 +6,7 @@ import sys
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,10 +26,11 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_folder
+from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_folder, write_atomically
 from gtau.errors import GtauError, tidy
 
 if TYPE_CHECKING:
+    from gtau.estimation.results.result import IdentifiedModel
     from gtau.findings import Finding
     from gtau.signals.reading.discovery import Draft
 
@@ -47,30 +48,67 @@ Sources = Annotated[
     list[Path],
     argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs, from which one is drafted (DIR/experiment.yaml)."),
 ]
-RobotOfLogs = Annotated[
-    str | None,
-    option(
-        "ROBOT",
-        "With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
-        "/robot_description of a bag.",
-    ),
-]
-Payloads = Annotated[
-    list[str] | None,
-    option(
-        "LOG=KG",
-        "With logs: payload mass of a log (kg, 0 for none); default: from file names such as loaded_0.48kg.mcap. "
-        "Repeatable.",
-    ),
-]
-KindOfLogs = Annotated[
-    Commands | None,
-    option("current|torque", "With logs: what command columns such as 'effort' contain; default: judged by name."),
-]
 
-PresetOfLogs = Annotated[
-    str | None, option("PRESET", "With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).")
-]
+
+@dataclass(frozen=True)
+class LogOptions:
+    """What is stated of logs that are given in place of an experiment file."""
+
+    robot: Annotated[
+        str | None,
+        option(
+            "ROBOT",
+            "With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
+            "/robot_description of a bag.",
+        ),
+    ] = None
+    payload: Annotated[
+        list[str] | None,
+        option(
+            "LOG=KG",
+            "With logs: payload mass of a log (kg, 0 for none); default: from file names such as loaded_0.48kg.mcap. "
+            "Repeatable.",
+        ),
+    ] = None
+    position: Annotated[
+        str | None,
+        option("COLUMNS", "With logs: columns or patterns ('enc_J*') of the positions, in the order of the joints."),
+    ] = None
+    current: Annotated[str | None, option("COLUMNS", "With logs: columns or patterns of the currents.")] = None
+    torque: Annotated[str | None, option("COLUMNS", "With logs: columns or patterns of the torques.")] = None
+    time: Annotated[str | None, option("COLUMN", "With logs: column of the time.")] = None
+    kind: Annotated[
+        Commands | None,
+        option("current|torque", "With logs: what command columns such as 'effort' contain; default: judged by name."),
+    ] = None
+    preset: Annotated[
+        str | None,
+        option("PRESET", "With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...)."),
+    ] = None
+
+    @property
+    def given(self) -> list[str]:
+        """Names of the options that are given."""
+        return [f"--{name}" for name, value in vars(self).items() if value]
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Patterns of columns by kind."""
+        return {name: value for name in ("position", "current", "torque", "time") if (value := getattr(self, name))}
+
+    @property
+    def masses(self) -> dict[str, float]:
+        """Payloads by log, kg; raises GtauError."""
+        masses = {}
+        for stated in self.payload or []:
+            log, _, mass = stated.rpartition("=")
+            try:
+                masses[log] = float(mass)
+            except ValueError:
+                log = ""
+            if not log:
+                raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
+        return masses
 
 
 @refusing
@@ -79,11 +117,10 @@ def init(
         list[Path],
         argument("LOG", "One log per run, all of one layout; or the logs of positions, then as many of commands."),
     ],
-    robot: Annotated[str | None, option("ROBOT", "Name in the catalog, or path of a robot file.")] = None,
+    stated: LogOptions,
     base: Annotated[
         str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
     ] = None,
-    preset: PresetOfLogs = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
     yes: Annotated[bool, option("", "Ask nothing; mark in the file what to confirm.", "--yes")] = False,
     json_: Json = False,
@@ -96,11 +133,12 @@ def init(
     if out.exists():
         raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
     ask = not (yes or json_) and on_terminal()
+    robot, kind = stated.robot, stated.kind and stated.kind.value
     if robot is None and ask and not is_rosbag(logs[0]):
         robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
-    draft = draft_logs(logs, robot, base_choice(base), preset=preset)
+    draft = draft_logs(logs, robot, base_choice(base), stated.masses, kind, stated.preset, stated.columns)
     if ask:
         draft = _answered(draft)
     write_draft(draft, out)
@@ -165,10 +203,7 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
 @refusing
 def check(
     sources: Sources,
-    robot: RobotOfLogs = None,
-    payload: Payloads = None,
-    kind: KindOfLogs = None,
-    preset: PresetOfLogs = None,
+    stated: LogOptions,
     out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities.")] = None,
     figure: Annotated[
         Path | None,
@@ -186,7 +221,7 @@ def check(
     """
     hold(out)
     refuse_as_folder(figure)
-    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out or Path("result"))
+    experiment, guessed = experiment_of(sources, stated, out or Path("result"))
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
         from gtau.report.check import check_document, check_page, write_check, write_preparation
@@ -207,47 +242,32 @@ def check(
 
 
 def experiment_of(
-    sources: list[Path],
-    robot: str | None,
-    payloads: list[str] | None,
-    kind: Commands | None,
-    preset: str | None,
-    folder: Path,
-    weigh: bool = False,
+    sources: list[Path], stated: LogOptions, folder: Path, weigh: bool = False, model: IdentifiedModel | None = None
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Return an experiment file, drafted from logs to ``folder`` if need be, and a note on every guess in the draft.
 
-    Logs without a stated payload carry none, or with ``weigh`` an unknown one. Raises GtauError if experiment files are
-    mixed with logs, or the draft needs an answer of the user.
+    Logs without a stated payload carry none, or with ``weigh`` an unknown one. By default they are of the robot of a
+    ``model``, and have the columns of its logs. Raises GtauError if experiment files are mixed with logs, or the draft
+    needs an answer of the user.
     """
-    stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset}
     if len(sources) == 1 and not is_log(sources[0]):
-        if given := [f"--{name}" for name, value in stated.items() if value]:
-            raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
+        if stated.given:
+            raise GtauError(f"{stated.given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
     if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
-    from gtau.signals.reading.drafting import alternatives, draft_logs, guesses, to_weigh, with_sensors, write_draft
+    from gtau.signals.reading.drafting import guesses, write_draft
+    from gtau.uses.logs import drafted
 
-    masses = _masses(payloads or [])
-    drafted = draft_logs(sources, robot, masses=masses, kind=None if kind is None else kind.value, preset=preset)
-    draft = to_weigh(drafted) if weigh else with_sensors(drafted)
-    if "file" not in draft.robot:
-        raise GtauError(
-            f"{sources[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
-            "of a URDF, MJCF or robot file."
-        )
-    if "rate" in draft.open:
-        raise GtauError(
-            f"{sources[0]} has neither times nor velocities to find its sampling rate from; draft a file by 'gtau "
-            "init', write the rate there (time: {rate: HZ}), and give that file."
-        )
-    for log, readings in draft.payloads.items():
-        if len(readings) > 1:
-            raise GtauError(
-                f"the name of {log} may mean a payload of {alternatives(readings)} kg, which sets the scale of all "
-                f"drive gains; state it by --payload {log.name}={readings[0]:g} (0 for none)."
-            )
+    robot, kind, recording = stated.robot, stated.kind and stated.kind.value, None
+    if model is not None:
+        from gtau.robots.readers.native import native_text
+
+        kind, recording = kind or model.kind, model.recording
+        if robot is None:
+            robot = str(folder_of(folder) / "robot.yaml")
+            write_atomically(robot, native_text(model.robot))
+    draft = drafted(sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording)
     file = folder / "experiment.yaml"
     write_draft(draft, file)
     held = (
@@ -275,16 +295,3 @@ def is_log(path: Path) -> bool:
     return reader_of(path.suffix.lower()) is not None or (
         is_log_folder(path) if path.is_dir() else kind_of(path) == LOG
     )
-
-
-def _masses(payloads: list[str]) -> dict[str, float]:
-    masses = {}
-    for stated in payloads:
-        log, _, mass = stated.rpartition("=")
-        try:
-            masses[log] = float(mass)
-        except ValueError:
-            log = ""
-        if not log:
-            raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
-    return masses

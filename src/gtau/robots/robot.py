@@ -185,7 +185,7 @@ class Robot:
     """
 
     name: str
-    joints: tuple[Joint, ...] = ()
+    joints: tuple[Joint, ...] = None  # type: ignore[assignment]  # refused below
     platforms: tuple[Platform, ...] = ()
     closures: tuple[Closure, ...] = ()
     couplings: tuple[Coupling, ...] = ()
@@ -198,7 +198,7 @@ class Robot:
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):
             raise GtauError(f"robot: {problem}.")
-        if not self.joints:
+        if self.joints is None:
             raise GtauError(f"a robot has joints; did you mean gtau.load_robot({self.name!r})?")
         refuse_many(len(self.joints), "joints that move", MOST_JOINTS)
         if problem := next(_problems(self), None):

@@ -27,7 +27,7 @@ from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.reading.experiment import RobotName
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.statements import CarriedPayload, Payload
 from gtau.simulation.closed_loop import (
     BANDWIDTH,
     Engine,
@@ -63,7 +63,7 @@ class SimulatedRun(Keys):
 
     name: str
     trajectory: MotionEntry
-    payload: Payload | None = None
+    payload: CarriedPayload = None
     weigh: bool = False
 
     @field_validator("name")

@@ -19,9 +19,20 @@ from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading.columns import PRESETS, SampleRate
-from gtau.signals.reading.discovery import QUESTIONS, Draft, discover, listed
+from gtau.signals.reading.discovery import (
+    FLOATING,
+    ON_BODIES,
+    QUESTIONS,
+    Draft,
+    Reasons,
+    Unused,
+    discover,
+    listed,
+)
+from gtau.signals.reading.experiment import Recording
 from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
+from gtau.signals.reading.statements import masses_in_name
 
 DRAFT = "draft"  # the kind of what a draft assumes
 SEAL = "# as drafted: "  # a checksum of all above follows
@@ -35,12 +46,13 @@ def draft_logs(
     masses: Mapping[str, float] | None = None,
     kind: Literal["current", "torque"] | None = None,
     preset: str | None = None,
+    columns: Mapping[str, str] | None = None,
 ) -> Draft:
     """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
 
     ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
     Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log; a ``preset`` gives the kind of commands
-    and whether torques include gravity.
+    and whether torques include gravity; ``columns`` are patterns by kind (``{"position": "enc_J*"}``).
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
@@ -50,12 +62,28 @@ def draft_logs(
     if known is not None and known.floating:
         raise GtauError(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
-            "floats is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'."
+            f"floats is not drafted; start from {FLOATING}."
         )
-    draft = replace(discover(logs, known, URDF if urdf is not None else robot, base), urdf=urdf)
+    draft = replace(discover(logs, known, URDF if urdf is not None else robot, base, columns), urdf=urdf)
     draft = draft if preset is None else with_preset(draft, preset)
     draft = draft if kind is None else with_kind(draft, kind)
     return with_masses(draft, _by_log(draft, masses or {}))
+
+
+def draft_as(recording: Recording, logs: Sequence[Path], robot: str, masses: Mapping[str, float]) -> Draft:
+    """Draft an experiment from logs of a known recorder."""
+    reason = "as in the logs of the model"
+    draft = Draft(
+        logs=tuple((log,) for log in logs),
+        signals=recording.signals,
+        units=recording.units.model_dump(mode="json", exclude_defaults=True),
+        robot={"file": robot},
+        payloads={log: read for log in logs if (read := masses_in_name(log.name))},
+        reasons=Reasons(reason, reason, reason),
+        open={},
+        unused=Unused(),
+    )
+    return with_masses(draft, _by_log(draft, masses))
 
 
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
@@ -237,6 +265,9 @@ def _signals(draft: Draft) -> Iterator[str]:
     if sensors := signals.sensors(SENSOR):
         doubt = _question(draft, "sensors") or "torque sensors behind the gears (by name)"
         yield from _by_joint("joint_torque", sensors, doubt)
+    shown = {"time", "position", signals.kind, "joint_torque", "preset"}
+    for key, value in signals.model_dump(mode="json", exclude_defaults=True, exclude=shown).items():
+        yield f"  {key}: {_flow(value)}"
 
 
 def _unused(draft: Draft) -> Iterator[str]:
@@ -249,11 +280,11 @@ def _unused(draft: Draft) -> Iterator[str]:
     if unused.motion:
         yield f"  # {CHECK}{listed(unused.motion)} look like the motion of a base. If it moved, write"
         yield "  # 'robot: {file: ..., base: floating}' above and describe them under 'base:' here"
-        yield "  # (docs/lookup/experiment-file.md, 'A base that floats')."
+        yield f"  # ({FLOATING})."
     if unused.wrenches:
         yield f"  # {CHECK}{listed(unused.wrenches)} look like forces and moments. Describe those that act"
         yield "  # on the robot from outside under 'wrenches:', on a base that floats as 'wrenches' of 'base:'"
-        yield "  # (docs/lookup/experiment-file.md, 'Wrenches on bodies')."
+        yield f"  # ({ON_BODIES})."
     if unused.torques:
         yield f"  # {CHECK}torques of sensors behind the gears, not computed from currents, fix the scale of the"
         yield "  # gains; if these columns are such torques, remove the '#':"

@@ -102,6 +102,10 @@ def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
     return None if payload is None else read_group(Payload, "payload", payload)
 
 
+# None where a file says "payload: none", null or {}
+CarriedPayload = Annotated[Payload | None, BeforeValidator(lambda load: None if load in ("none", "null", {}) else load)]
+
+
 class Prior(Keys):
     """Prior of a standard parameter, SI units: a value with its standard deviation, or bounds."""
 
