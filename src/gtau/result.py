@@ -204,7 +204,7 @@ def identify(
     consistent: bool = False,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     accuracy: float = ACCURACY,
-    progress: Progress = silent,
+    progress: Progress | None = None,
     prior_inertias: float | None = None,
     robot: str | Path | None = None,
     payload: Mapping[str, float] | None = None,
@@ -271,6 +271,7 @@ def identify(
         ratio=ratio,
         prior_inertias=prior_inertias,
     )
+    progress = progress or silent
     if not isinstance(source, (list, tuple)):
         if robot or payload:
             raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")

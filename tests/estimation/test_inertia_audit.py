@@ -57,12 +57,11 @@ def test_the_link_whose_mass_is_wrong_is_named(true: Robot, heavier: Result) -> 
         truth = float(result.base.matrix[k] @ [chi(true).get(name, 0.0) for name in result.idm.parameter_names])
         assert abs(each.value - truth) < 5 * each.std
     shown = " ".join(result.summary(verbose=False).split())
-    assert "The file's inertias predict the torques to" in shown
-    assert "j3 (" in shown
+    assert "correct in the robot file, in this order (torque error after each step): j3 (" in shown
+    assert "The file's inertias predict the torques to" in " ".join(result.summary().split())
     unknown = [AuditedParameter(f"mx_{k}", "j3", "kg m", "not identifiable", 1.0) for k in range(2)]
-    counted, listed = (inertias_section(replace(audit, parameters=tuple(unknown)), short) for short in (True, False))
+    listed = inertias_section(replace(audit, parameters=tuple(unknown)))
     said = "2 base parameters are not identifiable from these motions to better than +-100 % of the link"
-    assert f"{said}; --verbose lists them" in counted.items[0].points
     assert f"{said}: mx_0, mx_1" in listed.items[0].points
 
 

@@ -108,7 +108,7 @@ def campaign(
     robot: str | Path | None = None,
     payload: float | None = None,
     accuracy: float | None = None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
     searching: Callable[[], Any] = lambda: nullcontext(never),
 ) -> CampaignState:
     """Identify from the rounds played, and decide: done, the next motion, or why another motion cannot help.
@@ -140,7 +140,7 @@ def campaign(
     GtauError
         If a file is wrong, or no motion is within the limits.
     """
-    folder = Path(folder)
+    folder, progress = Path(folder), progress or silent
     aim = read_settings(folder, robot, payload, accuracy).accuracy
     file, rounds = read_design_file(folder), read_rounds(folder)
     used = [round_ for round_ in rounds if round_.played is not None and not round_.aside]

@@ -112,6 +112,7 @@ def excite(
     payload_mass: Annotated[str | None, option("KG,KG", "Also show the effect of other payload masses.")] = None,
     starts: Annotated[int, option("N", "Number of searches, each from the best of some random motions.", min=1)] = 2,
     seed: Annotated[int, option("N", "Seed of the random motions.", min=0)] = 0,
+    verbose: Annotated[bool, option("", "Print all parameters, limits and assumptions.", "--verbose", "-v")] = False,
     json_: Json = False,
 ) -> None:
     """Design the motion that is most informative about the drive gains, and predict their standard deviations.
@@ -146,7 +147,8 @@ def excite(
         written = pages.write_design(outlook, folder_of(out))
         page = pages.design_page(outlook)
         report = write_report(page, out, seconds(), (("design", design),))
-    answer(json_, lambda: pages.design_document(outlook), lambda: page, (report, *written))
+    shown = page if verbose else pages.design_summary(outlook)
+    answer(json_, lambda: pages.design_document(outlook), lambda: shown, (report, *written))
 
 
 def _masses(listed: str) -> tuple[float, ...]:

@@ -88,7 +88,7 @@ def excite(
     criterion: str = "gains",
     starts: int = 2,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: Progress | None = None,
     keep: Callable[[Design], None] = keep_nothing,
     stop: Callable[[], bool] = never,
 ) -> Design:
@@ -121,6 +121,7 @@ def excite(
         :class:`gtau.excitation.design.Stopped` if the search was stopped before it found a motion.
     """
     require_rest(task)
+    reported = progress or silent
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failures: list[ConstraintUsage] = []
@@ -135,7 +136,7 @@ def excite(
     for start in range(starts):
 
         def advance(done: int, before: int = start * ROUNDS * ITERATIONS) -> None:
-            progress(STAGE, before + done, total)
+            reported(STAGE, before + done, total)
 
         advance(0)
         guess = promising_start(task, criterion, rng, START, stop)
@@ -144,7 +145,7 @@ def excite(
             break
         if worst is not None:
             failures.append(worst)
-    progress(STAGE, total, total)
+    reported(STAGE, total, total)
     if best is not None:
         return replace(best, cut_short=stop())
     if stop():

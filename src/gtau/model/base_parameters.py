@@ -92,7 +92,7 @@ def seen_by_sensor(names: Sequence[Parameter], joint: str) -> np.ndarray:
 @takes(idm=("gtau.InverseDynamics(robot)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES, progress=FUNCTION)
 @single_threaded_blas()
 def base_parameters(
-    idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress = silent
+    idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress | None = None
 ) -> BaseParameters:
     """Find the base parameters from the structure of the robot's model.
 
@@ -121,7 +121,7 @@ def base_parameters(
         raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")
     order = symmetric_order(idm.robot, idm.parameter_names)
     columns = [idm.parameter_names.index(name) for name in order]
-    R = _settled_triangle(idm, columns, np.random.default_rng(seed), sensors, progress)
+    R = _settled_triangle(idm, columns, np.random.default_rng(seed), sensors, progress or silent)
     kept, coefficients, idle = independent_columns(R)
     matrix = np.zeros((len(kept), len(idm.parameter_names)))
     matrix[:, columns] = coefficients

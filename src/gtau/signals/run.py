@@ -224,7 +224,7 @@ def read_run(
     signals: Signals | Mapping[str, Any],
     payload: Payload | Mapping[str, Any] | None = None,
     units: Units | Mapping[str, Any] | None = None,
-    progress: Callable[[float], None] = lambda done: None,
+    progress: Callable[[float], None] | None = None,
     settings: PreparationSettings | Mapping[str, Any] = CHOSEN,
     part: Part = WHOLE,
 ) -> Run:
@@ -263,7 +263,8 @@ def read_run(
         with as_log(log) as path:
             run = read_run(path, signals, payload, units, progress, settings, part)
         return replace(run, log=replace(run.log, paths=(), signals=None, units=None))
-    (run,) = read_parts([Path(path) for path in paths], signals, payload, units, progress, settings, part, cut=False)
+    logs, reported = [Path(path) for path in paths], progress or (lambda done: None)
+    (run,) = read_parts(logs, signals, payload, units, reported, settings, part, cut=False)
     return run
 
 

@@ -242,7 +242,7 @@ def make_run(
 
 @takes(out=PATH, progress=FUNCTION)
 def simulate(
-    source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress = silent
+    source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress | None = None
 ) -> tuple[Path, ...]:
     """Simulate the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
 
@@ -281,7 +281,7 @@ def simulate(
     experiment.unlink(missing_ok=True)  # it would refer to a mix of new and old logs
     try:
         for run in described:
-            simulated = make_run(simulation, model, run, partial(progress, run.name))
+            simulated = make_run(simulation, model, run, partial(progress or silent, run.name))
             log = out / f"{run.name}.csv"
             write_log(simulated.run, log)
             written.append(log)

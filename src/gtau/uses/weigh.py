@@ -63,7 +63,7 @@ def weigh(
     runs: Sequence[Run] | None = None,
     gains: str = "identified",
     prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
 ) -> tuple[PayloadEstimate, ...]:
     """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
 
@@ -102,7 +102,7 @@ def weigh(
     """
     if gains not in ("identified", "prior"):
         raise GtauError(f"gains is '{gains}'; write 'identified' or 'prior'.")
-    is_path = isinstance(source, (str, Path))
+    progress, is_path = progress or silent, isinstance(source, (str, Path))
     subject = read(source, runs, options_of(prior_gains), progress)
     where = f"{source}: " if is_path else ""
     require_same(model, subject.robot, subject.runs[0].kind, str(source) if is_path else "this experiment")
