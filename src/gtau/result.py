@@ -179,6 +179,11 @@ def load(path: str | Path) -> Result:
     ------
     GtauError
         The file does not exist, or is no result.
+
+    Examples
+    --------
+    >>> gtau.load("result/model.json").drive_gains["left"].unit
+    'N m/A'
     """
     return Result.of(model_file.load(path))
 
@@ -260,6 +265,12 @@ def identify(
     ------
     GtauError
         If a file is wrong, the data cannot be used, or they lack an input of the method.
+
+    Examples
+    --------
+    >>> result = gtau.identify(["empty_1.csv", "loaded_1200g.csv"], robot="five-bar")
+    >>> print(f"{result.drive_gains['left']:.1f}")
+    2.6
     """
     options = options_of(
         prior_gains,
@@ -271,11 +282,11 @@ def identify(
         ratio=ratio,
         prior_inertias=prior_inertias,
     )
-    progress = progress or silent
-    if not isinstance(source, (list, tuple)):
-        if robot or payload:
-            raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
-        return Result.of(uses.identify(source, runs, options, progress))
-    if any(isinstance(run, Run) for run in source):
-        raise GtauError("runs go with their robot; did you mean gtau.identify(gtau.load_robot(...), runs)?")
-    return Result.of(uses.identify(draft(source, robot, payload), runs, options, progress))
+    if isinstance(source, (list, tuple)):
+        if any(isinstance(run, Run) for run in source):
+            raise GtauError("runs go with their robot; did you mean gtau.identify(gtau.load_robot(...), runs)?")
+        source = draft(source, robot, payload)
+    elif robot or payload:
+        raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
+    made = uses.identify(source, runs, options, progress or silent)  # type: ignore[arg-type]  # refused there
+    return Result.of(made)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.resources import files
 from typing import Annotated, Any
 
 import typer
@@ -37,7 +38,7 @@ class _Command(TyperCommand):
                 parameter.help = template.format(exports=listed)  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)
         with formatter.section("Examples"):
-            for example in EXAMPLES[str(self.name)]:
+            for example in examples(str(self.name)):
                 formatter.write(f"  {example}\n")
 
 
@@ -45,95 +46,39 @@ def _no_type(ctx: Any) -> None:
     """Replace the type in the help of arguments."""
 
 
-COMMANDS: dict[str, dict[Callable[..., None], tuple[str, str, str]]] = {
+COMMANDS: dict[str, dict[Callable[..., None], str]] = {
     "Learn": {
-        tutorial: (
-            "Copy the logs of the ten-minute tutorial to a folder.",
-            "gtau tutorial",
-            "gtau tutorial ~/first-steps",
-        ),
-        demo: ("Simulate, identify and weigh on an Orthoglide.", "gtau demo", "gtau demo --out ~/demo"),
-        docs: ("Print a page of the documentation.", "gtau docs", "gtau docs experiment-file"),
+        tutorial: "Copy the logs of the ten-minute tutorial to a folder.",
+        demo: "Simulate, identify and weigh on an Orthoglide.",
+        docs: "Print a page of the documentation.",
     },
     "Prepare": {
-        robot: (
-            "Show joints, loops and base parameters of a robot.",
-            "gtau robot five-bar",
-            "gtau robot arm.urdf --figure arm.png",
-        ),
-        excite: (
-            "Design the most informative motion.",
-            "gtau excite design.yaml",
-            "gtau excite design.yaml --out plan --payload-mass 1,2,5",
-        ),
-        simulate: (
-            "Simulate a robot under control, and write its logs.",
-            "gtau simulate simulation.yaml",
-            "gtau simulate simulation.yaml --out simulated",
-        ),
-        init: (
-            "Draft an experiment file from logs.",
-            "gtau init empty.csv loaded_1.2kg.csv --robot arm.urdf",
-            "gtau init run.csv --robot arm.urdf --position 'enc_J*' --current 'iq_J*'",
-        ),
-        check: (
-            "Check the logs before identifying.",
-            "gtau check experiment.yaml",
-            "gtau check empty.csv loaded.csv --robot arm.urdf --payload loaded.csv=1.2",
-        ),
+        robot: "Show joints, loops and base parameters of a robot.",
+        excite: "Design the most informative motion.",
+        simulate: "Simulate a robot under control, and write its logs.",
+        init: "Draft an experiment file from logs.",
+        check: "Check the logs before identifying.",
     },
     "Identify": {
-        identify: (
-            "Identify drive gains and dynamic parameters.",
-            "gtau identify experiment.yaml",
-            "gtau identify empty.csv loaded_1.2kg.csv --robot arm.urdf",
-        ),
-        compare: (
-            "Identify with every estimator, and compare.",
-            "gtau compare experiment.yaml",
-            "gtau compare experiment.yaml --out compared",
-        ),
-        fleet: (
-            "Identify many robots; mark outliers among them.",
-            "gtau fleet 'cells/*/experiment.yaml'",
-            "gtau fleet fleet.yaml --out fleet --jobs 4",
-        ),
-        campaign: (
-            "From no log to trusted gains, motion after motion.",
-            "gtau campaign camp --robot arm.urdf --payload-mass 2",
-            "gtau campaign camp",
-        ),
+        identify: "Identify drive gains and dynamic parameters.",
+        compare: "Identify with every estimator, and compare.",
+        fleet: "Identify many robots; mark outliers among them.",
+        campaign: "From no log to trusted gains, motion after motion.",
     },
     "Use": {
-        validate: (
-            "Compare measured and predicted torques on other runs.",
-            "gtau validate result/model.json check.csv",
-            "gtau validate result/model.json experiment.yaml --out check",
-        ),
-        payload: (
-            "Weigh unknown payloads.",
-            "gtau payload result/model.json empty.csv unknown.csv --payload empty.csv=0",
-            "gtau payload result/model.json unknown.csv --frame tool0 --to ur --out weighed",
-        ),
-        use: (
-            "Compute external joint torques along a log.",
-            "gtau use result/model.json contact.csv --out torques.csv",
-            "gtau use result/model.json contact.csv --carries steel --observer 10",
-        ),
-        watch: (
-            "Watch a robot: is it still the one that was identified?",
-            "gtau watch result/model.json logs/ --out histories/SN1234",
-            "gtau watch histories/",
-        ),
-        export: (
-            "Export a model for other programs.",
-            "gtau export result/model.json --to c",
-            "gtau export result/model.json --to urdf --into arm.urdf --out exported",
-        ),
+        validate: "Compare measured and predicted torques on other runs.",
+        payload: "Weigh unknown payloads.",
+        use: "Compute external joint torques along a log.",
+        watch: "Watch a robot: is it still the one that was identified?",
+        export: "Export a model for other programs.",
     },
 }
-"""Every command with its short help and two examples."""
-EXAMPLES = {command.__name__: examples for group in COMMANDS.values() for command, (_, *examples) in group.items()}
+
+
+def examples(command: str) -> list[str]:
+    """List the examples of a command."""
+    text = (files("gtau.cli") / "examples.txt").read_text(encoding="utf-8")
+    return [line for line in text.splitlines() if line.split()[1] == command]
 
 
 class _Commands(TyperGroup):
@@ -142,7 +87,7 @@ class _Commands(TyperGroup):
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         for purpose, commands in COMMANDS.items():
             with formatter.section(purpose):
-                formatter.write_dl([(command.__name__, short) for command, (short, *_) in commands.items()])
+                formatter.write_dl([(command.__name__, short) for command, short in commands.items()])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args == ["help"]:
@@ -174,5 +119,5 @@ def gtau(
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
-for command, (short, *_) in (entry for commands in COMMANDS.values() for entry in commands.items()):
+for command, short in (entry for commands in COMMANDS.values() for entry in commands.items()):
     app.command(command.__name__, cls=_Command, short_help=short)(command)

@@ -131,7 +131,7 @@ def refusing(command: Callable[..., None]) -> Callable[..., None]:
             for name, group in groups.items()
         }
         try:
-            command(**options, **together)  # type: ignore[call-arg]
+            command(**options, **together)
         except GtauError as error:
             if interrupted():
                 raise KeyboardInterrupt from None

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -92,6 +92,11 @@ class LogOptions:
         return [f"--{name}" for name, value in vars(self).items() if value]
 
     @property
+    def commands(self) -> Literal["current", "torque"] | None:
+        """Kind of the commands."""
+        return None if self.kind is None else self.kind.value
+
+    @property
     def columns(self) -> dict[str, str]:
         """Patterns of columns by kind."""
         return {name: value for name in ("position", "current", "torque", "time") if (value := getattr(self, name))}
@@ -133,12 +138,12 @@ def init(
     if out.exists():
         raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
     ask = not (yes or json_) and on_terminal()
-    robot, kind = stated.robot, stated.kind and stated.kind.value
+    robot = stated.robot
     if robot is None and ask and not is_rosbag(logs[0]):
         robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
-    draft = draft_logs(logs, robot, base_choice(base), stated.masses, kind, stated.preset, stated.columns)
+    draft = draft_logs(logs, robot, base_choice(base), stated.masses, stated.commands, stated.preset, stated.columns)
     if ask:
         draft = _answered(draft)
     write_draft(draft, out)
@@ -259,7 +264,7 @@ def experiment_of(
     from gtau.signals.reading.drafting import guesses, write_draft
     from gtau.uses.logs import drafted
 
-    robot, kind, recording = stated.robot, stated.kind and stated.kind.value, None
+    robot, kind, recording = stated.robot, stated.commands, None
     if model is not None:
         from gtau.robots.readers.native import native_text
 

@@ -148,6 +148,11 @@ def check(
     ------
     GtauError
         Where the experiment file or the robot's file is wrong.
+
+    Examples
+    --------
+    >>> gtau.check("experiment.yaml").worst.value
+    'information'
     """
     progress = progress or silent
     options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)

@@ -100,6 +100,11 @@ def compare(
     ------
     GtauError
         Where a file is wrong, or the runs cannot fix the scale of the gains.
+
+    Examples
+    --------
+    >>> [row.method for row in gtau.compare("experiment.yaml").rows if row.gains is not None]
+    ['ml', 'huber', 'iv', 'didim', '2sls']
     """
     options = options_of(prior_gains, priors, method="ml", prior_inertias=prior_inertias)
     reported = progress or silent

@@ -136,6 +136,12 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     """Read a design file; return the design problem, and sentences on what the file leaves to assume.
 
     The keys of the sentences are ``parameters``, ``massless``, ``gains`` and ``noise``. Raises GtauError.
+
+    Examples
+    --------
+    >>> task, assumed = gtau.read_design("design.yaml")
+    >>> "gains" in assumed  # no prior knowledge of them is stated
+    True
     """
     refuse_other_kind(path, DESIGN)
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))

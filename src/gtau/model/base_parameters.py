@@ -116,6 +116,11 @@ def base_parameters(
     ------
     GtauError
         No state within the robot's limits is feasible, or the rank keeps growing with more states.
+
+    Examples
+    --------
+    >>> gtau.base_parameters(gtau.InverseDynamics(gtau.load_robot("five-bar"))).count
+    25
     """
     if unknown := [joint for joint in sensors if joint not in idm.actuated]:
         raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")

@@ -130,6 +130,12 @@ class InverseDynamics:
         Names of the n_st standard parameters, the order of the regressor's columns.
     actuated : tuple of str
         Names of the n actuated joints, the order of the regressor's rows.
+
+    Examples
+    --------
+    >>> model = gtau.InverseDynamics(gtau.load_robot("five-bar"))
+    >>> model.regressor([2.1, 1.0], [0.0, 0.0], [0.0, 0.0]).shape
+    (2, 56)
     """
 
     @takes(robot=("gtau.load_robot(...)", (Robot,)), parameters=TEXT)

@@ -77,6 +77,10 @@ def plot(shown: IdentifiedModel | Prediction | Run | Robot) -> Figure:
     ------
     GtauError
         For anything else.
+
+    Examples
+    --------
+    >>> gtau.plot(gtau.load_robot("five-bar")).savefig("five-bar.png")
     """
     match shown:
         case IdentifiedModel():

@@ -254,6 +254,12 @@ def read_run(
     ------
     GtauError
         A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.repair.checks.check`.
+
+    Examples
+    --------
+    >>> position, current = {"left": "qleft", "right": "qright"}, {"left": "vleft", "right": "vright"}
+    >>> gtau.read_run("empty_1.csv", {"time": "t", "position": position, "current": current}).rate
+    250.0
     """
     payload = as_payload(payload)
     signals, units = read_group(Signals, "signals", signals), read_group(Units, "units", {} if units is None else units)

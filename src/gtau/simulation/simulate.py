@@ -267,6 +267,11 @@ def simulate(
         If the file is wrong, a run cannot be simulated, or a file cannot be written.
     KeyboardInterrupt
         If interrupted; the text lists the finished logs.
+
+    Examples
+    --------
+    >>> [file.name for file in gtau.simulate("simulation.yaml", "simulated")]
+    ['free.csv', 'experiment.yaml']
     """
     simulation, out = as_simulation(source), folder_of(out)
     robot = load_robot(simulation.robot)

@@ -104,6 +104,11 @@ def draft(
     ------
     GtauError
         No columns are recognised, the robot is not known, or a guess would set the scale.
+
+    Examples
+    --------
+    >>> gtau.draft(["empty_1.csv", "loaded_1200g.csv"], robot="five-bar")
+    Experiment('five-bar', joints left, right, runs: 2, validation: 0)
     """
     if isinstance(logs, (str, Path)) or not logs or not all(isinstance(log, (str, Path)) for log in logs):
         raise GtauError("logs are a list of paths; give ['empty.csv', 'loaded.csv'].")

@@ -99,6 +99,15 @@ def weigh(
     ------
     GtauError
         If a file is wrong or describes another robot, or the runs cannot separate the payload from the robot.
+
+    Examples
+    --------
+    >>> result = gtau.load("result/model.json")
+    >>> empty = gtau.read_run("empty_2.csv", result.recording.signals)
+    >>> unknown = gtau.read_run("unknown.csv", result.recording.signals, payload={"name": "load"})
+    >>> (load,) = gtau.weigh(result, result.robot, [empty, unknown])
+    >>> print(f"{load.parameters['m']:.1f} kg")
+    0.7 kg
     """
     if gains not in ("identified", "prior"):
         raise GtauError(f"gains is '{gains}'; write 'identified' or 'prior'.")

@@ -147,7 +147,7 @@ def discover(
     """
     if columns:
         log = command_log = LogContents.read(paths[0], robot).stated(columns)
-        runs = [(path,) for path in paths]
+        runs: list[tuple[Path, ...]] = [(path,) for path in paths]
     else:
         log, command_log, runs = _sources(paths, robot)
     positions, commands = _groups(log, command_log, robot)

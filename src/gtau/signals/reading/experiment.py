@@ -320,6 +320,11 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     ------
     GtauError
         The file cannot be read, or something in it is missing, misspelt or contradictory.
+
+    Examples
+    --------
+    >>> gtau.read_experiment("experiment.yaml").signals.kind
+    'current'
     """
     refuse_other_kind(path, EXPERIMENT)
     folder = Path(path).parent

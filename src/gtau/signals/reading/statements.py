@@ -94,7 +94,7 @@ def _no_body(parameters: Mapping[str, float], mass: float | None) -> str:
     return ""
 
 
-def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
+def as_payload(payload: Payload | Mapping[str, Any] | str | float | None) -> Payload | None:
     """Read a payload from a mapping as in the experiment file; raises GtauError."""
     if isinstance(payload, (str, float, int)):
         name, mass = (repr(payload), "...") if isinstance(payload, str) else ("'load'", f"{payload:g}")
