@@ -15,6 +15,7 @@ from gtau.estimation.results import model_file
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.result import IdentifiedModel, estimates_frame
 from gtau.progress import Progress, silent
+from gtau.robots.readers.read import frame_on
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
     from gtau.export.exported import Exported
     from gtau.report.plots import Plots
+    from gtau.uses.external_torques import TorquesAlongLog
 
 
 class Result(IdentifiedModel):
@@ -109,6 +111,25 @@ class Result(IdentifiedModel):
         """
         return predict(self, run)
 
+    def external_torques(
+        self,
+        run: Run,
+        frame: str | None = None,
+        force_only: bool = False,
+        observer: float | None = None,
+        robot: str | Path | None = None,
+    ) -> TorquesAlongLog:
+        """Compute what the environment exerts on the joints along a run, N m or N, as ``gtau use`` does.
+
+        With a ``frame``, also the force and moment there: ``"x y z roll pitch yaw"`` (m, rad) from the frame of the
+        body that carries the payload, or a link of the URDF ``robot``. With an ``observer`` bandwidth, Hz, also the
+        estimate of :func:`gtau.momentum_observer`.
+        """
+        from gtau.uses.external_torques import torques_along_log
+
+        at = None if frame is None else frame_on(self.robot.tool, frame, robot)
+        return torques_along_log(self, run, at, force_only, observer)
+
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
         """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
         return validate(self, run)
@@ -146,7 +167,7 @@ class Result(IdentifiedModel):
         return html(self)
 
     def save(self, path: str | Path) -> None:
-        """Write the result as JSON, atomically; see :mod:`gtau.estimation.results.model_file`."""
+        """Write the result as JSON, atomically: the ``model.json`` that :func:`gtau.load` and the commands read."""
         model_file.save(self, path)
 
     def export(self, kind: str, out: str | Path, **options: Any) -> Exported:
@@ -224,9 +245,9 @@ def identify(
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     method : str, optional
-        A name of :data:`gtau.estimation.estimators.registry.NAMES`; ``gtau docs verdicts`` describes each, and when
-        to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
-        torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
+        ``"ml"``, ``"huber"``, ``"iv"``, ``"didim"``, ``"2sls"``, ``"tls"``, ``"wls"`` or ``"ols"``; ``gtau docs
+        verdicts`` says when to choose which. If left out, maximum likelihood, or least squares with given gains where
+        logs hold torques and nothing tests their scale; with ``as_paper`` the paper's total least squares, "wls" of
         torques.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N per A, of torques the factor that makes them true; the experiment file's if left out.
@@ -238,8 +259,7 @@ def identify(
         standard errors by formula, and the essential parameters re-estimated together with the gains at ratio 10.
         (Samples near reversals are left out all the same: with them TLS fails.)
     consistent : bool
-        Also find standard parameters that rigid bodies can have (see
-        :mod:`gtau.estimation.estimators.physical_consistency`).
+        Also find standard parameters that rigid bodies can have.
     priors : mapping, optional
         Priors on standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like in
         the experiment file (``{"value": 1.2, "std": 0.4}``); the experiment file's if left out.

@@ -442,6 +442,20 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     refused = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, "--position", "enc_X*"])
     assert refused.exit_code == 2
     assert "--position is 'enc_X*', but no column matches" in refused.stderr
+    refused = CliRunner().invoke(app, ["init", "empty.csv", "--robot", "five-bar", "--yes"])
+    assert "no columns of positions are recognised" in refused.stderr
+    assert refused.stderr.endswith("; experiment.yaml is written with all but these columns.\n")
+    skeleton = Path("experiment.yaml").read_text()
+    assert "  position: {left: COLUMN, right: COLUMN}\n" in skeleton
+    for old, new in (
+        ("left: COLUMN", "left: enc_J1"),
+        ("right: COLUMN", "right: enc_J2"),
+        ("time: COLUMN", "time: Zeit"),
+    ):
+        skeleton = skeleton.replace(old, new, 1)
+    filled = skeleton.replace("left: COLUMN", "left: strom_a").replace("right: COLUMN", "right: strom_b")
+    Path("experiment.yaml").write_text(filled)
+    assert read_experiment("experiment.yaml").signals.current == {"left": "strom_a", "right": "strom_b"}
     done = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, *columns, "--json"])
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)

@@ -96,6 +96,9 @@ def test_a_run_is_a_table_that_is_read_again(result: gtau.Result) -> None:
     }
     assert gtau.read_run(frame, signals).command == pytest.approx(run.command)
     assert isinstance(result.predict(run).to_frame(), polars.DataFrame)
+    external = result.external_torques(run, frame="0 0 0.1 0 0 0", force_only=True, observer=10.0)
+    assert external.wrench is not None
+    assert {"external_left", "observed_left"} <= set(external.table.columns)
 
 
 def test_terms_of_the_equation_of_motion(result: gtau.Result) -> None:

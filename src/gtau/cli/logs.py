@@ -26,7 +26,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_folder, write_atomically
+from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, write_atomically
 from gtau.errors import GtauError, tidy
 
 if TYPE_CHECKING:
@@ -143,7 +143,10 @@ def init(
         robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
-    draft = draft_logs(logs, robot, base_choice(base), stated.masses, stated.commands, stated.preset, stated.columns)
+    with skeleton_if_unrecognised(logs, robot, out):
+        draft = draft_logs(
+            logs, robot, base_choice(base), stated.masses, stated.commands, stated.preset, stated.columns
+        )
     if ask:
         draft = _answered(draft)
     write_draft(draft, out)
@@ -210,10 +213,6 @@ def check(
     sources: Sources,
     stated: LogOptions,
     out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities.")] = None,
-    figure: Annotated[
-        Path | None,
-        option("DIR", "Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out."),
-    ] = None,
     method: Annotated[
         str | None, option(METHODS, "Estimator that will identify; the default of 'gtau identify' if left out.")
     ] = None,
@@ -225,11 +224,10 @@ def check(
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
     hold(out)
-    refuse_as_folder(figure)
     experiment, guessed = experiment_of(sources, stated, out or Path("result"))
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
-        from gtau.report.check import check_document, check_page, write_check, write_preparation
+        from gtau.report.check import check_document, check_page, write_check
         from gtau.report.evidence import inputs_of
         from gtau.report.render.html import write_report
 
@@ -239,8 +237,6 @@ def check(
     if out is not None:
         written.append(write_report(page, folder_of(out), seconds(), inputs_of(experiment)))
         written += write_check(checked, out)
-    if figure is not None:
-        written += write_preparation(checked, folder_of(figure))
     answer(json_, lambda: check_document(checked), lambda: page, written)
     if code := checked.worst.exit_code:
         raise typer.Exit(code)
@@ -272,14 +268,30 @@ def experiment_of(
         if robot is None:
             robot = str(folder_of(folder) / "robot.yaml")
             write_atomically(robot, native_text(model.robot))
-    draft = drafted(sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording)
     file = folder / "experiment.yaml"
+    with skeleton_if_unrecognised(sources, robot, file):
+        draft = drafted(sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording)
     write_draft(draft, file)
     held = (
         f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""
     )
     typer.echo(tidy(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}{held}."), err=True)
     return file, guesses(draft, file)
+
+
+@contextmanager
+def skeleton_if_unrecognised(logs: list[Path], robot: str | None, file: Path) -> Iterator[None]:
+    """Write an experiment file without columns where none are recognised, and say so in the refusal."""
+    from gtau.signals.reading.discovery import NoColumns
+
+    try:
+        yield
+    except NoColumns as refusal:
+        from gtau.signals.reading.drafting import write_skeleton
+
+        write_skeleton(logs, robot, folder_of(file.parent) / file.name)
+        written = f"{file} is written with all but these columns"
+        raise GtauError(f"{refusal.sentence.rstrip('.')}; {written}.", source=refusal.source) from None
 
 
 @contextmanager

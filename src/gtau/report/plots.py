@@ -236,10 +236,6 @@ class Plots:
             raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
         return figure_of(Chart(tuple(panels)))
 
-    def robot(self) -> Figure:
-        """Draw the robot in its home pose."""
-        return robot_figure(self.result.robot)
-
     def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, tuple[str, ...]]:
         joints = self.result.robot.actuated
         if joint is not None and joint not in joints:

@@ -289,7 +289,7 @@ def torques_along_log(
         for joint, kept in zip(prediction.joints, prediction.keep.T, strict=True)
         if kept.any()
     ]
-    table, wrench = prediction.table(), None
+    table, wrench = prediction.to_frame(), None
     if bandwidth is not None:
         torques = momentum_observer(result, run, bandwidth).T
         columns = zip(prediction.joints, torques, strict=True)

@@ -104,6 +104,10 @@ class Draft:
     urdf: str | None = None
 
 
+class NoColumns(GtauError):
+    """Error raised for a log of which no columns are recognised."""
+
+
 def listed(columns: Iterable[str]) -> str:
     """List some columns, the first eight of many."""
     columns = tuple(columns)
@@ -236,7 +240,7 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
         still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
         columns += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)
         named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
-        raise GtauError(
+        raise NoColumns(
             f"no columns of {what} are recognised among {columns}; {named}write the experiment file by hand "
             f"({page('experiment-file')}), name them by --position and --current, or rename columns or arrays, such as "
             "q1 and current1.",

@@ -155,11 +155,32 @@ def alternatives(masses: Sequence[float]) -> str:
     return " or ".join(f"{mass:g}" for mass in masses)
 
 
-def write_draft(draft: Draft, file: Path) -> list[Path]:
+def write_skeleton(logs: Sequence[Path], robot: str | None, file: Path) -> None:
+    """Write an experiment file for logs whose columns are not recognised, with all but the names of these."""
+    joints = ("JOINT",) if robot is None else load_robot(robot).motors
+    columns = _flow(dict.fromkeys(joints, "COLUMN"))
+    lines = [
+        "# Drafted by gtau: write the columns in place of COLUMN, then run gtau check.",
+        f"robot: {_flow(_entry_of(robot, file.parent) if robot else 'NAME-OR-FILE')}",
+        "signals:",
+        "  time: COLUMN  # or {rate: HZ}",
+        f"  position: {columns}",
+        f"  current: {columns}  # or torque:",
+        f"# The columns of {logs[0].name}: {', '.join(find_columns(logs[0]).columns)}",
+        "runs:",
+        *(f"  - log: {_flow(_relative(log, file.parent))}  # payload: {{name: steel, mass: 1.2}}" for log in logs),
+    ]
+    _write({file: _sealed("\n".join(map(printable, lines)) + "\n")}, file)
+
+
+def write_draft(draft: Draft, file: Path) -> None:
     """Write the experiment file of a draft, and the robot file from a bag, replacing unedited drafts alone."""
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
-    texts[file] = _sealed(draft_text(draft, folder))
+    _write(texts | {file: _sealed(draft_text(draft, folder))}, file)
+
+
+def _write(texts: Mapping[Path, str], file: Path) -> None:
     written = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
     edited = SEAL not in written or written != _sealed(written.rpartition(SEAL)[0])
     for path, text in texts.items():
@@ -170,7 +191,6 @@ def write_draft(draft: Draft, file: Path) -> list[Path]:
             )
     for path, text in texts.items():
         write_atomically(path, text)
-    return list(texts)
 
 
 def _sealed(text: str) -> str:
@@ -338,9 +358,13 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
 def _robot_entry(draft: Draft, folder: Path) -> Any:
     if "file" not in draft.robot:
         return "NAME-OR-FILE"
-    path = Path(draft.robot["file"])
-    file = _relative(path, folder) if draft.urdf is None and path.exists() else draft.robot["file"]
+    file = draft.robot["file"] if draft.urdf is not None else _entry_of(draft.robot["file"], folder)
     return {**draft.robot, "file": file} if len(draft.robot) > 1 else file
+
+
+def _entry_of(robot: str, folder: Path) -> str:
+    """Return the path of a robot's file from a folder, or the robot's name."""
+    return _relative(Path(robot), folder) if Path(robot).exists() else robot
 
 
 def _units(draft: Draft) -> Iterator[str]:
