@@ -40,7 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         patch.chdir(folder)
         logs = ["empty_1.csv", "loaded_1200g.csv", "--robot", "five-bar"]
         assert CliRunner().invoke(app, ["identify", *logs]).exit_code == 0
-        assert CliRunner().invoke(app, ["init", *logs, "--yes"]).exit_code == 0
+        assert CliRunner().invoke(app, ["init", *logs]).exit_code == 0
     return folder
 
 

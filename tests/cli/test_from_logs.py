@@ -442,7 +442,7 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     refused = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, "--position", "enc_X*"])
     assert refused.exit_code == 2
     assert "--position is 'enc_X*', but no column matches" in refused.stderr
-    refused = CliRunner().invoke(app, ["init", "empty.csv", "--robot", "five-bar", "--yes"])
+    refused = CliRunner().invoke(app, ["init", "empty.csv", "--robot", "five-bar"])
     assert "no columns of positions are recognised" in refused.stderr
     assert refused.stderr.endswith("; experiment.yaml is written with all but these columns.\n")
     skeleton = Path("experiment.yaml").read_text()

@@ -101,8 +101,8 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
-    Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does, without questions; the summary
-    lists the guesses, which you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
+    Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does; the summary lists the guesses, which
+    you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
 
     The exit code is 3 if any verdict is contradictory, every drive gain is not identifiable, --consistent finds no
     parameters, or the result misses a requirement of EXPERIMENT.yaml.

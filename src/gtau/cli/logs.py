@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -127,28 +126,24 @@ def init(
         str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
     ] = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
-    yes: Annotated[bool, option("", "Ask nothing; mark in the file what to confirm.", "--yes")] = False,
     json_: Json = False,
 ) -> None:
-    """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
+    """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate.
+
+    It marks with CHECK what to confirm in the file.
+    """
     from gtau.signals.reading.discovery import QUESTIONS
     from gtau.signals.reading.drafting import draft_logs, write_draft
-    from gtau.signals.reading.logs import is_rosbag
 
     if out.exists():
         raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
-    ask = not (yes or json_) and on_terminal()
     robot = stated.robot
-    if robot is None and ask and not is_rosbag(logs[0]):
-        robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
     with skeleton_if_unrecognised(logs, robot, out):
         draft = draft_logs(
             logs, robot, base_choice(base), stated.masses, stated.commands, stated.preset, stated.columns
         )
-    if ask:
-        draft = _answered(draft)
     write_draft(draft, out)
     open_ = [QUESTIONS[key] for key in draft.open]
     if not json_:
@@ -158,29 +153,6 @@ def init(
     columns = {"position": dict(signals.position), signals.kind: dict(signals.command), "units": dict(draft.units)}
     clock = list(signals.time_columns) or {"rate": None if "rate" in draft.open else signals.rate}
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
-
-
-def on_terminal() -> bool:
-    """Return whether the user can be asked."""
-    return sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _answered(draft: Draft) -> Draft:
-    from gtau.signals.reading.drafting import with_kind, with_masses, with_rate
-
-    if "rate" in draft.open:
-        draft = with_rate(draft, typer.prompt("Sampling rate of the logs, Hz", type=float))
-    if "kind" in draft.open:
-        named = ", ".join(list(draft.signals.command.values())[:3])
-        kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.signals.kind)
-        draft = with_kind(draft, "torque" if kind.lower().startswith("t") else "current")
-    if draft.signals.kind == "current":
-        options = {}
-        for run in draft.logs:
-            known = draft.payloads.get(run[0], (0.0,))[0]
-            options[run[0]] = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known, type=float)
-        draft = with_masses(draft, {log: max(mass, 0.0) for log, mass in options.items()})
-    return draft
 
 
 def _page(draft: Draft, out: Path, open_: list[str]) -> str:
@@ -220,7 +192,7 @@ def check(
 ) -> None:
     """Check the logs before identifying: errors, warnings, and repairs.
 
-    Given logs instead of EXPERIMENT.yaml, it drafts that file without questions, in DIR or else 'result'.
+    Given logs instead of EXPERIMENT.yaml, it drafts that file, in DIR or else 'result'.
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
     hold(out)
@@ -264,7 +236,7 @@ def experiment_of(
     if model is not None:
         from gtau.robots.readers.native import native_text
 
-        kind, recording = kind or model.kind, model.recording
+        kind, recording = kind or Commands(model.kind).value, model.recording
         if robot is None:
             robot = str(folder_of(folder) / "robot.yaml")
             write_atomically(robot, native_text(model.robot))

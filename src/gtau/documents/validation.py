@@ -119,7 +119,7 @@ def _written(location: KeyPath, data: Any) -> KeyPath:
 
 def _missing(location: KeyPath, errors: Sequence[ErrorDetails], data: Any) -> tuple[KeyPath, str]:
     """Say which keys are missing: all those in groups that have one form; return the group that holds them, too."""
-    places = [error["loc"] for error in errors if error["type"] == "missing"]
+    places = dict.fromkeys(error["loc"] for error in errors if error["type"] == "missing")
     certain = [place for place in places if _written(place[:-1], data) == place[:-1] and isinstance(place[-1], str)]
     if location not in certain:
         return _written(location[:-1], data), f"the key '{location[-1]}' is missing; add it"

@@ -30,11 +30,9 @@ def _torques_at(result: IdentifiedModel, q: np.ndarray, payload: Payload | None)
     return torques, torques(still, still)
 
 
-def _along(positions: np.ndarray, joint: int) -> np.ndarray:
-    """Return unit speeds (or accelerations) of one joint at ``positions`` (N, n), as (n, N)."""
-    unit = np.zeros(positions.shape[::-1])
-    unit[joint] = 1.0
-    return unit
+def _units(shape: np.ndarray) -> list[np.ndarray]:
+    """List unit speeds (or accelerations) of each joint alone, each of the shape (n, N)."""
+    return [np.broadcast_to(column[:, None], shape.shape) for column in np.eye(len(shape))]
 
 
 @one_or_many
@@ -48,7 +46,7 @@ def inertia(result: IdentifiedModel, q: np.ndarray, payload: Payload | None) -> 
     """Compute the inertia matrix; see :meth:`gtau.Result.inertia`."""
     torques, rest = _torques_at(result, q, payload)
     still = np.zeros_like(rest)
-    columns = [torques(still, _along(q, joint)) - rest for joint in range(len(rest))]
+    columns = [torques(still, unit) - rest for unit in _units(rest)]
     return np.stack(columns, axis=1).transpose(2, 0, 1)
 
 
@@ -66,6 +64,5 @@ def coriolis(result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, payload: Pa
     def h(speeds: np.ndarray) -> np.ndarray:
         return torques(speeds, still) - rest
 
-    units = [_along(q, joint) for joint in range(len(rest))]
-    columns = [(h(speeds + unit) - h(speeds) - h(unit)) / 2 for unit in units]
+    columns = [(h(speeds + unit) - h(speeds) - h(unit)) / 2 for unit in _units(rest)]
     return np.stack(columns, axis=1).transpose(2, 0, 1)

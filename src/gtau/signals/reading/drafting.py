@@ -18,7 +18,7 @@ from gtau.findings import Finding, Grade, counted
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
-from gtau.signals.reading.columns import PRESETS, SampleRate
+from gtau.signals.reading.columns import PRESETS
 from gtau.signals.reading.discovery import (
     FLOATING,
     ON_BODIES,
@@ -96,11 +96,6 @@ def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
 
 def _settled(draft: Draft, *keys: str) -> Draft:
     return replace(draft, open={key: assumed for key, assumed in draft.open.items() if key not in keys})
-
-
-def with_rate(draft: Draft, rate: float) -> Draft:
-    """Return the draft with a sampling rate, Hz."""
-    return replace(_settled(draft, "rate"), signals=draft.signals.model_copy(update={"time": SampleRate(rate=rate)}))
 
 
 def with_sensors(draft: Draft) -> Draft:
