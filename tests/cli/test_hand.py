@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from models_to_export import model_of
 from robots_for_tests import seven_r
 
 import gtau
+from gtau.findings import Finding, Grade
 
 SIGNALS = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
 
@@ -84,6 +86,23 @@ def test_figures(result: gtau.Result, folder: Path) -> None:
     assert len(gtau.load(folder / "saved.json").plot().axes) == 1  # of the gains: there are no runs
     with pytest.raises(gtau.GtauError, match="a str has no figure; give a result, a prediction, a run or a robot"):
         gtau.plot("five-bar")  # type: ignore[arg-type]
+
+
+def test_the_summary_says_a_cause_once(result: gtau.Result) -> None:
+    text = "the 95 % interval is {own}, because the data cannot exclude a torque constant of '{joint}' that falls"
+    gains = {
+        joint: replace(
+            gain,
+            verdict=Finding(
+                "wide", text=text.replace("{joint}", joint), own=f"+-{k} %", advice="log more", grade=Grade.WEAK
+            ),
+        )
+        for k, (joint, gain) in enumerate(result.drive_gains.items(), 4)
+    }
+    said = " ".join(result.replaced(drive_gains=gains).summary(verbose=False).split())
+    cause = "the data cannot exclude a torque constant of 'left' that falls, or alike; log more"
+    assert f"joint left, joint right: {cause}" in said
+    assert "the 95 % interval is" not in said
 
 
 def test_a_run_is_a_table_that_is_read_again(result: gtau.Result) -> None:

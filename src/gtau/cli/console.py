@@ -87,7 +87,7 @@ ExperimentFile = Annotated[Path, argument("EXPERIMENT.yaml", "Experiment file.")
 ModelFile = Annotated[Path, argument("MODEL.json", "What 'gtau identify' wrote.")]
 Columns = Annotated[Path | None, option("EXPERIMENT.yaml", "Take columns and units from an experiment file.")]
 CarriedPayload = Annotated[str | None, option("NAME", "Payload that the robot carries, by its name in the model.")]
-ReportFolder = Annotated[Path | None, option("DIR", "Folder for report.html.")]
+ReportFolder = Annotated[Path | None, option("DIR", "Folder for report.html. Default: no files.")]
 Json = Annotated[bool, option("", "Print one JSON document on stdout instead of tables.", "--json")]
 
 

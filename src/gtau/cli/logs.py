@@ -184,7 +184,7 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
 def check(
     sources: Sources,
     stated: LogOptions,
-    out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities.")] = None,
+    out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities. Default: no files.")] = None,
     method: Annotated[
         str | None, option(METHODS, "Estimator that will identify; the default of 'gtau identify' if left out.")
     ] = None,

@@ -52,7 +52,8 @@ def validate(
     sources: Sources,
     stated: LogOptions,
     out: Annotated[
-        Path | None, option("DIR", "Folder for report.html and a table with all samples of each run.")
+        Path | None,
+        option("DIR", "Folder for report.html and a table with all samples of each run. Default: no files."),
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -105,7 +106,9 @@ PayloadFrame = Annotated[
     ),
 ]
 Controller = Annotated[str | None, option("CONTROLLER", f"Also write each payload for a controller: {CONTROLLERS}.")]
-WeighingFolder = Annotated[Path | None, option("DIR", "Folder for report.html and the files of --to.")]
+WeighingFolder = Annotated[
+    Path | None, option("DIR", "Folder for report.html and the files of --to. Default: payload with --to, or no files.")
+]
 
 
 @refusing
@@ -128,9 +131,8 @@ def payload(
 
     The exit code is 3 if a mass is negative, or the model's gains contradict its own logs or the logs of the payload.
     """
+    out = out or (None if to is None else Path("payload"))
     hold(out)
-    if to is not None and out is None:
-        raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
         from gtau.estimation.results.model_file import load, payload_documents
         from gtau.report.evidence import inputs_of, settings_of

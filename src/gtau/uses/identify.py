@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,17 +41,14 @@ def read_log(
     if experiment is not None:
         described = read_experiment(experiment)
         return read_run(log, described.signals, None, described.units, settings=described.preparation, part=part)
+    letter, joints = "v" if model.kind == "current" else "tau", model.robot.actuated
+    signals: Any = {"time": "t", "position": {joint: f"q{joint}" for joint in joints}}
+    signals |= {model.kind: {joint: f"{letter}{joint}" for joint in joints}}
+    units = None
     if model.recording is not None:
-        return read_run(log, model.recording.signals, None, model.recording.units, part=part)
-    command, letter = ("current", "v") if model.kind == "current" else ("torque", "tau")
-    joints = model.robot.actuated
-    signals: Mapping[str, Any] = {
-        "time": "t",
-        "position": {joint: f"q{joint}" for joint in joints},
-        command: {joint: f"{letter}{joint}" for joint in joints},
-    }
+        signals, units = model.recording.signals, model.recording.units
     try:
-        return read_run(log, signals, part=part)
+        return read_run(log, signals, None, units, part=part)
     except NoFile:
         raise
     except GtauError as error:
