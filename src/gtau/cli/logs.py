@@ -31,7 +31,6 @@ from gtau.errors import GtauError, tidy
 if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
     from gtau.findings import Finding
-    from gtau.signals.reading.discovery import Draft
 
 WIDTH = 80
 
@@ -147,7 +146,7 @@ def init(
     write_draft(draft, out)
     open_ = [QUESTIONS[key] for key in draft.open]
     if not json_:
-        typer.echo(_page(draft, out, open_))
+        typer.echo(_page(out, open_))
         return
     signals = draft.signals
     columns = {"position": dict(signals.position), signals.kind: dict(signals.command), "units": dict(draft.units)}
@@ -155,24 +154,12 @@ def init(
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
 
-def _page(draft: Draft, out: Path, open_: list[str]) -> str:
-    from gtau.signals.reading.discovery import listed_units
+def _page(out: Path, open_: list[str]) -> str:
+    """Show what was drafted, and what to confirm."""
+    from gtau.signals.reading.drafting import SEAL
 
-    signals, unused, why = draft.signals, draft.unused, draft.reasons.time
-    rate = "rate unknown" if "rate" in draft.open else f"{signals.rate or 0:g} Hz"
-    clock = " and ".join(signals.time_columns) or f"no column, {rate}"
-    rows = {
-        "time": clock + (f" ({why})" if why else ""),
-        "position": ", ".join(f"{joint}: {column}" for joint, column in signals.position.items()),
-        signals.kind: ", ".join(f"{joint}: {column}" for joint, column in signals.command.items()),
-        "units": listed_units(draft.units),
-        "to check": ", ".join((*unused.motion, *unused.wrenches)),
-        "not used": "; ".join(unused.others),
-    }
-    lines = [f"written: {out}, with these columns of the logs"]
-    for name, words in rows.items():
-        if words:
-            lines += textwrap.wrap(words, WIDTH, initial_indent=f"  {name:<10}", subsequent_indent=" " * 12)
+    drafted = out.read_text(encoding="utf-8").rpartition(SEAL)[0].partition("\n\n")[2]
+    lines = [drafted, f"written: {out}"]
     if open_:
         lines += ["", "Before you go on, edit its lines marked CHECK:"]
         for doubt in open_:
