@@ -174,8 +174,7 @@ class Plots:
     def _torques(
         self, joint: str | None, run: str | Run | None, start: float = 0.0, stop: float | None = None
     ) -> Chart:
-        evidence, joints = self._evidence(joint, run)
-        assert evidence.prediction is not None
+        evidence, prediction, joints = self._evidence(joint, run)
         end = seconds(evidence.run) if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
@@ -183,24 +182,21 @@ class Plots:
         if start > 0 or stop is not None:
             title += f", {start:.4g} to {end:.4g} s of {seconds(evidence.run):.4g} s"
         window = (time >= start) & (time <= end)
-        prediction, robot = evidence.prediction.of(joints).part(window), self.result.robot
-        units = [torque_unit(robot, name) for name in joints]
-        return torques_chart(prediction, units, evidence.run.kind, time[window], title=title)
+        units = [torque_unit(self.result.robot, name) for name in joints]
+        return torques_chart(prediction.of(joints).part(window), units, evidence.run.kind, time[window], title=title)
 
     def friction(self, joint: str | None = None, run: str | Run | None = None) -> Figure:
         """Draw measured and predicted friction of one joint or all over the speed."""
-        evidence, joints = self._evidence(joint, run)
-        assert evidence.prediction is not None
-        chart = friction_chart(self.result, [replace(evidence, prediction=evidence.prediction.rows)])
+        evidence, prediction, joints = self._evidence(joint, run)
+        chart = friction_chart(self.result, [replace(evidence, prediction=prediction.rows)])
         shown = {joint_label(name) for name in joints}
         panels = tuple(panel for panel in chart.panels if panel.title in shown)
         return figure_of(replace(chart, panels=panels, columns=min(len(panels), 2)))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Draw a joint's residuals along a run, with histogram, spectrum and autocorrelation."""
-        evidence, _ = self._evidence(joint, run)
-        assert evidence.prediction is not None
-        evidence = replace(evidence, prediction=evidence.prediction.in_band)
+        evidence, prediction, _ = self._evidence(joint, run)
+        evidence = replace(evidence, prediction=prediction.in_band)
         robot = self.result.robot
         unit, values = torque_unit(robot, joint), evidence.residuals[:, robot.actuated.index(joint)]
         line = Series("", evidence.time, values, "residual", width=1.0)
@@ -236,12 +232,13 @@ class Plots:
             raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
         return figure_of(Chart(tuple(panels)))
 
-    def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, tuple[str, ...]]:
+    def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, Prediction, tuple[str, ...]]:
         joints = self.result.robot.actuated
         if joint is not None and joint not in joints:
             raise GtauError(f"there is no joint '{joint}'; choose from {', '.join(joints)}.")
         chosen = run if isinstance(run, Run) else self._run(run)
-        return RunEvidence(chosen, True, predict(self.result, chosen)), joints if joint is None else (joint,)
+        prediction = predict(self.result, chosen)
+        return RunEvidence(chosen, True, prediction), prediction, joints if joint is None else (joint,)
 
     def _run(self, name: str | None) -> Run:
         runs = {run.name: run for run in self.result.data}
