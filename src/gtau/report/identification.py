@@ -179,7 +179,7 @@ def next_steps(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> lis
     elif not all(gain.verdict.outcome in GOOD_OUTCOMES for gain in result.drive_gains.values()):
         first = "Next: plan a motion that narrows these intervals (gtau excite DESIGN.yaml), and log it"
     elif all(run.used for run in runs):
-        first = "Next: predict a log that was not used (gtau validate MODEL.json EXPERIMENT.yaml)"
+        first = "Next: predict a log that was not used (gtau validate MODEL.json LOG)"
     else:
         first = "Next: weigh a known load, which tests the scale as no residual does (gtau payload MODEL.json LOG)"
     return [first, "Then export the model (gtau export), or watch the robot with it (gtau watch)"]
