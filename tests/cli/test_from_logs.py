@@ -436,12 +436,12 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     for seed, (name, load) in enumerate({"empty": None, "loaded": STEEL, "again": None, "other": STEEL}.items()):
         run = Plant(noise=0.01).run(name, payload=load, seed=seed)
         table = np.column_stack([1e3 * run.time, run.position, run.command])
-        np.savetxt(f"{name}.csv", table, delimiter=",", header="Zeit,enc_J1,enc_J2,strom_a,strom_b", comments="")
+        np.savetxt(f"{name}.csv", table, delimiter=",", header="A,bb_1,bb_2,cc_x,cc_y", comments="")
     stated = ["--robot", "five-bar", "--payload", "loaded.csv=1.2"]
-    columns = ["--position", "enc_J*", "--current", "strom_a,strom_b", "--time", "Zeit"]
-    refused = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, "--position", "enc_X*"])
+    columns = ["--position", "bb_*", "--current", "cc_x,cc_y", "--time", "A"]
+    refused = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, "--position", "dd_*"])
     assert refused.exit_code == 2
-    assert "--position is 'enc_X*', but no column matches" in refused.stderr
+    assert "--position is 'dd_*', but no column matches" in refused.stderr
     refused = CliRunner().invoke(app, ["init", "empty.csv", "--robot", "five-bar"])
     assert "no columns of positions are recognised" in refused.stderr
     assert refused.stderr.endswith("; experiment.yaml is written with all but these columns.\n")
@@ -453,9 +453,9 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
         ("time: COLUMN", "time: Zeit"),
     ):
         skeleton = skeleton.replace(old, new, 1)
-    filled = skeleton.replace("left: COLUMN", "left: strom_a").replace("right: COLUMN", "right: strom_b")
+    filled = skeleton.replace("left: COLUMN", "left: cc_x").replace("right: COLUMN", "right: cc_y")
     Path("experiment.yaml").write_text(filled)
-    assert read_experiment("experiment.yaml").signals.current == {"left": "strom_a", "right": "strom_b"}
+    assert read_experiment("experiment.yaml").signals.current == {"left": "cc_x", "right": "cc_y"}
     done = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, *columns, "--json"])
     assert done.exit_code == 0, done.output
     document = json.loads(done.stdout)
@@ -484,9 +484,9 @@ def run_of(name: str) -> Run:
     return read_run(
         name,
         {
-            "time": "Zeit",
-            "position": {"left": "enc_J1", "right": "enc_J2"},
-            "current": {"left": "strom_a", "right": "strom_b"},
+            "time": "A",
+            "position": {"left": "bb_1", "right": "bb_2"},
+            "current": {"left": "cc_x", "right": "cc_y"},
         },
         units={"time": "ms"},
     )
