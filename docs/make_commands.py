@@ -8,7 +8,7 @@ from pathlib import Path
 import typer
 from click import Context
 
-from gtau.cli.commands import app
+from gtau.cli.commands import app, examples
 
 PAGE = Path(__file__).parent / "lookup" / "commands.md"
 HEAD = """# Commands
@@ -49,6 +49,7 @@ def page() -> str:
         names.append(f"[{name}](#{name})")
         sections += f"\n## {name}\n\n```text\n{usage}\n```\n\n{prose(command.help.strip())}\n\n"
         sections += rows(sorted(records, key=lambda record: record[0].startswith("-")))
+        sections += "```sh\n" + "\n".join(examples(name)) + "\n```\n"
     return (f"{HEAD}\n{', '.join(names)}\n" + sections).rstrip("\n").replace("\n\n\n", "\n\n") + "\n"
 
 

@@ -74,7 +74,7 @@ def main() -> None:
         node.declare_parameter(name, value).value
         for name, value in (("model", "model.json"), ("history", "history"), ("block", 30.0))
     )
-    watch = gtau.Watch(gtau.Result.load(model), history)
+    watch = gtau.Watch(gtau.load(model), history)
     watcher = Watcher(watch, block, DiagnosticArray, DiagnosticStatus, KeyValue)
     publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 

@@ -45,5 +45,5 @@ print(done.stdout)
 # %%
 # The model is in ``result/model.json``, the drafted description in ``result/experiment.yaml``.
 print((folder / "result/experiment.yaml").read_text())
-model = gtau.Result.load(folder / "result/model.json")
+model = gtau.load(folder / "result/model.json")
 figure = model.plot.gains({"left": 2.4, "right": 4.3})

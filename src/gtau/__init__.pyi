@@ -21,8 +21,10 @@ from .model.base_parameters import BaseParameters as BaseParameters
 from .model.base_parameters import base_parameters as base_parameters
 from .model.home import load_robot as load_robot
 from .model.inverse_dynamics import InverseDynamics as InverseDynamics
+from .report.plots import plot as plot
 from .result import Result as Result
 from .result import identify as identify
+from .result import load as load
 from .robots.readers.source import RobotSource as RobotSource
 from .robots.robot import Robot as Robot
 from .signals.reading.columns import Signals as Signals
@@ -38,6 +40,7 @@ from .signals.run import read_run as read_run
 from .simulation.simulate import Simulation as Simulation
 from .simulation.simulate import simulate as simulate
 from .uses.external_torques import momentum_observer as momentum_observer
+from .uses.logs import draft as draft
 from .uses.prediction import Prediction as Prediction
 from .uses.weigh import weigh as weigh
 from .watch.watch import Watch as Watch

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, TypeVar
 from unicodedata import category
+
+Class = TypeVar("Class", bound=type)
 
 LONGEST = 60  # characters of a value of a file in a sentence
 SENTENCE = 3000  # characters of a sentence: 40 columns of that length
@@ -63,6 +66,25 @@ def errors_at(place: object) -> Iterator[None]:
 
 class UnknownName(GtauError, KeyError):
     """Error raised for a name (of a joint, a parameter) that is not among those there are."""
+
+
+class OtherSpelling(GtauError, AttributeError):
+    """Error raised for an attribute that has another name here."""
+
+
+def spelled(**calls: str) -> Callable[[Class], Class]:
+    """Let a class answer attributes that it lacks by the calls that do the same: ``plot="gtau.plot(robot)"``."""
+
+    def decorate(owner: Class) -> Class:
+        def refuse(self: Any, name: str) -> Any:
+            if name in calls:
+                raise OtherSpelling(f"a {owner.__name__} has no '{name}'; did you mean {calls[name]}?")
+            return object.__getattribute__(self, name)  # for its own error, also that of a property
+
+        owner.__getattr__ = refuse  # type: ignore[attr-defined]
+        return owner
+
+    return decorate
 
 
 class NoFile(GtauError, FileNotFoundError):

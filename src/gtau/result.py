@@ -8,23 +8,29 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.documents.validation import FUNCTION, NUMBER, TEXT, TRUTH, takes
+from gtau.documents.validation import FUNCTION, MAPPING, NUMBER, PATH, TEXT, TRUTH, takes
+from gtau.errors import GtauError, UnknownName
 from gtau.estimation.experiment_runs import ACCURACY, options_of
-from gtau.estimation.results.estimate import TorqueError
-from gtau.estimation.results.model_file import load, save
+from gtau.estimation.results import model_file
+from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.result import IdentifiedModel, estimates_frame
 from gtau.progress import Progress, silent
+from gtau.robots.readers.read import frame_on
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identify as uses
+from gtau.uses import rigid_body
+from gtau.uses.logs import draft
 from gtau.uses.prediction import Prediction, predict, torques, validate
 
 if TYPE_CHECKING:
     import polars as pl
 
+    from gtau.export.exported import Exported
     from gtau.report.plots import Plots
+    from gtau.uses.external_torques import TorquesAlongLog
 
 
 class Result(IdentifiedModel):
@@ -79,6 +85,22 @@ class Result(IdentifiedModel):
         """
         return self.torques(q, qd, qdd, payload) / self.gains
 
+    def gravity(self, q: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
+        """Compute the torques of gravity and springs g(q), (N, n) in N m or N, at positions (N, n); or (n,) of one.
+
+        With :meth:`inertia`, :meth:`coriolis` and friction these are the torques of :meth:`torques`:
+        ``M(q) qdd + C(q, qd) qd + g(q)`` + friction, offsets and damping. Raises GtauError as that method does.
+        """
+        return np.asarray(rigid_body.gravity(self, q, as_payload(payload)))
+
+    def inertia(self, q: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
+        """Compute the inertia matrix M(q), (N, n, n) in kg m2 (kg m or kg where joints slide), rotors included."""
+        return np.asarray(rigid_body.inertia(self, q, as_payload(payload)))
+
+    def coriolis(self, q: np.ndarray, qd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
+        """Compute the Coriolis matrix C(q, qd), (N, n, n), by Christoffel's symbols: dM/dt - 2 C is skew-symmetric."""
+        return np.asarray(rigid_body.coriolis(self, q, qd, as_payload(payload)))
+
     def predict(self, run: Run) -> Prediction:
         """Predict torques along ``run``, beside the raw measured ``v g_tau``.
 
@@ -88,6 +110,25 @@ class Result(IdentifiedModel):
             Where the run does not suit the robot, or the model refuses a sample.
         """
         return predict(self, run)
+
+    def external_torques(
+        self,
+        run: Run,
+        frame: str | None = None,
+        force_only: bool = False,
+        observer: float | None = None,
+        robot: str | Path | None = None,
+    ) -> TorquesAlongLog:
+        """Compute what the environment exerts on the joints along a run, N m or N, as ``gtau use`` does.
+
+        With a ``frame``, also the force and moment there: ``"x y z roll pitch yaw"`` (m, rad) from the frame of the
+        body that carries the payload, or a link of the URDF ``robot``. With an ``observer`` bandwidth, Hz, also the
+        estimate of :func:`gtau.momentum_observer`.
+        """
+        from gtau.uses.external_torques import torques_along_log
+
+        at = None if frame is None else frame_on(self.robot.tool, frame, robot)
+        return torques_along_log(self, run, at, force_only, observer)
 
     def validate(self, run: Run) -> tuple[TorqueError, ...]:
         """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
@@ -106,6 +147,13 @@ class Result(IdentifiedModel):
 
         write(self, Path(path))
 
+    def __getitem__(self, name: str) -> Estimate:
+        """Refuse: an estimate is in its group."""
+        for group in ("drive_gains", "parameters", "friction", "motors"):
+            if name in getattr(self, group):
+                raise UnknownName(f"estimates are in groups; did you mean result.{group}[{str(name)!r}]?")
+        raise UnknownName(f"there is no estimate '{name}'; result.to_frame() lists all.")
+
     def to_frame(self) -> pl.DataFrame:
         """Return all estimates as a Polars table, one row per estimate.
 
@@ -119,13 +167,46 @@ class Result(IdentifiedModel):
         return html(self)
 
     def save(self, path: str | Path) -> None:
-        """Write the result as JSON, atomically; see :mod:`gtau.estimation.results.model_file`."""
-        save(self, path)
+        """Write the result as JSON, atomically: the ``model.json`` that :func:`gtau.load` and the commands read."""
+        model_file.save(self, path)
+
+    def export(self, kind: str, out: str | Path, **options: Any) -> Exported:
+        """Export the result to a folder, as :func:`gtau.export_model` does."""
+        from gtau.export.exported import export_model
+
+        return export_model(self, kind, out, **options)
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
-        """Load a result written by :meth:`save`; raises GtauError if the file is not one."""
-        return cls.of(load(path))
+        """Refuse: the function is :func:`gtau.load`."""
+        raise GtauError(f"a result is loaded by a function; did you mean gtau.load({str(path)!r})?")
+
+
+@takes(path=PATH)
+def load(path: str | Path) -> Result:
+    """Load a result that :meth:`Result.save` or ``gtau identify`` wrote.
+
+    Parameters
+    ----------
+    path : path
+        Such as ``result/model.json``.
+
+    Returns
+    -------
+    Result
+        Without the runs, which the file does not hold.
+
+    Raises
+    ------
+    GtauError
+        The file does not exist, or is no result.
+
+    Examples
+    --------
+    >>> gtau.load("result/model.json").drive_gains["left"].unit
+    'N m/A'
+    """
+    return Result.of(model_file.load(path))
 
 
 @takes(
@@ -136,9 +217,11 @@ class Result(IdentifiedModel):
     consistent=TRUTH,
     accuracy=NUMBER,
     progress=FUNCTION,
+    robot=PATH,
+    payload=MAPPING,
 )
 def identify(
-    source: str | Path | Experiment | Robot,
+    source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
     method: str | None = None,
     prior_gains: Mapping[str, float] | None = None,
@@ -147,21 +230,24 @@ def identify(
     consistent: bool = False,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
     accuracy: float = ACCURACY,
-    progress: Progress = silent,
+    progress: Progress | None = None,
     prior_inertias: float | None = None,
+    robot: str | Path | None = None,
+    payload: Mapping[str, float] | None = None,
 ) -> Result:
     """Identify drive gains and dynamic parameters.
 
     Parameters
     ----------
-    source : path, Experiment or Robot
-        An experiment file or the experiment read from it; or a robot, together with ``runs``.
+    source : path, Experiment, Robot or sequence of path
+        An experiment file or the experiment read from it; or a robot, together with ``runs``; or logs, from which an
+        experiment is drafted as by :func:`gtau.draft`: the notes of the result list what is guessed.
     runs : sequence of Run, optional
         From :func:`gtau.read_run`; only with a robot.
     method : str, optional
-        A name of :data:`gtau.estimation.estimators.registry.NAMES`; docs/lookup/verdicts.md describes each, and when
-        to choose it. If left out, maximum likelihood ("ml"), or least squares with given gains ("wls") where logs hold
-        torques and nothing tests their scale; with ``as_paper`` the paper's total least squares ("tls"), "wls" of
+        ``"ml"``, ``"huber"``, ``"iv"``, ``"didim"``, ``"2sls"``, ``"tls"``, ``"wls"`` or ``"ols"``; ``gtau docs
+        verdicts`` says when to choose which. If left out, maximum likelihood, or least squares with given gains where
+        logs hold torques and nothing tests their scale; with ``as_paper`` the paper's total least squares, "wls" of
         torques.
     prior_gains : mapping, optional
         Joint to gain, N m/A or N per A, of torques the factor that makes them true; the experiment file's if left out.
@@ -173,8 +259,7 @@ def identify(
         standard errors by formula, and the essential parameters re-estimated together with the gains at ratio 10.
         (Samples near reversals are left out all the same: with them TLS fails.)
     consistent : bool
-        Also find standard parameters that rigid bodies can have (see
-        :mod:`gtau.estimation.estimators.physical_consistency`).
+        Also find standard parameters that rigid bodies can have.
     priors : mapping, optional
         Priors on standard and base parameters, by name, as :class:`gtau.Prior` or as a mapping like in
         the experiment file (``{"value": 1.2, "std": 0.4}``); the experiment file's if left out.
@@ -186,6 +271,10 @@ def identify(
         Take the inertias of the robot's file (URDF or MJCF) as priors with this relative standard deviation, 0.3 for
         30 %; the experiment file's if left out. Where nothing else gives the scale of the gains, they give it, and
         that alone.
+    robot : path, optional
+        With logs: a name of the catalog or the path of a robot's file.
+    payload : mapping, optional
+        With logs: log to mass of its payload, kg, 0 for none.
 
     Returns
     -------
@@ -196,6 +285,12 @@ def identify(
     ------
     GtauError
         If a file is wrong, the data cannot be used, or they lack an input of the method.
+
+    Examples
+    --------
+    >>> result = gtau.identify(["empty_1.csv", "loaded_1200g.csv"], robot="five-bar")
+    >>> print(f"{result.drive_gains['left']:.1f}")
+    2.6
     """
     options = options_of(
         prior_gains,
@@ -207,4 +302,11 @@ def identify(
         ratio=ratio,
         prior_inertias=prior_inertias,
     )
-    return Result.of(uses.identify(source, runs, options, progress))
+    if isinstance(source, (list, tuple)):
+        if any(isinstance(run, Run) for run in source):
+            raise GtauError("runs go with their robot; did you mean gtau.identify(gtau.load_robot(...), runs)?")
+        source = draft(source, robot, payload)
+    elif robot or payload:
+        raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
+    made = uses.identify(source, runs, options, progress or silent)  # type: ignore[arg-type]  # refused there
+    return Result.of(made)

@@ -81,7 +81,7 @@ def test_an_estimator_is_added(tmp_path: Path) -> None:
     assert pooled.method == "pooled"
     assert [gain.value for gain in pooled.drive_gains.values()] == pytest.approx(GAINS, rel=0.01)
     pooled.save(tmp_path / "model.json")
-    assert gtau.Result.load(tmp_path / "model.json").summary(True) == pooled.summary(True)
+    assert gtau.load(tmp_path / "model.json").summary(True) == pooled.summary(True)
 
 
 @pytest.mark.parametrize(("value", "why"), [("no_such_module:X", "ModuleNotFoundError"), ("math:pi", "of type float")])

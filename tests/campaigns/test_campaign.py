@@ -173,12 +173,12 @@ def test_logs_may_be_set_aside(copied: Path) -> None:
 def test_another_robot_or_payload_than_the_folder_has_is_refused(copied: Path, tmp_path: Path) -> None:
     with pytest.raises(GtauError, match="states robot five-bar and payloads of 1 kg, other than the command"):
         campaign(copied, payload=2.0)
-    with pytest.raises(GtauError, match="holds no campaign; begin it with --robot and --payload"):
+    with pytest.raises(GtauError, match="holds no campaign; begin it with --robot and --payload-mass"):
         campaign(tmp_path / "none")
     with pytest.raises(GtauError, match="mass"):
         campaign(tmp_path / "none", robot="five-bar", payload=-1.0)
     assert not (tmp_path / "none").exists()
-    done = CliRunner().invoke(app, ["campaign", str(copied), "--payload", "1", "--robot", "five-bar", "--json"])
+    done = CliRunner().invoke(app, ["campaign", str(copied), "--payload-mass", "1", "--robot", "five-bar", "--json"])
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["next"] == "play"
     assert gtau.campaign is campaign

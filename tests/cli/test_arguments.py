@@ -46,6 +46,9 @@ def calls() -> list[tuple[Callable, dict[str, Any], str]]:
         "read_design": {"path": "nowhere.yaml"},
         "excite": {"task": None},
         "campaign": {"folder": "nowhere"},
+        "draft": {"logs": ["nowhere.csv"]},
+        "load": {"path": "nowhere.json"},
+        "plot": {"shown": robot},
         "load_robot": {"source": "five-bar"},
         "base_parameters": {"idm": model},
         "InverseDynamics": {"robot": robot},
@@ -92,7 +95,7 @@ def test_a_refusal_is_the_built_in_error_that_it_is(tmp_path: Path, monkeypatch:
     robot = gtau.load_robot("five-bar")
     for call, kind in (
         (lambda: gtau.identify("nowhere.yaml"), FileNotFoundError),
-        (lambda: gtau.Result.load("nowhere.json"), FileNotFoundError),
+        (lambda: gtau.load("nowhere.json"), FileNotFoundError),
         (lambda: gtau.load_robot("nowhere.urdf"), FileNotFoundError),
         (lambda: gtau.load_robot("nowhere.csv"), FileNotFoundError),
         (lambda: gtau.read_run("nowhere.csv", OF_LOG), FileNotFoundError),
@@ -118,7 +121,7 @@ def test_a_type_error_names_the_function() -> None:
 
 def test_types_of_public_signatures_can_be_imported_from_the_package() -> None:
     builtin = {"Any", "Callable", "Literal", "Mapping", "None", "Path", "Progress", "Sequence", "bool", "float", "int"}
-    builtin |= {"np", "ndarray"}
+    builtin |= {"np", "ndarray", "Figure"}
     for name in gtau.__all__:
         function = getattr(gtau, name)
         if inspect.isfunction(function):

@@ -122,7 +122,7 @@ def test_ctrl_c_ends_the_search_of_a_campaign_without_a_word_of_its_solver(
 ) -> None:
     (tmp_path / "temporary").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
-    process = start(tmp_path, "campaign", "c", "--robot", "five-bar", "--payload", "1", first=SEARCHING)
+    process = start(tmp_path, "campaign", "c", "--robot", "five-bar", "--payload-mass", "1", first=SEARCHING)
     wait_until((tmp_path / "searching").exists, process)
     time.sleep(1.0)  # into a search
     process.send_signal(signal.SIGINT)

@@ -10,19 +10,22 @@ import numpy as np
 import polars as pl
 import pytest
 from bags import TOPIC, write_bag
+from five_bar_logs import STEEL, Plant
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.cli.logs import Commands, experiment_of
+from gtau.cli.logs import Commands, LogOptions, experiment_of
 from gtau.demo import write_tutorial
 from gtau.errors import GtauError
+from gtau.estimation.results.model_file import load as load_model
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.channel import SENSOR
 from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.logs import is_log_folder
-from gtau.signals.run import read_run
+from gtau.signals.run import Run, read_run
+from gtau.uses.identify import read_log
 
 LINK = """<link name="{0}"><inertial><origin xyz="{2} 0.01 0.02"/><mass value="{1}"/>
 <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
@@ -82,7 +85,7 @@ def test_moving_columns_that_are_not_used_are_in_the_first_line(
     (tmp_path / "arm.urdf").write_text(URDF)
     header = "t,shoulder_pos,rail_pos,shoulder_current,rail_current"
     np.savetxt(tmp_path / "a.csv", np.column_stack(motion["empty"]), delimiter=",", header=header, comments="")
-    experiment_of([tmp_path / "a.csv"], str(tmp_path / "arm.urdf"), None, None, None, tmp_path / "out")
+    experiment_of([tmp_path / "a.csv"], LogOptions(str(tmp_path / "arm.urdf")), tmp_path / "out")
     said = "experiment.yaml is drafted from 1 log, whose columns rail_pos, rail_current move and are not used."
     assert said in capsys.readouterr().err
 
@@ -134,8 +137,8 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     assert loaded.payload is not None
     assert loaded.payload.mass == 0.75
     assert not any("payload masses come from" in words for words in said)
-    sources, masses = [Path(log) for log in logs], [f"{LOADED}=0.75"]
-    experiment_of(sources, "arm.urdf", masses, Commands.current, None, Path("looked"))  # an unedited draft is replaced
+    stated = LogOptions("arm.urdf", [f"{LOADED}=0.75"], kind=Commands.current)
+    experiment_of([Path(log) for log in logs], stated, Path("looked"))  # an unedited draft is replaced
     assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
 
 
@@ -425,3 +428,65 @@ def test_the_ur10e_pair_as_bags(shared: Path, tmp_path: Path, monkeypatch: pytes
     }
     controller = dict(zip(joints, (11.976, 11.976, 9.839, 10.763, 10.76), strict=False))
     assert {joint: gains[joint] for joint in controller} == pytest.approx(controller, rel=0.07)
+
+
+def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns that no name tells are stated once, by patterns; the model remembers them, with their units."""
+    monkeypatch.chdir(tmp_path)
+    for seed, (name, load) in enumerate({"empty": None, "loaded": STEEL, "again": None, "other": STEEL}.items()):
+        run = Plant(noise=0.01).run(name, payload=load, seed=seed)
+        table = np.column_stack([1e3 * run.time, run.position, run.command])
+        np.savetxt(f"{name}.csv", table, delimiter=",", header="A,bb_1,bb_2,cc_x,cc_y", comments="")
+    stated = ["--robot", "five-bar", "--payload", "loaded.csv=1.2"]
+    columns = ["--position", "bb_*", "--current", "cc_x,cc_y", "--time", "A"]
+    refused = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, "--position", "dd_*"])
+    assert refused.exit_code == 2
+    assert "--position is 'dd_*', but no column matches" in refused.stderr
+    refused = CliRunner().invoke(app, ["init", "empty.csv", "--robot", "five-bar"])
+    assert "no columns of positions are recognised" in refused.stderr
+    assert refused.stderr.endswith("; experiment.yaml is written with all but these columns.\n")
+    skeleton = Path("experiment.yaml").read_text()
+    assert "  position: {left: COLUMN, right: COLUMN}\n" in skeleton
+    for old, new in (
+        ("left: COLUMN", "left: enc_J1"),
+        ("right: COLUMN", "right: enc_J2"),
+        ("time: COLUMN", "time: Zeit"),
+    ):
+        skeleton = skeleton.replace(old, new, 1)
+    filled = skeleton.replace("left: COLUMN", "left: cc_x").replace("right: COLUMN", "right: cc_y")
+    Path("experiment.yaml").write_text(filled)
+    assert read_experiment("experiment.yaml").signals.current == {"left": "cc_x", "right": "cc_y"}
+    done = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, *columns, "--json"])
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert [gain["value"] for gain in document["drive_gains"]] == pytest.approx([2.5, 4.0], rel=0.01)
+    assert any("columns were assigned to the joints in order" in note["what"] for note in document["notes"])
+    assert document["recording"]["units"] == {"time": "ms"}
+    model, free = load_model("result/model.json"), run_of("again.csv")
+    assert model.recording == load_model("result/model.json").recording
+    (weighed,) = json.loads(invoke("payload", "other.csv", "again.csv", "--payload", "again.csv=0"))["payloads"]
+    mass = next(entry for kind, entry in weighed["parameters"].items() if kind == "m")
+    assert mass["value"] == pytest.approx(1.2, rel=0.01)
+    errors = json.loads(invoke("validate", "again.csv"))
+    assert [run["log"] for run in errors["runs"]] == ["again"]
+    used = json.loads(invoke("use", "again.csv"))
+    assert [joint["joint"] for joint in used["joints"]] == ["left", "right"]
+    assert read_log(model, "again.csv").position == pytest.approx(free.position)
+
+
+def invoke(command: str, *arguments: str) -> str:
+    done = CliRunner().invoke(app, [command, "result/model.json", *arguments, "--json"])
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def run_of(name: str) -> Run:
+    return read_run(
+        name,
+        {
+            "time": "A",
+            "position": {"left": "bb_1", "right": "bb_2"},
+            "current": {"left": "cc_x", "right": "cc_y"},
+        },
+        units={"time": "ms"},
+    )

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import io
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gtau.errors import GtauError, quoted, tidy
+from gtau.pages import page_text
 from gtau.report.page import Page, Section, Text
 from gtau.report.render.terminal import plain
 from gtau.robots.readers.read import read_robot
 from gtau.signals.reading.drafting import draft_logs, draft_text
 from gtau.signals.reading.logs import read_log
 
+ROOT = Path(__file__).parents[2]
 HOSTILE = "\x1b]0;owned\x07\u202e\nsecond line\r"
 
 
@@ -73,3 +76,16 @@ def test_a_name_begins_no_line_of_a_draft(tmp_path: Path) -> None:
     np.savez(tmp_path / "log.npz", t=t, **moving, **{"temperature\nprior_gains: {a: 1}": 20 + t})
     text = draft_text(draft_logs([tmp_path / "log.npz"], "five-bar"), tmp_path)
     assert not any(line.startswith("prior_gains") for line in io.StringIO(text))
+
+
+def test_pages_that_messages_name_are_there() -> None:
+    """Also the sections; no message names a file of the repository, which an installed package lacks."""
+    source = "\n".join(file.read_text(encoding="utf-8") for file in (ROOT / "src" / "gtau").rglob("*.py"))
+    named = re.findall(r"\bpage\(['\"]([\w-]+)['\"](?:, \"([^\"]+)\")?\)", source)
+    named += [(name, "") for name in re.findall(r"'gtau docs ([\w-]+)", source)]
+    assert len(named) >= 5
+    for name, section in named:
+        assert re.search(rf"^#.* {section}$" if section else "^# ", page_text(name), re.MULTILINE), (name, section)
+    assert not re.search(r"(?<!\")\"(?!\")[^\"\n]*docs/\w+/[\w-]+\.md", source)
+    with pytest.raises(GtauError, match="there is no page 'nothing'; choose from "):
+        page_text("nothing")

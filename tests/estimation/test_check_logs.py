@@ -65,7 +65,6 @@ def test_what_several_logs_share_is_said_once_and_no_more_than_asked_for() -> No
     notes.insert(0, Finding("joint at rest", text="rests", grade=Grade.INFORMATION, source="a"))
     first = ("warning", "a, b", "", "slow", "log faster")
     assert findings_table(notes).rows == (first, ("information", "a", "", "rests", ""))
-    assert findings_table(notes, 1).rows == (first,)
 
 
 @pytest.fixture(scope="module")

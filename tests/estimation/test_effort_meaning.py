@@ -16,7 +16,7 @@ from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.gravity import WITHOUT_GRAVITY
 from gtau.findings import Grade
 from gtau.model.home import load_robot
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.robots.robot import Robot
 from gtau.signals.reading.drafting import draft_logs, write_draft
 from gtau.signals.reading.experiment import read_experiment
@@ -92,7 +92,7 @@ def test_what_to_write_for_torques_without_gravity_helps(tmp_path: Path, compens
     pairs = zip(found.residuals, compensated.residuals, strict=True)
     assert all(mine.rms < 0.7 * theirs.rms for mine, theirs in list(pairs)[1:4])
     found.save(tmp_path / "model.json")
-    assert Result.load(tmp_path / "model.json").robot.gravity == FREE
+    assert load(tmp_path / "model.json").robot.gravity == FREE
 
 
 def test_robots_that_gravity_does_not_move_are_not_asked_about_it() -> None:

@@ -20,7 +20,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import MotorEquation
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.result import Result
+from gtau.result import load
 from gtau.robots.robot import Robot
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import Drive, Payload
@@ -90,7 +90,7 @@ def test_gains_without_a_payload(tmp_path: Path) -> None:
     assert result.motors["ke_right"].value == pytest.approx(4.0, rel=0.01)
     assert result.to_frame().filter(group="motor").height == 4
     result.save(tmp_path / "model.json")
-    assert Result.load(tmp_path / "model.json").motors["R_left"].value == result.motors["R_left"].value
+    assert load(tmp_path / "model.json").motors["R_left"].value == result.motors["R_left"].value
 
 
 def stated(runs: Sequence[Run], std: float, robot: Robot | None = None) -> IdentifiedModel:

@@ -11,7 +11,7 @@ from floating_logs import AT_HOOK, AT_PLATE, GAINS, HOOK, POSE, Truth, deviation
 from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import headline, reasons
 from gtau.findings import Grade
-from gtau.result import Result, identify
+from gtau.result import identify, load
 from gtau.signals.run import read_run
 
 
@@ -40,7 +40,7 @@ def test_gains_from_the_wrench_that_holds_the_base(wrench: str, yaw: float, hung
     drives = [effect for effect in result.effects if not effect.effect.startswith("wrench")]
     assert not {effect.subject for effect in drives if "'trunk" in effect.subject}
     result.save(tmp_path / "model.json")
-    again = Result.load(tmp_path / "model.json")
+    again = load(tmp_path / "model.json")
     assert again.gains == pytest.approx([1.0] * 6 + [result.drive_gains[joint].value for joint in GAINS])
     errors = again.validate(read_run(tmp_path / "log.csv", **signals(path)))
     assert len(errors) == 9

@@ -118,7 +118,7 @@ def test_plain_friction_stays_plain() -> None:
 
 def test_a_model_file_holds_the_curves(result: gtau.Result, tmp_path: Path) -> None:
     result.save(tmp_path / "model.json")
-    again = gtau.Result.load(tmp_path / "model.json")
+    again = gtau.load(tmp_path / "model.json")
     assert again.curves == dict(result.curves)
     assert again.friction_law.shapes == result.friction_law.shapes
 

@@ -25,7 +25,7 @@ from gtau.model.lengths import variable_geometry
 from gtau.report.check import check_page
 from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
-from gtau.result import Result
+from gtau.result import load
 from gtau.robots.robot import GROUND, Joint, Mdh, Pose, Robot
 from gtau.signals.reading.body_columns import PoseColumns
 from gtau.signals.reading.columns import Signals
@@ -323,7 +323,7 @@ def test_identify_says_what_poses_say(folder: Path) -> None:
     assert result.notes[0] == result.geometry.note
     assert "the geometry is off: l2 at all 2 places" in " ".join(result.summary(verbose=False).split())
     result.save(folder / "model.json")
-    again = Result.load(folder / "model.json").geometry
+    again = load(folder / "model.json").geometry
     assert again is not None
     assert to_document(again) == to_document(result.geometry)
     assert again.tried == result.geometry.tried

@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.inertia_audit import PRIOR_INERTIA, AuditedParameter
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.report.parameters import inertias_section
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.robots.robot import Robot
 
 
@@ -57,18 +57,17 @@ def test_the_link_whose_mass_is_wrong_is_named(true: Robot, heavier: Result) -> 
         truth = float(result.base.matrix[k] @ [chi(true).get(name, 0.0) for name in result.idm.parameter_names])
         assert abs(each.value - truth) < 5 * each.std
     shown = " ".join(result.summary(verbose=False).split())
-    assert "The file's inertias predict the torques to" in shown
-    assert "j3 (" in shown
+    assert "correct in the robot file, in this order (torque error after each step): j3 (" in shown
+    assert "The file's inertias predict the torques to" in " ".join(result.summary().split())
     unknown = [AuditedParameter(f"mx_{k}", "j3", "kg m", "not identifiable", 1.0) for k in range(2)]
-    counted, listed = (inertias_section(replace(audit, parameters=tuple(unknown)), short) for short in (True, False))
+    listed = inertias_section(replace(audit, parameters=tuple(unknown)))
     said = "2 base parameters are not identifiable from these motions to better than +-100 % of the link"
-    assert f"{said}; --verbose lists them" in counted.items[0].points
     assert f"{said}: mx_0, mx_1" in listed.items[0].points
 
 
 def test_the_audit_is_in_the_file_of_the_model(heavier: Result, tmp_path: Path) -> None:
     heavier.save(tmp_path / "model.json")
-    assert Result.load(tmp_path / "model.json").audit == heavier.audit
+    assert load(tmp_path / "model.json").audit == heavier.audit
 
 
 @pytest.mark.parametrize("std", [0.02, 0.2])

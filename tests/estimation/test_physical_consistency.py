@@ -30,7 +30,7 @@ from gtau.estimation.estimators.physical_consistency import (
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.robots.geometry import extent, longest_placement
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.reading.statements import Payload, Prior
@@ -230,10 +230,10 @@ def test_from_file_to_model_and_back(tmp_path: Path) -> None:
     document = json.loads((tmp_path / "model.json").read_text())["standard"]
     values = {each["name"]: each["value"] for each in document["parameters"]}
     assert values["m_left"] >= 1.5 - 1e-6
-    loaded = found(Result.load(tmp_path / "model.json"))
+    loaded = found(load(tmp_path / "model.json"))
     assert dict(loaded.standard) == values
     assert loaded.moves[0].deviations >= loaded.moves[-1].deviations
-    Result.load(tmp_path / "model.json").save(tmp_path / "again.json")
+    load(tmp_path / "model.json").save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_text() == (tmp_path / "model.json").read_text()
 
 

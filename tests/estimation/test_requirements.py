@@ -46,7 +46,7 @@ def test_limits_are_held_against_fit_validation_and_intervals(result: gtau.Resul
 
 def test_they_are_shown_and_kept(result: gtau.Result, tmp_path: Path) -> None:
     result.save(tmp_path / "model.json")
-    assert gtau.Result.load(tmp_path / "model.json").requirements == result.requirements
+    assert gtau.load(tmp_path / "model.json").requirements == result.requirements
     assert [each["met"] for each in to_document(result)["requirements"]] == [True, True, False]
     for page in (summary_page(result), report_page(result, (), {})):
         assert "failed" in plain(page)

@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.estimation.results.model_file import to_document
 from gtau.findings import Finding, Grade
 from gtau.model.home import load_robot
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.signals.reading.statements import Payload
 
 PLANT = Plant(delays=(1e-3, 2e-3), noise=0.01)
@@ -33,7 +33,7 @@ def result() -> Result:
 def again(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Result:
     file = tmp_path_factory.mktemp("model") / "model.json"
     result.save(file)
-    return Result.load(file)
+    return load(file)
 
 
 def test_a_model_survives_writing_and_reading(result: Result, again: Result) -> None:
@@ -53,7 +53,7 @@ def test_a_finding_survives_writing_and_reading(result: Result, tmp_path: Path) 
     note = Finding("stale samples", ("left",), grade=Grade.INFORMATION, shown_as="repaired log", **place)
     gains = {name: replace(gain, verdict=verdict) for name, gain in result.drive_gains.items()}
     result.replaced(drive_gains=gains, notes=(note,)).save(tmp_path / "model.json")
-    again = Result.load(tmp_path / "model.json")
+    again = load(tmp_path / "model.json")
     assert {gain.verdict for gain in again.drive_gains.values()} == {verdict}
     assert again.notes == (note,)
     np.testing.assert_array_equal(again.covariance, result.covariance)
@@ -123,7 +123,7 @@ def test_an_edited_model_works_or_is_refused_in_a_sentence(result: Result, tmp_p
     for edit in edits:
         file.write_text(json.dumps(edit))
         try:
-            found = Result.load(file)
+            found = load(file)
         except GtauError as error:
             refused.append(str(error))
         else:

@@ -15,7 +15,7 @@ from five_bar_logs import CHI, GAINS, TOOL, Plant, five_bar, write_experiment
 from sensed_logs import SensedPlant
 from typer.testing import CliRunner
 
-from gtau import Result, read_run
+from gtau import read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
@@ -33,7 +33,7 @@ from gtau.findings import Grade
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
-from gtau.result import identify
+from gtau.result import identify, load
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Log, Run
@@ -213,7 +213,7 @@ def test_friction_of_a_bearing_is_that_of_the_sensor_alone(tmp_path: Path) -> No
     (sensor,) = result.sensors
     assert sensor.parameters["fs_2_sensor"].value == pytest.approx(0.4, rel=0.1)
     result.save(tmp_path / "model.json")
-    assert "fs_2_sensor" in Result.load(tmp_path / "model.json").sensors[0].parameters
+    assert "fs_2_sensor" in load(tmp_path / "model.json").sensors[0].parameters
 
 
 # What the scale rests on
@@ -301,13 +301,13 @@ def test_a_result_keeps_its_sensors(tmp_path: Path) -> None:
     shared = result.replaced(scale=dict.fromkeys(result.drive_gains, last_first))
     assert "scale: from the torque sensors of '2', '3'" in shared.summary(verbose=False)
     result.save(tmp_path / "model.json")
-    again = Result.load(tmp_path / "model.json")
+    again = load(tmp_path / "model.json")
     assert again.sensors == result.sensors
     text = (tmp_path / "model.json").read_text()
     assert text.count('"kind": "torque sensor"') == 2
     (tmp_path / "other.json").write_text(text.replace('"kind": "torque sensor"', '"kind": "spring"', 1))
     with pytest.raises(GtauError, match="'spring' is not a kind of sensor; write torque sensor"):
-        Result.load(tmp_path / "other.json")
+        load(tmp_path / "other.json")
     assert again.scale == result.scale
     bare = arm().run(3)
     assert [each.rms for each in again.validate(bare)] == [each.rms for each in result.validate(bare)]

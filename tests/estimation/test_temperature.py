@@ -13,7 +13,7 @@ from gtau import identify, load_robot, read_run
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
 from gtau.estimation.results.conclusions import without_temperature
-from gtau.result import Result
+from gtau.result import Result, load
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.statements import Payload
@@ -95,7 +95,7 @@ def test_runs_at_other_temperatures_need_no_drift_of_their_own() -> None:
 def test_predictions_use_the_temperature_of_the_run(found: Result, tmp_path: Path) -> None:
     """Torque errors of a warmer run are those of the fit, and larger at the reference temperatures; files hold them."""
     found.save(tmp_path / "model.json")
-    again = Result.load(tmp_path / "model.json")
+    again = load(tmp_path / "model.json")
     assert again.temperatures == found.temperatures
     run = warm("check", 44.0, 46.0, seconds=10.0)
     with_it = again.validate(run)

@@ -18,7 +18,7 @@ from gtau.estimation.effects.known.torque_scale import EFFECT as TORQUE_SCALE
 from gtau.estimation.results.conclusions import headline, torque_scale_text, torque_scales
 from gtau.findings import Grade
 from gtau.model.home import load_robot
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.robots.robot import STANDARD_GRAVITY
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
@@ -131,7 +131,7 @@ def test_prior_gains_scale_torques_of_which_nothing_tests_the_scale() -> None:
 def test_a_model_with_scales_weighs_predicts_and_exports_true_torques(wrong: Result, tmp_path: Path) -> None:
     """The torques of the model are true ones, and its 'currents' what the arm reports, through a file too."""
     wrong.save(tmp_path / "model.json")
-    model = Result.load(tmp_path / "model.json")
+    model = load(tmp_path / "model.json")
     assert headline(model) == headline(wrong)
     time = np.arange(0.0, 4.0, 0.002)
     motion = path(time, 7)

@@ -34,7 +34,7 @@ from gtau.estimation.results.conclusions import INFLATED, headline, reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding, Grade, by_severity, percent_text
 from gtau.model.home import load_robot
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.robots.parameter import parameter_of
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -117,7 +117,7 @@ def test_intervals_of_other_estimators_rest_on_the_blocks_and_are_saved(runs: li
         low, high = entry["interval"]
         half = scipy.stats.t(entry["freedom"]).ppf(0.975) * entry["std"]
         assert (low, high) == pytest.approx((entry["value"] - half, entry["value"] + half))
-    loaded = Result.load(tmp_path / "model.json")
+    loaded = load(tmp_path / "model.json")
     assert loaded.drive_gains["left"].interval(0.9) == result.drive_gains["left"].interval(0.9)
 
 

@@ -13,7 +13,7 @@ from gtau.errors import GtauError
 from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.verdict import WRENCHES
 from gtau.findings import Grade
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 
@@ -77,7 +77,7 @@ def test_a_hook_and_a_foot_share_the_weight(leaning: Truth, tmp_path: Path) -> N
     result = identify(path)
     check_errors(result, deviations(result, leaning.chi), 46)
     result.save(tmp_path / "model.json")
-    again, described = Result.load(tmp_path / "model.json"), read_experiment(path)
+    again, described = load(tmp_path / "model.json"), read_experiment(path)
     errors = again.validate(read_run(tmp_path / "log.csv", signals=described.signals, units=described.units))
     assert len(errors) == 9
     assert max(error.relative for error in errors) < 6

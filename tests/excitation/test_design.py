@@ -329,8 +329,7 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
         "--starts",
         "1",
         "--payload-mass",
-        "0.5",
-        "2",
+        "0.5,2",
         "--json",
     ]
     done = CliRunner().invoke(app, command)

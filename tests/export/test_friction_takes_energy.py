@@ -20,7 +20,7 @@ from gtau.export.generated import c_files, export_fmu, matlab_files
 from gtau.export.mjcf import export as export_mjcf
 from gtau.export.urdf import export as export_urdf
 from gtau.model.home import load_robot
-from gtau.result import Result
+from gtau.result import load
 from gtau.robots.robot import Robot
 from gtau.simulation.simulate import Simulation
 from gtau.uses.identified import functions, identified
@@ -209,7 +209,7 @@ def test_a_model_with_a_damaged_logged_speed_is_refused(tmp_path: Path) -> None:
     result = propelling(tree())
     path = tmp_path / "model.json"
     result.save(path)
-    assert Result.load(path).logged_speeds == result.logged_speeds
+    assert load(path).logged_speeds == result.logged_speeds
     path.write_text(path.read_text().replace("1.3", "-1.3"))
     with pytest.raises(GtauError, match=r"logged_speeds\.\w+: -1.3 is out of range; write a number of at least 0"):
-        Result.load(path)
+        load(path)

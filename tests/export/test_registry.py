@@ -53,7 +53,7 @@ def test_notes_of_an_export_fit_a_terminal(tmp_path: Path, monkeypatch: pytest.M
 
 def test_python_takes_results_and_files(model: Path, tmp_path: Path) -> None:
     one = gtau.export_model(model, "c", tmp_path / "one")
-    other = gtau.export_model(gtau.Result.load(model), "c", tmp_path / "other")
+    other = gtau.export_model(gtau.load(model), "c", tmp_path / "other")
     assert [path.read_text() for path in one.files] == [path.read_text() for path in other.files]
 
 
@@ -85,7 +85,7 @@ def with_odd_names() -> Robot:
 def test_a_saved_model_has_the_same_parameters_whatever_the_names(tmp_path: Path) -> None:
     made = model_of(with_odd_names())
     made.save(tmp_path / "model.json")
-    result = gtau.Result.load(tmp_path / "model.json")
+    result = gtau.load(tmp_path / "model.json")
     assert list(result.parameters) == list(result.base.names)
     assert [name.regrouped for name in result.parameters] == [name.regrouped for name in made.parameters]
     q = np.full(6, 0.5)

@@ -17,7 +17,7 @@ from gtau.estimation.estimators.physical_consistency import pseudo_inertia
 from gtau.export.exported import export_model
 from gtau.export.samples import Draws, draw
 from gtau.model.home import load_robot
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.robots.robot import INERTIAL
 
 COUNT = 200
@@ -107,7 +107,7 @@ def test_an_estimate_that_no_bodies_have_is_said(result: Result, off: float, dra
 
 def test_a_model_file_gives_the_same_draws(result: Result, tmp_path: Path) -> None:
     result.save(tmp_path / "model.json")
-    read = Result.load(tmp_path / "model.json")
+    read = load(tmp_path / "model.json")
     assert dict(read.robot.inertias) == dict(result.robot.inertias)
     np.testing.assert_allclose(draw(read, 2, 1).standard, draw(result, 2, 1).standard, rtol=1e-6, atol=1e-9)
 

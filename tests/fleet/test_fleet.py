@@ -21,7 +21,7 @@ from gtau.fleet.fleet import Member, Report, fleet_table, identify_fleet, read_f
 from gtau.fleet.workers import serial_map
 from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
-from gtau.result import Result, identify
+from gtau.result import identify, load
 from gtau.signals.reading.experiment import read_experiment
 
 ONE = EXPERIMENT.split("validation")[0]
@@ -76,7 +76,7 @@ def test_the_two_that_are_off_are_found(cells: Path, tmp_path: Path, monkeypatch
     }
     assert outliers["difference_percent"].to_list() == pytest.approx([5, 5], abs=1)
     # the models are those of 'gtau identify'
-    model = Result.load(out / "models" / "robot_3.json")
+    model = load(out / "models" / "robot_3.json")
     alone = identify(cells / "robot_3" / "experiment.yaml")
     assert [g.value for g in model.drive_gains.values()] == pytest.approx([g.value for g in alone.drive_gains.values()])
 

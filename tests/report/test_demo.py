@@ -231,4 +231,4 @@ def test_the_examples_of_the_readme_run_in_the_demo(
     exec(snippet, names)
     assert names["tau"].shape == (5, 3)
     assert names["W"].shape == (5, 3, len(names["idm"].parameter_names))
-    assert gtau.Result.load("again.json").drive_gains["11"].value == found["11"]
+    assert gtau.load("again.json").drive_gains["11"].value == found["11"]

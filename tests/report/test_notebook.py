@@ -109,16 +109,15 @@ def test_estimates_as_a_table(result: gtau.Result) -> None:
 def test_a_prediction_as_a_table(result: gtau.Result) -> None:
     prediction = result.predict(result.data[0])
     frame = prediction.to_frame()
-    right = frame.filter(frame["joint"] == "right")
-    np.testing.assert_array_equal(right["measured"].to_numpy(), prediction.measured[:, 1])
-    np.testing.assert_array_equal(right["kept"].to_numpy(), prediction.keep[:, 1])
-    np.testing.assert_array_equal(right["time"].to_numpy(), prediction.time)
+    np.testing.assert_array_equal(frame["motor_right"].to_numpy(), prediction.measured[:, 1])
+    np.testing.assert_array_equal(frame["usable_right"].to_numpy(), prediction.keep[:, 1])
+    np.testing.assert_array_equal(frame["t"].to_numpy(), prediction.time)
 
 
 def test_figures_in_one_call(result: gtau.Result) -> None:
     plot = result.plot
     calls = [plot.gains(PRIOR), plot.torques("left"), plot.residuals("right"), plot.correlation()]
-    calls += [plot.singular_values(), plot.distances(), plot.robot()]
+    calls += [plot.singular_values(), plot.distances()]
     for figure in calls:
         assert figure._repr_png_().startswith(b"\x89PNG")
     whole = plot.torques()
@@ -138,7 +137,7 @@ def test_what_cannot_be_drawn(result: gtau.Result, folder: Path, tmp_path: Path)
     with pytest.raises(GtauError, match=r"from 4 to 2 s is empty"):
         result.plot.torques("left", start=4.0, stop=2.0)
     result.save(tmp_path / "model.json")
-    loaded = gtau.Result.load(tmp_path / "model.json")
+    loaded = gtau.load(tmp_path / "model.json")
     for call in (lambda: loaded.plot.torques("left"), loaded.plot.singular_values, loaded.plot.distances):
         with pytest.raises(GtauError, match="loaded from a file"):
             call()

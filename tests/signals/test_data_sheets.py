@@ -71,7 +71,7 @@ def test_it_stands_beside_the_estimate_and_is_a_prior(tmp_path: Path) -> None:
     (note,) = (note for note in result.notes if "data sheet" in str(note))
     assert str(note).startswith("gain of 'arm': 2.")
     assert "2 N m/A is by the data sheet (standard deviation 0.2;" in str(note)
-    assert str(note) in " ".join(result.summary(verbose=False).split())
+    assert str(note) in " ".join(result.summary().split())
 
 
 def test_a_gain_far_off_the_data_sheet_is_contradictory(tmp_path: Path) -> None:

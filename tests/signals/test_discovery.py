@@ -154,7 +154,7 @@ def test_noise_of_positions_does_not_slow_the_rate(tmp_path: Path, rng: np.rando
 def test_masses_in_names_of_files_are_confirmed_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     save(tmp_path / "loaded_1200g.csv", "t,q1,q2,torque1,torque2", TIME, Q, V)
-    shown = CliRunner().invoke(app, ["init", "loaded_1200g.csv", "--yes"]).output
+    shown = CliRunner().invoke(app, ["init", "loaded_1200g.csv"]).output
     points = shown.split("edit its lines marked CHECK:")[1]
     assert points.strip().startswith("- confirm the payload masses")
 
@@ -257,7 +257,7 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.chdir(tmp_path)
     write_log(tmp_path / "free.csv", Plant(noise=0.003).run("free"))
     write_log(tmp_path / "loaded_1200g.csv", Plant(noise=0.003).run("loaded", payload=STEEL))
-    command = ["init", "free.csv", "loaded_1200g.csv", "--robot", "five-bar", "--out", "e.yaml", "--yes"]
+    command = ["init", "free.csv", "loaded_1200g.csv", "--robot", "five-bar", "--out", "e.yaml"]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     assert "Then: gtau check e.yaml" in done.output
@@ -268,21 +268,17 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert again.exit_code == 2
 
 
-def test_on_a_terminal_it_asks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Robot, rate, kind and payload, in that order; what was answered is not marked."""
+def test_what_an_option_states_is_not_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gtau.cli.logs.on_terminal", lambda: True)
     save(tmp_path / "a.csv", "q_left,q_right,v_left,v_right", Q, V)
-    done = CliRunner().invoke(app, ["init", "a.csv"], input="five-bar\n250\ntorque\n")
+    done = CliRunner().invoke(app, ["init", "a.csv", "--robot", "five-bar", "--kind", "torque"])
     assert done.exit_code == 0, done.output
-    text = (tmp_path / "experiment.yaml").read_text()
-    assert "CHECK:" not in text
+    assert (tmp_path / "experiment.yaml").read_text().count("CHECK:") == 1  # the sampling rate
     experiment = read_experiment(tmp_path / "experiment.yaml")
-    assert experiment.robot == "five-bar"
     assert experiment.signals.torque == {"left": "v_left", "right": "v_right"}
     save(tmp_path / "b.csv", "t,q_left,q_right,i_left,i_right", TIME, Q, V)
-    command = ["init", "b.csv", "--robot", "five-bar", "--out", "b.yaml"]
-    assert CliRunner().invoke(app, command, input="1.5\n").exit_code == 0
+    command = ["init", "b.csv", "--robot", "five-bar", "--payload", "b.csv=1.5", "--out", "b.yaml"]
+    assert CliRunner().invoke(app, command).exit_code == 0
     (run,) = read_experiment(tmp_path / "b.yaml").runs
     assert run.payload is not None
     assert run.payload.mass == 1.5
@@ -547,7 +543,7 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
         "<actuator><motor joint='j1'/><motor joint='j2'/></actuator></mujoco>"
     )
     save(Path("log.csv"), "t,q1,q2,i1,i2", TIME, Q, V)
-    init = ["init", "log.csv", "--robot", "arm.xml", "--yes"]
+    init = ["init", "log.csv", "--robot", "arm.xml"]
     assert "--base fixed" in CliRunner().invoke(app, init).output
     for base, written in (("fixed", "fixed"), ("0, 0, deg(90)", "{rpy: [0, 0, deg(90)]}")):
         drafted = CliRunner().invoke(app, [*init, "--base", base, "--out", "a.yaml"])
@@ -559,7 +555,7 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
     assert "--base is '0,0,x': unknown name 'x'" in CliRunner().invoke(app, [*init, "--base", "0,0,x"]).output
     assert "90 rad is more than a turn; write deg(...)" in CliRunner().invoke(app, [*init, "--base", "0,90,0"]).output
     floating = CliRunner().invoke(app, [*init, "--base", "floating"]).output
-    assert "is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'." in floating
+    assert "is not drafted; start from gtau docs experiment-file, 'A base that floats'." in floating
     assert "also give --robot" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
 
 

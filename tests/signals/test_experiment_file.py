@@ -74,11 +74,18 @@ runs:
     assert second.mass is None
 
 
+@pytest.mark.parametrize("written", ["none", "null", "{}"])
+def test_no_payload_may_be_written(folder: Path, written: str) -> None:
+    assert read(folder, GOOD.replace("log: free.csv", f"log: free.csv, payload: {written}")).runs[0].payload is None
+
+
 # name, text to replace in GOOD, its replacement, what the error says
 BAD = [
     ("no runs", "runs:\n", "rums:\n", "line 4, rums: unknown key 'rums'; did you mean 'runs'?"),
     ("key of no kin", "runs:\n", "foo:\n", "line 4, foo: unknown key 'foo'; choose from drives, preparation"),
     ("no robot", "robot: orthoglide\n", "", "the key 'robot' is missing; add it"),
+    ("three keys", GOOD, "units: {}\n", "the keys 'robot', 'signals' and 'runs' are missing; add them"),
+    ("no payload in words", "payload: {name: steel, mass: 1.983}", "payload: nothing", "lines under it, not 'nothing'"),
     ("empty runs", GOOD[GOOD.index("runs:") : GOOD.index("validation")], "runs: []\n", "0 values are written"),
     ("misspelt key", "position:", "postion:", "signals.postion: unknown key 'postion'; did you mean 'position'?"),
     ("time is a group", "time: t", "time: {rat: 5}", "signals.time.rat: unknown key 'rat'; did you mean 'rate'?"),

@@ -69,7 +69,7 @@ def test_a_name_with_two_readings_is_asked_about(tmp_path: Path, monkeypatch: py
     log = Path("loaded_1_5kg.csv")
     np.savetxt(log, table, delimiter=",", header="t,q_left,q_right,i_left,i_right", comments="")
     robot = ["--robot", "five-bar"]
-    shown = CliRunner().invoke(app, ["init", str(log), *robot, "--yes"]).output
+    shown = CliRunner().invoke(app, ["init", str(log), *robot]).output
     assert shown.split("marked CHECK:")[1].strip().startswith("- write the payload masses")
     assert "mass: 1.5 or 5}  # CHECK: write one of them" in Path("experiment.yaml").read_text()
     assert "'1.5 or 5' is not a number" in CliRunner().invoke(app, ["check", "experiment.yaml"]).output

@@ -79,11 +79,11 @@ def test_positions_with_more_noise_are_filtered_more(result: gtau.Result, rng: n
 
 def test_a_model_file_holds_the_filter_and_older_ones_predict(result: gtau.Result, tmp_path: Path) -> None:
     result.save(tmp_path / "model.json")
-    again = gtau.Result.load(tmp_path / "model.json")
+    again = gtau.load(tmp_path / "model.json")
     assert again.preparation == result.preparation
     document = json.loads((tmp_path / "model.json").read_text())
     del document["preparation"]["prediction_cutoffs"]
     (tmp_path / "old.json").write_text(json.dumps(document))
-    old = gtau.Result.load(tmp_path / "old.json")
+    old = gtau.load(tmp_path / "old.json")
     assert old.preparation.prediction_cutoffs == ()
     assert old.validate(drive(1))[0].relative_raw is not None

@@ -18,7 +18,7 @@ import pytest
 from five_bar_logs import Plant, write_experiment, write_log
 
 from gtau.errors import GtauError
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.signals.run import Run
 from gtau.uses.identify import read_log
 from gtau.watch.follow import SETTLED, follow
@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def model(folder: Path) -> Result:
-    return Result.load(folder / "model.json")
+    return load(folder / "model.json")
 
 
 def long_run(seconds: float = 24.0) -> Run:

@@ -23,7 +23,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.report.watch import alarm_words, state_of, verdict_text
-from gtau.result import Result, identify
+from gtau.result import Result, identify, load
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import power
@@ -44,7 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def model(folder: Path) -> Result:
-    return Result.load(folder / "model.json")
+    return load(folder / "model.json")
 
 
 @cache

@@ -95,6 +95,11 @@ class CampaignState:
         return {"schema": "gtau-campaign/1", **aim, "rounds": rounds}
 
 
+def unhindered() -> Any:
+    """Let a search run to its end."""
+    return nullcontext(never)
+
+
 @takes(
     folder=PATH,
     robot=("the name or path of a robot", (str, Path)),
@@ -108,8 +113,8 @@ def campaign(
     robot: str | Path | None = None,
     payload: float | None = None,
     accuracy: float | None = None,
-    progress: Progress = silent,
-    searching: Callable[[], Any] = lambda: nullcontext(never),
+    progress: Progress | None = None,
+    searching: Callable[[], Any] | None = None,
 ) -> CampaignState:
     """Identify from the rounds played, and decide: done, the next motion, or why another motion cannot help.
 
@@ -139,8 +144,13 @@ def campaign(
     ------
     GtauError
         If a file is wrong, or no motion is within the limits.
+
+    Examples
+    --------
+    >>> gtau.campaign("camp", robot="five-bar", payload=1.2).next
+    'play'
     """
-    folder = Path(folder)
+    folder, progress, searching = Path(folder), progress or silent, searching or unhindered
     aim = read_settings(folder, robot, payload, accuracy).accuracy
     file, rounds = read_design_file(folder), read_rounds(folder)
     used = [round_ for round_ in rounds if round_.played is not None and not round_.aside]
@@ -235,7 +245,7 @@ def _decided(
     file: DesignFile,
     used: list[Round],
     progress: Progress,
-    searching: Callable[[], Any] = lambda: nullcontext(never),
+    searching: Callable[[], Any] = unhindered,
 ) -> Decision:
     """Identify and decide, and write the next motion at ``place`` if the campaign goes on."""
     last = used[-1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib.resources import files
 from typing import Annotated, Any
 
 import typer
@@ -12,7 +13,7 @@ from gtau import __version__
 from gtau.cli.identification import campaign, compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
-from gtau.cli.robots import demo, excite, robot, simulate, tutorial
+from gtau.cli.robots import demo, docs, excite, robot, simulate, tutorial
 from gtau.cli.watch import watch
 from gtau.extensions import names
 
@@ -25,7 +26,7 @@ def show_version(wanted: bool) -> None:
 
 
 class _Command(TyperCommand):
-    """A command whose help names all exports, and arguments without the Python types that recent Typers add."""
+    """A command whose help names all exports, has examples, and no Python types of arguments."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         listed = ", ".join(names("gtau.exports", "gtau.export"))
@@ -36,6 +37,9 @@ class _Command(TyperCommand):
                 parameter.template = template  # type: ignore[attr-defined]
                 parameter.help = template.format(exports=listed)  # type: ignore[attr-defined]
         super().format_help(ctx, formatter)
+        with formatter.section("Examples"):
+            for example in examples(str(self.name)):
+                formatter.write(f"  {example}\n")
 
 
 def _no_type(ctx: Any) -> None:
@@ -46,6 +50,7 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
     "Learn": {
         tutorial: "Copy the logs of the ten-minute tutorial to a folder.",
         demo: "Simulate, identify and weigh on an Orthoglide.",
+        docs: "Print a page of the documentation.",
     },
     "Prepare": {
         robot: "Show joints, loops and base parameters of a robot.",
@@ -68,11 +73,16 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
         export: "Export a model for other programs.",
     },
 }
-MASSES = {"allow_extra_args": True}  # of excite: those after --payload-mass are extra arguments
+
+
+def examples(command: str) -> list[str]:
+    """List the examples of a command."""
+    text = (files("gtau.cli") / "examples.txt").read_text(encoding="utf-8")
+    return [line for line in text.splitlines() if line.split()[1] == command]
 
 
 class _Commands(TyperGroup):
-    """Commands grouped by purpose; for a word that names an option (version, help), suggests that option."""
+    """Commands grouped by purpose; ``help COMMAND`` is its help, and a word such as version suggests the option."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         for purpose, commands in COMMANDS.items():
@@ -80,6 +90,11 @@ class _Commands(TyperGroup):
                 formatter.write_dl([(command.__name__, short) for command, short in commands.items()])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        if args == ["help"]:
+            typer.echo(ctx.get_help())
+            ctx.exit()
+        if args[0] == "help":
+            args = [*args[1:], "--help"]
         if any(f"--{args[0]}" in parameter.opts for parameter in self.get_params(ctx)):
             ctx.fail(f"No such command '{args[0]}'. Did you mean '--{args[0]}'?")
         return super().resolve_command(ctx, args)
@@ -98,12 +113,11 @@ app = typer.Typer(
 @app.callback()
 def gtau(
     version: Annotated[
-        bool, typer.Option("--version", callback=show_version, is_eager=True, help="Print the version and exit.")
+        bool, typer.Option("--version", "-V", callback=show_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
     """Identify drive gains and dynamic parameters of serial and parallel robots from logged positions and currents."""
 
 
 for command, short in (entry for commands in COMMANDS.values() for entry in commands.items()):
-    settings = MASSES if command is excite else None
-    app.command(command.__name__, cls=_Command, short_help=short, context_settings=settings)(command)
+    app.command(command.__name__, cls=_Command, short_help=short)(command)

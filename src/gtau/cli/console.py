@@ -9,9 +9,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import fields, is_dataclass
 from functools import wraps
+from inspect import Parameter, Signature, signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ParamSpec
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
@@ -24,7 +26,6 @@ from gtau.progress import Progress
 if TYPE_CHECKING:
     from gtau.report.page import Page
 
-P = ParamSpec("P")
 _begun: list[float] = []  # start of the command, s
 _held: list[Callable[[], None]] = []  # functions that release the folders held by the command
 METHODS = "|".join(NAMES)
@@ -86,7 +87,7 @@ ExperimentFile = Annotated[Path, argument("EXPERIMENT.yaml", "Experiment file.")
 ModelFile = Annotated[Path, argument("MODEL.json", "What 'gtau identify' wrote.")]
 Columns = Annotated[Path | None, option("EXPERIMENT.yaml", "Take columns and units from an experiment file.")]
 CarriedPayload = Annotated[str | None, option("NAME", "Payload that the robot carries, by its name in the model.")]
-ReportFolder = Annotated[Path | None, option("DIR", "Folder for report.html.")]
+ReportFolder = Annotated[Path | None, option("DIR", "Folder for report.html. Default: no files.")]
 XacroArguments = Annotated[
     list[str] | None,
     option("NAME=VALUE", "Argument of the robot's xacro file. Repeatable.", "--xacro-arg"),
@@ -120,15 +121,29 @@ def base_choice(text: str | None) -> Any:
     return {"rpy": angles}
 
 
-def refusing(command: Callable[P, None]) -> Callable[P, None]:
-    """Turn refusals of a command into one sentence on stderr, with ``--json`` also a document, and exit code 2."""
+def refusing(command: Callable[..., None]) -> Callable[..., None]:
+    """Turn refusals of a command into one sentence on stderr, with ``--json`` also a document, and exit code 2.
+
+    A parameter that is a dataclass of options stands for these options.
+    """
+    hints, parameters = get_type_hints(command, include_extras=True), dict[str, Parameter]()
+    groups = {name: hint for name, hint in hints.items() if isinstance(hint, type) and is_dataclass(hint)}
+    for name, parameter in signature(command).parameters.items():
+        inner = get_type_hints(groups[name], include_extras=True) if name in groups else {name: hints[name]}
+        for option, hint in inner.items():
+            default = getattr(groups[name], option) if name in groups else parameter.default
+            parameters[option] = Parameter(option, Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
     @wraps(command)
-    def run(*arguments: P.args, **options: P.kwargs) -> None:
+    def run(**options: Any) -> None:
         begin()
         _begun[:] = [time.perf_counter()]
+        together = {
+            name: group(**{field.name: options.pop(field.name) for field in fields(group)})
+            for name, group in groups.items()
+        }
         try:
-            command(*arguments, **options)
+            command(**options, **together)
         except GtauError as error:
             if interrupted():
                 raise KeyboardInterrupt from None
@@ -143,6 +158,8 @@ def refusing(command: Callable[P, None]) -> Callable[P, None]:
             while _held:
                 _held.pop()()
 
+    run.__signature__ = Signature(list(parameters.values()))  # type: ignore[attr-defined]
+    run.__annotations__ = {name: parameter.annotation for name, parameter in parameters.items()}
     return run
 
 

@@ -15,18 +15,16 @@ from gtau.cli.console import (
     ExperimentFile,
     Json,
     ReportFolder,
-    XacroArguments,
     answer,
     argument,
     hold,
-    named_values,
     option,
     progress_bar,
     refusing,
     seconds,
 )
 from gtau.cli.interruption import stop_request
-from gtau.cli.logs import KindOfLogs, Payloads, PresetOfLogs, RobotOfLogs, Sources, experiment_of, said_if_refused
+from gtau.cli.logs import LogOptions, Sources, experiment_of, said_if_refused
 from gtau.documents.files import folder_of, write_atomically
 from gtau.errors import GtauError
 
@@ -40,7 +38,7 @@ Method = Annotated[
     str | None,
     option(
         METHODS,
-        "Estimator; docs/lookup/verdicts.md compares them. Default: ml; tls with --as-paper; wls if the logs "
+        "Estimator; 'gtau docs verdicts' compares them. Default: ml; tls with --as-paper; wls if the logs "
         "hold torques whose scale cannot be tested.",
     ),
 ]
@@ -90,11 +88,7 @@ Verbose = Annotated[bool, option("", "Print all parameters, the fit of each join
 @refusing
 def identify(
     sources: Sources,
-    robot: RobotOfLogs = None,
-    xacro_arg: XacroArguments = None,
-    payload: Payloads = None,
-    kind: KindOfLogs = None,
-    preset: PresetOfLogs = None,
+    stated: LogOptions,
     out: Results = Path("result"),
     method: Method = None,
     ratio: Ratio = None,
@@ -107,14 +101,14 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
-    Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does, without questions; the summary
-    lists the guesses, which you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
+    Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does; the summary lists the guesses, which
+    you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
 
     The exit code is 3 if any verdict is contradictory, no drive gain is identifiable, --consistent finds no
     parameters, or the result misses a requirement of EXPERIMENT.yaml.
     """
     hold(out)
-    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, out, xacro=named_values(xacro_arg))
+    experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.experiment_runs import Options, read, read_validation
         from gtau.estimation.results.model_file import to_document
@@ -185,7 +179,7 @@ Experiments = Annotated[
 @refusing
 def fleet(
     experiments: Experiments,
-    out: Annotated[Path, option("DIR", "Folder for report.html, models and table.")],
+    out: Annotated[Path, option("DIR", "Folder for report.html, models and table.")] = Path("fleet"),
     method: Annotated[str, option(METHODS, "Estimator; one that estimates drive gains.")] = "ml",
     jobs: Annotated[int | None, option("N", "Processes on this machine; default: one for each core.", min=1)] = None,
     dask: Annotated[
@@ -231,7 +225,7 @@ def fleet(
 def campaign(
     folder: Annotated[Path, argument("DIR", "Folder of the campaign, its only state.")],
     robot: Annotated[str | None, option("ROBOT", "Robot file or catalog name, of a new campaign.")] = None,
-    payload: Annotated[float | None, option("KG", "Mass of the payload, of a new campaign.", min=0.0)] = None,
+    payload_mass: Annotated[float | None, option("KG", "Mass of the payload, of a new campaign.", min=0.0)] = None,
     accuracy: Annotated[
         float | None, option("PERCENT", "Required half-width of every gain's 95 % interval (default 3).")
     ] = None,
@@ -247,7 +241,7 @@ def campaign(
         from gtau.campaigns.page import campaign_page
         from gtau.report.render.html import write_report
 
-        state = run(folder, robot, payload, accuracy, progress, partial(stop_request, ""))
+        state = run(folder, robot, payload_mass, accuracy, progress, partial(stop_request, ""))
         report = write_report(campaign_page(state), folder, seconds())
     answer(json_, lambda: state.document, lambda: campaign_page(state), [report])
     if code := EXIT[state.next]:

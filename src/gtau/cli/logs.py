@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -28,12 +27,12 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_as_folder
+from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, write_atomically
 from gtau.errors import GtauError, tidy
 
 if TYPE_CHECKING:
+    from gtau.estimation.results.result import IdentifiedModel
     from gtau.findings import Finding
-    from gtau.signals.reading.discovery import Draft
 
 WIDTH = 80
 
@@ -49,30 +48,78 @@ Sources = Annotated[
     list[Path],
     argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs, from which one is drafted (DIR/experiment.yaml)."),
 ]
-RobotOfLogs = Annotated[
-    str | None,
-    option(
-        "ROBOT",
-        "With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
-        "/robot_description of a bag.",
-    ),
-]
-Payloads = Annotated[
-    list[str] | None,
-    option(
-        "LOG=KG",
-        "With logs: payload mass of a log (kg, 0 for none); default: from file names such as loaded_0.48kg.mcap. "
-        "Repeatable.",
-    ),
-]
-KindOfLogs = Annotated[
-    Commands | None,
-    option("current|torque", "With logs: what command columns such as 'effort' contain; default: judged by name."),
-]
 
-PresetOfLogs = Annotated[
-    str | None, option("PRESET", "With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...).")
-]
+
+@dataclass(frozen=True)
+class LogOptions:
+    """What is stated of logs that are given in place of an experiment file."""
+
+    robot: Annotated[
+        str | None,
+        option(
+            "ROBOT",
+            "With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
+            "/robot_description of a bag.",
+        ),
+    ] = None
+    payload: Annotated[
+        list[str] | None,
+        option(
+            "LOG=KG",
+            "With logs: payload mass of a log (kg, 0 for none); default: from file names such as loaded_0.48kg.mcap. "
+            "Repeatable.",
+        ),
+    ] = None
+    position: Annotated[
+        str | None,
+        option("COLUMNS", "With logs: columns or patterns ('enc_J*') of the positions, in the order of the joints."),
+    ] = None
+    current: Annotated[str | None, option("COLUMNS", "With logs: columns or patterns of the currents.")] = None
+    torque: Annotated[str | None, option("COLUMNS", "With logs: columns or patterns of the torques.")] = None
+    time: Annotated[str | None, option("COLUMN", "With logs: column of the time.")] = None
+    kind: Annotated[
+        Commands | None,
+        option("current|torque", "With logs: what command columns such as 'effort' contain; default: judged by name."),
+    ] = None
+    preset: Annotated[
+        str | None,
+        option("PRESET", "With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...)."),
+    ] = None
+    xacro_arg: XacroArguments = None
+
+    @property
+    def given(self) -> list[str]:
+        """Names of the options that are given."""
+        return [f"--{name.replace('_', '-')}" for name, value in vars(self).items() if value]
+
+    @property
+    def commands(self) -> Literal["current", "torque"] | None:
+        """Kind of the commands."""
+        return None if self.kind is None else self.kind.value
+
+    @property
+    def xacro(self) -> dict[str, str]:
+        """Arguments of the robot's xacro file by name; raises GtauError."""
+        return named_values(self.xacro_arg)
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Patterns of columns by kind."""
+        return {name: value for name in ("position", "current", "torque", "time") if (value := getattr(self, name))}
+
+    @property
+    def masses(self) -> dict[str, float]:
+        """Payloads by log, kg; raises GtauError."""
+        masses = {}
+        for stated in self.payload or []:
+            log, _, mass = stated.rpartition("=")
+            try:
+                masses[log] = float(mass)
+            except ValueError:
+                log = ""
+            if not log:
+                raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
+        return masses
 
 
 @refusing
@@ -81,35 +128,33 @@ def init(
         list[Path],
         argument("LOG", "One log per run, all of one layout; or the logs of positions, then as many of commands."),
     ],
-    robot: Annotated[str | None, option("ROBOT", "Name in the catalog, or path of a robot file.")] = None,
+    stated: LogOptions,
     base: Annotated[
         str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
     ] = None,
-    xacro_arg: XacroArguments = None,
-    preset: PresetOfLogs = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
-    yes: Annotated[bool, option("", "Ask nothing; mark in the file what to confirm.", "--yes")] = False,
     json_: Json = False,
 ) -> None:
-    """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate."""
+    """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate.
+
+    It marks with CHECK what to confirm in the file.
+    """
     from gtau.signals.reading.discovery import QUESTIONS
     from gtau.signals.reading.drafting import draft_logs, write_draft
-    from gtau.signals.reading.logs import is_rosbag
 
     if out.exists():
         raise GtauError(f"{out} exists already; give another name (--out FILE), or remove it.")
-    ask = not (yes or json_) and on_terminal()
-    if robot is None and ask and not is_rosbag(logs[0]):
-        robot = typer.prompt("Robot (catalog name or path of a file; empty if unknown)", default="") or None
+    robot = stated.robot
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
-    draft = draft_logs(logs, robot, base_choice(base), preset=preset, xacro=named_values(xacro_arg))
-    if ask:
-        draft = _answered(draft)
+    with skeleton_if_unrecognised(logs, robot, out):
+        draft = draft_logs(
+            logs, robot, base_choice(base), stated.masses, stated.commands, stated.preset, stated.columns, stated.xacro
+        )
     write_draft(draft, out)
     open_ = [QUESTIONS[key] for key in draft.open]
     if not json_:
-        typer.echo(_page(draft, out, open_))
+        typer.echo(_page(out, open_))
         return
     signals = draft.signals
     columns = {"position": dict(signals.position), signals.kind: dict(signals.command), "units": dict(draft.units)}
@@ -117,47 +162,12 @@ def init(
     print_json({"file": str(out), "time": clock, **columns, "to_confirm": open_})
 
 
-def on_terminal() -> bool:
-    """Return whether the user can be asked."""
-    return sys.stdin.isatty() and sys.stdout.isatty()
+def _page(out: Path, open_: list[str]) -> str:
+    """Show what was drafted, and what to confirm."""
+    from gtau.signals.reading.drafting import SEAL
 
-
-def _answered(draft: Draft) -> Draft:
-    from gtau.signals.reading.drafting import with_kind, with_masses, with_rate
-
-    if "rate" in draft.open:
-        draft = with_rate(draft, typer.prompt("Sampling rate of the logs, Hz", type=float))
-    if "kind" in draft.open:
-        named = ", ".join(list(draft.signals.command.values())[:3])
-        kind = typer.prompt(f"Are {named} ... currents or torques?", default=draft.signals.kind)
-        draft = with_kind(draft, "torque" if kind.lower().startswith("t") else "current")
-    if draft.signals.kind == "current":
-        options = {}
-        for run in draft.logs:
-            known = draft.payloads.get(run[0], (0.0,))[0]
-            options[run[0]] = typer.prompt(f"Payload in {run[0].name}, kg (0 for none)", default=known, type=float)
-        draft = with_masses(draft, {log: max(mass, 0.0) for log, mass in options.items()})
-    return draft
-
-
-def _page(draft: Draft, out: Path, open_: list[str]) -> str:
-    from gtau.signals.reading.discovery import listed_units
-
-    signals, unused, why = draft.signals, draft.unused, draft.reasons.time
-    rate = "rate unknown" if "rate" in draft.open else f"{signals.rate or 0:g} Hz"
-    clock = " and ".join(signals.time_columns) or f"no column, {rate}"
-    rows = {
-        "time": clock + (f" ({why})" if why else ""),
-        "position": ", ".join(f"{joint}: {column}" for joint, column in signals.position.items()),
-        signals.kind: ", ".join(f"{joint}: {column}" for joint, column in signals.command.items()),
-        "units": listed_units(draft.units),
-        "to check": ", ".join((*unused.motion, *unused.wrenches)),
-        "not used": "; ".join(unused.others),
-    }
-    lines = [f"written: {out}, with these columns of the logs"]
-    for name, words in rows.items():
-        if words:
-            lines += textwrap.wrap(words, WIDTH, initial_indent=f"  {name:<10}", subsequent_indent=" " * 12)
+    drafted = out.read_text(encoding="utf-8").rpartition(SEAL)[0].partition("\n\n")[2]
+    lines = [drafted, f"written: {out}"]
     if open_:
         lines += ["", "Before you go on, edit its lines marked CHECK:"]
         for doubt in open_:
@@ -168,16 +178,8 @@ def _page(draft: Draft, out: Path, open_: list[str]) -> str:
 @refusing
 def check(
     sources: Sources,
-    robot: RobotOfLogs = None,
-    xacro_arg: XacroArguments = None,
-    payload: Payloads = None,
-    kind: KindOfLogs = None,
-    preset: PresetOfLogs = None,
-    out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities.")] = None,
-    figure: Annotated[
-        Path | None,
-        option("DIR", "Folder for a figure of each log's preparation: spectra, bandwidth, clock, rows left out."),
-    ] = None,
+    stated: LogOptions,
+    out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities. Default: no files.")] = None,
     method: Annotated[
         str | None, option(METHODS, "Estimator that will identify; the default of 'gtau identify' if left out.")
     ] = None,
@@ -185,16 +187,14 @@ def check(
 ) -> None:
     """Check the logs before identifying: errors, warnings, and repairs.
 
-    Given logs instead of EXPERIMENT.yaml, it drafts that file without questions, in DIR or else 'result'.
+    Given logs instead of EXPERIMENT.yaml, it drafts that file, in DIR or else 'result'.
     The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
     """
     hold(out)
-    refuse_as_folder(figure)
-    folder = out or Path("result")
-    experiment, guessed = experiment_of(sources, robot, payload, kind, preset, folder, xacro=named_values(xacro_arg))
+    experiment, guessed = experiment_of(sources, stated, out or Path("result"))
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
-        from gtau.report.check import check_document, check_page, write_check, write_preparation
+        from gtau.report.check import check_document, check_page, write_check
         from gtau.report.evidence import inputs_of
         from gtau.report.render.html import write_report
 
@@ -204,63 +204,63 @@ def check(
     if out is not None:
         written.append(write_report(page, folder_of(out), seconds(), inputs_of(experiment)))
         written += write_check(checked, out)
-    if figure is not None:
-        written += write_preparation(checked, folder_of(figure))
     answer(json_, lambda: check_document(checked), lambda: page, written)
     if code := checked.worst.exit_code:
         raise typer.Exit(code)
 
 
 def experiment_of(
-    sources: list[Path],
-    robot: str | None,
-    payloads: list[str] | None,
-    kind: Commands | None,
-    preset: str | None,
-    folder: Path,
-    weigh: bool = False,
-    xacro: Mapping[str, str] | None = None,
+    sources: list[Path], stated: LogOptions, folder: Path, weigh: bool = False, model: IdentifiedModel | None = None
 ) -> tuple[Path, tuple[Finding, ...]]:
     """Return an experiment file, drafted from logs to ``folder`` if need be, and a note on every guess in the draft.
 
-    Logs without a stated payload carry none, or with ``weigh`` an unknown one. Raises GtauError if experiment files are
-    mixed with logs, or the draft needs an answer of the user.
+    Logs without a stated payload carry none, or with ``weigh`` an unknown one. By default they are of the robot of a
+    ``model``, and have the columns of its logs. Raises GtauError if experiment files are mixed with logs, or the draft
+    needs an answer of the user.
     """
-    stated = {"robot": robot, "payload": payloads, "kind": kind, "preset": preset, "xacro-arg": xacro}
     if len(sources) == 1 and not is_log(sources[0]):
-        if given := [f"--{name}" for name, value in stated.items() if value]:
-            raise GtauError(f"{given[0]} is for logs; an experiment file states this itself, so omit it.")
+        if stated.given:
+            raise GtauError(f"{stated.given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
     if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
-    from gtau.signals.reading.drafting import alternatives, draft_logs, guesses, to_weigh, with_sensors, write_draft
+    from gtau.signals.reading.drafting import guesses, write_draft
+    from gtau.uses.logs import drafted
 
-    masses = _masses(payloads or [])
-    drafted = draft_logs(sources, robot, None, masses, None if kind is None else kind.value, preset, xacro)
-    draft = to_weigh(drafted) if weigh else with_sensors(drafted)
-    if "file" not in draft.robot:
-        raise GtauError(
-            f"{sources[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
-            "of a URDF, MJCF or robot file."
-        )
-    if "rate" in draft.open:
-        raise GtauError(
-            f"{sources[0]} has neither times nor velocities to find its sampling rate from; draft a file by 'gtau "
-            "init', write the rate there (time: {rate: HZ}), and give that file."
-        )
-    for log, readings in draft.payloads.items():
-        if len(readings) > 1:
-            raise GtauError(
-                f"the name of {log} may mean a payload of {alternatives(readings)} kg, which sets the scale of all "
-                f"drive gains; state it by --payload {log.name}={readings[0]:g} (0 for none)."
-            )
+    robot, kind, recording = stated.robot, stated.commands, None
+    if model is not None:
+        from gtau.robots.readers.native import native_text
+
+        kind, recording = kind or Commands(model.kind).value, model.recording
+        if robot is None:
+            robot = str(folder_of(folder) / "robot.yaml")
+            write_atomically(robot, native_text(model.robot))
     file = folder / "experiment.yaml"
+    with skeleton_if_unrecognised(sources, robot, file):
+        draft = drafted(
+            sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording, stated.xacro
+        )
     write_draft(draft, file)
     held = (
         f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""
     )
     typer.echo(tidy(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}{held}."), err=True)
     return file, guesses(draft, file)
+
+
+@contextmanager
+def skeleton_if_unrecognised(logs: list[Path], robot: str | None, file: Path) -> Iterator[None]:
+    """Write an experiment file without columns where none are recognised, and say so in the refusal."""
+    from gtau.signals.reading.discovery import NoColumns
+
+    try:
+        yield
+    except NoColumns as refusal:
+        from gtau.signals.reading.drafting import write_skeleton
+
+        write_skeleton(logs, robot, folder_of(file.parent) / file.name)
+        written = f"{file} is written with all but these columns"
+        raise GtauError(f"{refusal.sentence.rstrip('.')}; {written}.", source=refusal.source) from None
 
 
 @contextmanager
@@ -281,16 +281,3 @@ def is_log(path: Path) -> bool:
     return reader_of(path.suffix.lower()) is not None or (
         is_log_folder(path) if path.is_dir() else kind_of(path) == LOG
     )
-
-
-def _masses(payloads: list[str]) -> dict[str, float]:
-    masses = {}
-    for stated in payloads:
-        log, _, mass = stated.rpartition("=")
-        try:
-            masses[log] = float(mass)
-        except ValueError:
-            log = ""
-        if not log:
-            raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
-    return masses

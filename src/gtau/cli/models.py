@@ -16,7 +16,6 @@ import typer
 from gtau.cli.console import (
     CarriedPayload,
     Columns,
-    ExperimentFile,
     Json,
     ModelFile,
     answer,
@@ -27,8 +26,8 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.cli.logs import Commands, Payloads, RobotOfLogs, Sources, experiment_of, is_log, said_if_refused
-from gtau.documents.files import folder_of, write_atomically
+from gtau.cli.logs import LogOptions, Sources, experiment_of, is_log, said_if_refused
+from gtau.documents.files import folder_of
 from gtau.errors import GtauError, missing_extra
 from gtau.findings import Grade
 
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
     from gtau.estimation.results.payload_body import PayloadBody
     from gtau.estimation.results.result import IdentifiedModel
     from gtau.export.exported import Exported
-    from gtau.findings import Finding
 
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # as in export.payload, which --help need not import
 
@@ -51,13 +49,18 @@ class GainChoice(StrEnum):
 @refusing
 def validate(
     model: ModelFile,
-    experiment: ExperimentFile,
+    sources: Sources,
+    stated: LogOptions,
     out: Annotated[
-        Path | None, option("DIR", "Folder for report.html and a table with all samples of each run.")
+        Path | None,
+        option("DIR", "Folder for report.html and a table with all samples of each run. Default: no files."),
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Compare measured and predicted torques on the validation runs; with DIR also as charts."""
+    """Compare measured and predicted torques on logs, or on the validation runs; with DIR also as charts.
+
+    Logs are read as the logs of the model; the draft is DIR/experiment.yaml, or check/experiment.yaml.
+    """
     hold(out)
     with progress_bar() as progress:
         from gtau.estimation.experiment_runs import read_validation
@@ -69,7 +72,11 @@ def validate(
         from gtau.uses.identify import experiment_of as experiment_for
 
         result = load(model)
-        described = experiment_for(result, experiment)
+        experiment, guessed = experiment_of(sources, stated, out or Path("check"), model=result)
+        with said_if_refused(guessed):
+            described = experiment_for(result, experiment)
+        if is_log(sources[0]):
+            described = described.model_copy(update={"runs": (), "validation": described.runs})
         if not described.validation:
             raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
         read, unread = read_validation(described, progress)
@@ -80,7 +87,7 @@ def validate(
             progress("predicting torques", k, len(read))
             runs.append(predicted(result, run, whole=True, progress=progress))
     written: list[Path] = []
-    notes = [*unread, *without_temperature(result, described.signals)]
+    notes = [*guessed, *unread, *without_temperature(result, described.signals)]
     if out is not None:
         page = validation_report(result, runs, described.expected_gains, notes)
         inputs = (("model", model), *inputs_of(experiment, described, runs=False))
@@ -99,15 +106,16 @@ PayloadFrame = Annotated[
     ),
 ]
 Controller = Annotated[str | None, option("CONTROLLER", f"Also write each payload for a controller: {CONTROLLERS}.")]
-WeighingFolder = Annotated[Path | None, option("DIR", "Folder for report.html and the files of --to.")]
+WeighingFolder = Annotated[
+    Path | None, option("DIR", "Folder for report.html and the files of --to. Default: payload with --to, or no files.")
+]
 
 
 @refusing
 def payload(
     model: ModelFile,
     sources: Sources,
-    robot: RobotOfLogs = None,
-    payload: Payloads = None,
+    stated: LogOptions,
     gains: WeighingGains = GainChoice.identified,
     frame: PayloadFrame = "",
     to: Controller = None,
@@ -123,9 +131,8 @@ def payload(
 
     The exit code is 3 if a mass is negative, or the model's gains contradict its own logs or the logs of the payload.
     """
+    out = out or (None if to is None else Path("payload"))
     hold(out)
-    if to is not None and out is None:
-        raise GtauError(f"--to {to} writes files; name their folder by --out DIR.")
     with progress_bar() as progress:
         from gtau.estimation.results.model_file import load, payload_documents
         from gtau.report.evidence import inputs_of, settings_of
@@ -135,7 +142,7 @@ def payload(
         from gtau.uses.weigh import exact_gains, weigh
 
         result = load(model)
-        experiment, guessed = _drafted(result, sources, robot, payload, out or Path("payload"))
+        experiment, guessed = experiment_of(sources, stated, out or Path("payload"), weigh=True, model=result)
         described = read_experiment(experiment)
         file = described.robot if isinstance(described.robot, str) else described.robot.file
         if to is not None:
@@ -171,19 +178,6 @@ def payload(
         raise typer.Exit(3)  # so that scripts do not continue with this mass
 
 
-def _drafted(
-    result: IdentifiedModel, sources: list[Path], robot: str | None, payloads: list[str] | None, folder: Path
-) -> tuple[Path, tuple[Finding, ...]]:
-    """Return an experiment file, drafted from logs if need be, by default with the model's robot and commands."""
-    from gtau.robots.readers.native import native_text
-
-    if not is_log(sources[0]) or robot is not None:
-        return experiment_of(sources, robot, payloads, None, None, folder, weigh=True)
-    file = folder_of(folder) / "robot.yaml"
-    write_atomically(file, native_text(result.robot))
-    return experiment_of(sources, str(file), payloads, Commands(result.kind), None, folder, weigh=True)
-
-
 def _refuse_controller(to: str, frame: str, result: IdentifiedModel, file: str) -> None:
     """Refuse an unknown controller, or one without a named frame, before the work."""
     from gtau.export.exported import refuse_unknown
@@ -210,7 +204,7 @@ def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exp
 def export(
     model: ModelFile,
     to: Annotated[str, option("KIND", "Format: {exports}.")],
-    out: Annotated[Path, option("DIR", "Folder for the files.")],
+    out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("exported"),
     into: Annotated[
         Path | None, option("FILE", "Robot file (URDF or MJCF) to copy with the identified parameters inserted.")
     ] = None,
@@ -276,7 +270,7 @@ def use(
     log: Annotated[Path, argument("LOG", "Log of a run: CSV, Parquet.")],
     out: Annotated[Path | None, option("FILE", "Table to write: .csv or .parquet, one row per sample.")] = None,
     experiment: Columns = None,
-    payload: CarriedPayload = None,
+    carries: CarriedPayload = None,
     frame: ContactFrame = None,
     force_only: Annotated[
         bool, option("", "The contact exerts no moment about the origin of --frame, as a point does.", "--force-only")
@@ -289,8 +283,8 @@ def use(
     """Compute motor, model and external joint torques along a log, to see contacts and collisions.
 
     External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). LOG
-    has the columns t, qJOINT and vJOINT (tauJOINT for a model of torques; s, rad or m, A), unless an experiment file
-    names others. FILE gets motor, model and external torque of every sample, and the wrench at --frame.
+    has the columns of the model's logs, unless an experiment file names others. FILE gets motor, model and external
+    torque of every sample, and the wrench at --frame.
     """
     from gtau.estimation.results.model_file import load, torque_error
     from gtau.report.torques import external_page
@@ -310,7 +304,7 @@ def use(
         at = frame_on(result.robot.tool, frame, file if file is None or isinstance(file, str) else file.file)
     with progress_bar() as progress:
         progress("torques along the log", 0, 1)
-        run = read_log(result, log, experiment, payload=payload)
+        run = read_log(result, log, experiment, payload=carries)
         torques = torques_along_log(result, run, at, force_only, observer)
     if out is not None:
         write_table(torques, out)

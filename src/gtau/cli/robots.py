@@ -107,25 +107,23 @@ STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again
 
 @refusing
 def excite(
-    context: typer.Context,
     design: Annotated[Path, argument("DESIGN.yaml", "Robot, runs, limits, prior knowledge.")],
-    out: Annotated[Path, option("DIR", "Folder for report.html, the trajectory and design.json.")],
+    out: Annotated[Path, option("DIR", "Folder for report.html, the trajectory and design.json.")] = Path("plan"),
     criterion: Annotated[
         str,
         option("CRITERION", "gains, condition, logdet, trace, or names of parameters to estimate best (gain_11,m_PR)."),
     ] = "gains",
-    payload_mass: Annotated[
-        list[float] | None, option("KG [KG...]", "Also show the effect of other payload masses.")
-    ] = None,
+    payload_mass: Annotated[str | None, option("KG,KG", "Also show the effect of other payload masses.")] = None,
     starts: Annotated[int, option("N", "Number of searches, each from the best of some random motions.", min=1)] = 2,
     seed: Annotated[int, option("N", "Seed of the random motions.", min=0)] = 0,
+    verbose: Annotated[bool, option("", "Print all parameters, limits and assumptions.", "--verbose", "-v")] = False,
     json_: Json = False,
 ) -> None:
     """Design the motion that is most informative about the drive gains, and predict their standard deviations.
 
     The best motion so far is written to DIR unless DIR holds a design; Ctrl-C stops the search and keeps it.
     """
-    masses = _masses(payload_mass or [], context.args)
+    masses = _masses(payload_mass) if payload_mass else ()
     hold(out)
     with progress_bar() as progress:
         from gtau.excitation.design import Design, Stopped
@@ -147,30 +145,25 @@ def excite(
         except Stopped as stopped:
             raise KeyboardInterrupt(str(stopped).rstrip(".")) from None
         progress("predicting standard deviations", 0, 1)
-        outlook = Outlook(best, assumed, tuple(masses))
+        outlook = Outlook(best, assumed, masses)
         for older in (REPORT, pages.DESIGN):
             (out / older).unlink(missing_ok=True)
         written = pages.write_design(outlook, folder_of(out))
         page = pages.design_page(outlook)
         report = write_report(page, out, seconds(), (("design", design),))
-    answer(json_, lambda: pages.design_document(outlook), lambda: page, (report, *written))
+    shown = page if verbose else pages.design_summary(outlook)
+    answer(json_, lambda: pages.design_document(outlook), lambda: shown, (report, *written))
 
 
-def _masses(first: list[float], words: list[str]) -> list[float]:
-    """Collect all masses of ``--payload-mass``: the first ones from click, and the extra ``words`` after them."""
-    for word in words:
-        try:
-            first = [*first, float(word)] if first else first
-        except ValueError:
-            first = []
-        if not first:
-            raise GtauError(
-                f"'{' '.join(words)}' is superfluous; give one design file, and masses (kg) after --payload-mass."
-            )
-    for mass in first:
-        if not 0 < mass < float("inf"):
-            raise GtauError(f"--payload-mass {mass:g} is not a mass; write a positive number in kg.")
-    return first
+def _masses(listed: str) -> tuple[float, ...]:
+    """Read ``--payload-mass``, kg; raises GtauError."""
+    try:
+        masses = tuple(map(float, listed.split(",")))
+    except ValueError:
+        masses = ()
+    if not masses or not all(0 < mass < float("inf") for mass in masses):
+        raise GtauError(f"--payload-mass is '{listed}'; write positive numbers in kg, such as 1,2.5.")
+    return masses
 
 
 @refusing
@@ -188,20 +181,36 @@ def demo(
 
 
 @refusing
-def tutorial(out: Annotated[Path, argument("DIR", "Folder for the logs.")], json_: Json = False) -> None:
-    """Copy the logs of the ten-minute tutorial (docs/start/tutorial.md) to a folder, and print the next command."""
+def tutorial(
+    out: Annotated[Path, argument("DIR", "Folder for the logs.")] = Path("tutorial"), json_: Json = False
+) -> None:
+    """Copy the logs of the ten-minute tutorial ('gtau docs tutorial') to a folder, and print the next command."""
     from gtau.demo import write_tutorial
 
     written = write_tutorial(out)
     answer(json_, lambda: {"files": [str(path) for path in written]}, written=written)
     if not json_:
-        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar --yes")
+        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar")
+
+
+@refusing
+def docs(
+    name: Annotated[str | None, argument("PAGE", "Name of the page; without it all are listed.")] = None,
+    json_: Json = False,
+) -> None:
+    """Print a page of the documentation, which messages name by this command."""
+    from gtau.pages import page_text, pages
+
+    text = "\n".join(pages()) if name is None else page_text(name)
+    answer(json_, lambda: {"page": name, "text": text})
+    if not json_:
+        typer.echo(text)
 
 
 @refusing
 def simulate(
     simulation: Annotated[Path, argument("SIMULATION.yaml", "Robot, true parameters, drives, runs.")],
-    out: Annotated[Path, option("DIR", "Folder for the logs and experiment.yaml.")],
+    out: Annotated[Path, option("DIR", "Folder for the logs and experiment.yaml.")] = Path("simulated"),
     json_: Json = False,
 ) -> None:
     """Simulate a robot under control; write its logs and the experiment file for 'gtau identify'."""

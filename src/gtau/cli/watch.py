@@ -45,7 +45,7 @@ def watch(
     logs: Annotated[list[Path] | None, argument("LOG...", "Finished logs, or folders of them.")] = None,
     out: HistoryFolder = Path("history"),
     experiment: Columns = None,
-    payload: CarriedPayload = None,
+    carries: CarriedPayload = None,
     baseline: Annotated[int | None, option("NUMBER", "Number of healthy logs that form the baseline (10).")] = None,
     false_alarms_per_year: FalseAlarms = None,
     robots: Annotated[int | None, option("NUMBER", "Number of robots in the fleet (1).", min=1)] = None,
@@ -86,7 +86,7 @@ def watch(
         given = [] if follow else logs_of(sources)
         result = load(model)
         tolerances = read_experiment(experiment).tolerances if experiment else None
-        read = partial(read_log, result, experiment=experiment, payload=payload)
+        read = partial(read_log, result, experiment=experiment, payload=carries)
         watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
         if power:
             progress(f"reading {given[-1].name}", 0, 1)

@@ -75,8 +75,8 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
         case "missing", int(position):  # of a tuple that is too short
             places = [missing["loc"] for missing in errors if missing["loc"][:-1] == location[:-1]]
             problem = _count(position, f"{1 + max(int(place[-1]) for place in places)}")
-        case "missing", key:
-            problem = f"the key '{key}' is missing; add it"
+        case "missing", _:
+            keys, problem = _missing(location, errors, document.data)
         case _:
             problem = _sentence(error)
     raise document.error(keys, problem)
@@ -115,6 +115,18 @@ def _written(location: KeyPath, data: Any) -> KeyPath:
             keys.append(key)
             data = data[key]
     return tuple(keys)
+
+
+def _missing(location: KeyPath, errors: Sequence[ErrorDetails], data: Any) -> tuple[KeyPath, str]:
+    """Say which keys are missing: all those in groups that have one form; return the group that holds them, too."""
+    places = dict.fromkeys(error["loc"] for error in errors if error["type"] == "missing")
+    certain = [place for place in places if _written(place[:-1], data) == place[:-1] and isinstance(place[-1], str)]
+    if location not in certain:
+        return _written(location[:-1], data), f"the key '{location[-1]}' is missing; add it"
+    group = location[:-1] if len({place[:-1] for place in certain}) == 1 else ()
+    names = [f"'{'.'.join(map(str, place[len(group) :]))}'" for place in certain]
+    several = f"s {', '.join(names[:-1])} and {names[-1]} are missing; add them"
+    return group, f"the key{several}" if names[1:] else f"the key {names[0]} is missing; add it"
 
 
 def _fields(annotation: Any, keys: KeyPath) -> set[str]:
@@ -227,7 +239,10 @@ def expect(what: str, value: object, accepted: Accepted) -> None:
     """Refuse a value of another type; raises GtauError."""
     words, types = accepted
     if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-        raise GtauError(f"{what} cannot be of type {type(value).__name__}; give {words}.")
+        advice = f"give {words}."
+        if "..." in words and isinstance(value, (str, Path)):
+            advice = f"did you mean {words.replace('...', repr(str(value)))}?"
+        raise GtauError(f"{what} cannot be of type {type(value).__name__}; {advice}")
 
 
 def some_of(texts: Sequence[str], most: int, between: str = ", ") -> str:

@@ -136,7 +136,7 @@ def check(
     method: str | None = None,
     prior_gains: Mapping[str, float] | None = None,
     priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
     prior_inertias: float | None = None,
 ) -> ExperimentCheck:
     """Check the logs of an experiment: find everything that an identification would refuse, repair or report.
@@ -148,7 +148,13 @@ def check(
     ------
     GtauError
         Where the experiment file or the robot's file is wrong.
+
+    Examples
+    --------
+    >>> gtau.check("experiment.yaml").worst.value
+    'information'
     """
+    progress = progress or silent
     options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
     subject = describe(source, runs, options)
     robot = subject.robot

@@ -116,9 +116,9 @@ def describe(
             raise GtauError(OF_RUNS)
         return Subject(source, runs, _with_inertias(options, source))
     if runs is not None:
-        raise GtauError(
-            "runs are given beside an experiment file, which lists its own; give a robot with runs, or the file alone."
-        )
+        given = "an experiment" if isinstance(source, Experiment) else f"'{source}'"
+        named = "gtau.load_robot(...)" if isinstance(source, Experiment) else f"gtau.load_robot({str(source)!r})"
+        raise GtauError(f"runs are given beside {given}; give their robot, {named}, or an experiment file alone.")
     if not isinstance(source, (str, Path, Experiment)):
         raise GtauError(
             f"a {type(source).__name__} cannot be identified; give the path of an experiment file, or a robot "

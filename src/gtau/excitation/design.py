@@ -88,9 +88,9 @@ def excite(
     criterion: str = "gains",
     starts: int = 2,
     seed: int = 0,
-    progress: Progress = silent,
-    keep: Callable[[Design], None] = keep_nothing,
-    stop: Callable[[], bool] = never,
+    progress: Progress | None = None,
+    keep: Callable[[Design], None] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> Design:
     """Search for the motion that minimises a criterion, starting from ``starts`` random motions.
 
@@ -119,8 +119,15 @@ def excite(
     GtauError
         If no motion within the limits is found, with the limit that is exceeded;
         :class:`gtau.excitation.design.Stopped` if the search was stopped before it found a motion.
+
+    Examples
+    --------
+    >>> task, _ = gtau.read_design("design.yaml")
+    >>> gtau.excite(task, starts=1).criterion
+    'gains'
     """
     require_rest(task)
+    reported, kept, stopped = progress or silent, keep or keep_nothing, stop or never
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failures: list[ConstraintUsage] = []
@@ -130,24 +137,24 @@ def excite(
         nonlocal best
         if best is None or candidate.value < best.value:
             best = candidate
-            keep(candidate)
+            kept(candidate)
 
     for start in range(starts):
 
         def advance(done: int, before: int = start * ROUNDS * ITERATIONS) -> None:
-            progress(STAGE, before + done, total)
+            reported(STAGE, before + done, total)
 
         advance(0)
-        guess = promising_start(task, criterion, rng, START, stop)
-        worst = _from_one(task, criterion, guess, start, better, stop, advance)
-        if stop():
+        guess = promising_start(task, criterion, rng, START, stopped)
+        worst = _from_one(task, criterion, guess, start, better, stopped, advance)
+        if stopped():
             break
         if worst is not None:
             failures.append(worst)
-    progress(STAGE, total, total)
+    reported(STAGE, total, total)
     if best is not None:
-        return replace(best, cut_short=stop())
-    if stop():
+        return replace(best, cut_short=stopped())
+    if stopped():
         raise Stopped(
             "the search was stopped before it found a motion within the limits, so nothing is written; let it run "
             "longer."

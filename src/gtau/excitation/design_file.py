@@ -25,7 +25,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import refuse_floating
 from gtau.robots.robot import TRANSLATIONS, Limits, Pose, Robot
 from gtau.signals.reading.experiment import RobotName
-from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, CarriedPayload, Payload
 
 Interval = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -36,7 +36,7 @@ SHARE = 0.8  # default share of the limits of the robot's file that a motion may
 class PlannedRun(Keys):
     """A run of the motion, with or without a payload."""
 
-    payload: Payload | Literal["none"]
+    payload: CarriedPayload = None
 
 
 class ShapeEntry(Keys):
@@ -113,7 +113,7 @@ class DesignFile(Keys):
     @property
     def payloads(self) -> tuple[Payload | None, ...]:
         """Payloads of the runs."""
-        return tuple(None if run.payload == "none" else run.payload for run in self.runs)
+        return tuple(run.payload for run in self.runs)
 
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
@@ -136,6 +136,12 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     """Read a design file; return the design problem, and sentences on what the file leaves to assume.
 
     The keys of the sentences are ``parameters``, ``massless``, ``gains`` and ``noise``. Raises GtauError.
+
+    Examples
+    --------
+    >>> task, assumed = gtau.read_design("design.yaml")
+    >>> "gains" in assumed  # no prior knowledge of them is stated
+    True
     """
     refuse_other_kind(path, DESIGN)
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))

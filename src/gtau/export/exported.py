@@ -127,6 +127,11 @@ def export_model(
     ------
     GtauError
         If the model lacks what the kind needs, or the files cannot be written; existing files are then unchanged.
+
+    Examples
+    --------
+    >>> [file.name for file in gtau.export_model("result/model.json", "csv", "exported").files]
+    ['five_bar.csv']
     """
     refuse_unknown(kind, names(*HOME))
     refuse_as_folder(out)

@@ -45,6 +45,14 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
     ------
     GtauError
         Where the mass is not identifiable, the frame was not named, or the files cannot be written.
+
+    Examples
+    --------
+    >>> result = gtau.load("result/model.json")
+    >>> run = gtau.read_run("unknown.csv", result.recording.signals, payload={"name": "load"})
+    >>> body = gtau.weigh(result, result.robot, [run])[0].in_frame("0 0 0 0 0 0")  # from the frame of the carrier
+    >>> [file.name for file in gtau.export_payload(body, "ros", "exported").files]
+    ['load.yaml']
     """
     refuse_unknown(kind, WRITERS)
     if not payload.named:

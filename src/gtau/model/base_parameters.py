@@ -89,10 +89,10 @@ def seen_by_sensor(names: Sequence[Parameter], joint: str) -> np.ndarray:
     return np.array([not belongs_to_drive(name, joint) for name in names], dtype=float)
 
 
-@takes(idm=("a model (gtau.InverseDynamics)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES, progress=FUNCTION)
+@takes(idm=("gtau.InverseDynamics(robot)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES, progress=FUNCTION)
 @single_threaded_blas()
 def base_parameters(
-    idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress = silent
+    idm: InverseDynamics, seed: int = 0, sensors: Sequence[str] = (), progress: Progress | None = None
 ) -> BaseParameters:
     """Find the base parameters from the structure of the robot's model.
 
@@ -116,12 +116,17 @@ def base_parameters(
     ------
     GtauError
         No state within the robot's limits is feasible, or the rank keeps growing with more states.
+
+    Examples
+    --------
+    >>> gtau.base_parameters(gtau.InverseDynamics(gtau.load_robot("five-bar"))).count
+    25
     """
     if unknown := [joint for joint in sensors if joint not in idm.actuated]:
         raise GtauError(f"'sensors' names {unknown[0]!r}, but the actuated joints are {', '.join(idm.actuated)}.")
     order = symmetric_order(idm.robot, idm.parameter_names)
     columns = [idm.parameter_names.index(name) for name in order]
-    R = _settled_triangle(idm, columns, np.random.default_rng(seed), sensors, progress)
+    R = _settled_triangle(idm, columns, np.random.default_rng(seed), sensors, progress or silent)
     kept, coefficients, idle = independent_columns(R)
     matrix = np.zeros((len(kept), len(idm.parameter_names)))
     matrix[:, columns] = coefficients

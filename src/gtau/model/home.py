@@ -89,6 +89,11 @@ def load_robot(
     ------
     GtauError
         The robot does not exist, its file is invalid, or its loops close nowhere.
+
+    Examples
+    --------
+    >>> gtau.load_robot("five-bar").actuated
+    ('left', 'right')
     """
     if isinstance(source, Robot):
         return source

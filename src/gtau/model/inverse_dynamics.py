@@ -94,14 +94,15 @@ class Regressor:
 
 
 def one_or_many(compute: Callable[P, np.ndarray]) -> Callable[P, np.ndarray]:
-    """Let a method of states ``q, qd, qdd``, (N, n) each, take one state (n,) too, and return its only row."""
+    """Let a function of ``q``, ``qd``, ``qdd``, (N, n) each, take one state (n,) too, and return its only row."""
     parameters = signature(compute)
+    states = [name for name in ("q", "qd", "qdd") if name in parameters.parameters]
 
     @wraps(compute)
     def computed(*args: P.args, **kwargs: P.kwargs) -> np.ndarray:
         given = parameters.bind(*args, **kwargs)
         if one := np.ndim(given.arguments["q"]) == 1:
-            given.arguments.update({name: np.asarray(given.arguments[name])[None] for name in ("q", "qd", "qdd")})
+            given.arguments.update({name: np.asarray(given.arguments[name])[None] for name in states})
         rows = compute(*given.args, **given.kwargs)
         return rows[0] if one else rows
 
@@ -129,9 +130,15 @@ class InverseDynamics:
         Names of the n_st standard parameters, the order of the regressor's columns.
     actuated : tuple of str
         Names of the n actuated joints, the order of the regressor's rows.
+
+    Examples
+    --------
+    >>> model = gtau.InverseDynamics(gtau.load_robot("five-bar"))
+    >>> model.regressor([2.1, 1.0], [0.0, 0.0], [0.0, 0.0]).shape
+    (2, 56)
     """
 
-    @takes(robot=("a robot (gtau.load_robot)", (Robot,)), parameters=TEXT)
+    @takes(robot=("gtau.load_robot(...)", (Robot,)), parameters=TEXT)
     def __init__(self, robot: Robot, parameters: str = "all"):
         if parameters not in ("all", "inertial"):
             raise GtauError(f"parameters is {parameters!r}; write 'all' or 'inertial'.")

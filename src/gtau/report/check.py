@@ -198,17 +198,6 @@ def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
     return [path] if checked.logs else []
 
 
-def write_preparation(checked: ExperimentCheck, folder: Path) -> list[Path]:
-    """Write a figure of the preparation of each log; raises GtauError if a file cannot be written."""
-    from gtau.report.render.charts import figure_of, save_figure
-
-    names = unique_names([log.run.name for log in checked.logs])
-    written = [folder / f"{name}-preparation.png" for name in names]
-    for path, log in zip(written, checked.logs, strict=True):
-        save_figure(figure_of(preparation_chart(log)), path)
-    return written
-
-
 def unique_names(names: Sequence[str]) -> list[str]:
     """Add a number to repeated names."""
     return [name if names.index(name) == k else f"{name}-{names[: k + 1].count(name)}" for k, name in enumerate(names)]

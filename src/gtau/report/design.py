@@ -27,6 +27,8 @@ DESIGN = "design.json"
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
 MOST = 1000  # per cent; larger standard deviations of assumed values are not printed
+NEAREST = 3  # limits on the short page
+CUT_SHORT = "the search was cut short; a longer search may find a better motion"
 NBSP = "\N{NO-BREAK SPACE}"
 NO_MOTION = "moving one joint alone within the limits does not help; try wider limits or another pose of the robot"
 
@@ -134,6 +136,28 @@ def _helps(weak: Weak) -> bool:
     return weak.joint is not None and 100 * weak.then <= MOST
 
 
+def design_summary(outlook: Outlook) -> Page:
+    """Show on one screen what to expect of a design, the limits it comes nearest to, and what it takes for granted."""
+    expected, uncertain = outlook.forecast, len(outlook.weak)
+    nearest = [f"{usage.what}: {100 * usage.excess:.0f} % of {usage.allowed}" for usage in outlook.usages[:NEAREST]]
+    guards = tuple(guard.partition("; ")[0] for guard in outlook.task.guards)
+    verdict = _verdict(outlook)
+    points = [f"{uncertain} of {len(expected.parameters)} parameters are not determined (above 30 %)"] * bool(uncertain)
+    points += [CUT_SHORT] * outlook.design.cut_short
+    return Page(
+        f"Exciting motion for {outlook.robot.name}",
+        Section("", replace(verdict, points=tuple(points))),
+        Section("Drive gains to expect", _expected_table(outlook, expected.gains, "gains" in outlook.assumed)),
+        Section("Nearest to its limits", Text("", tuple(nearest))),
+        _masses(outlook),
+        Section("Checked under these assumptions", Text("", guards)) if guards else None,
+        Section("", Text("All parameters, limits and assumptions: --verbose, or report.html.")),
+        Section(
+            "", Text("", ("Next: play and log the motion with each payload, and identify (gtau identify LOG...)",))
+        ),
+    )
+
+
 def design_page(outlook: Outlook) -> Page:
     """Show the predictions of a design, its motion and the robot."""
     design, task, expected = outlook.design, outlook.task, outlook.forecast
@@ -189,7 +213,7 @@ def _verdict(outlook: Outlook) -> Text:
     if outlook.task.base.without_effect:
         points.append(f"never felt by the motors: {', '.join(outlook.task.base.without_effect)}")
     if outlook.design.cut_short:
-        points.append("the search was cut short; a longer search may find a better motion")
+        points.append(CUT_SHORT)
     points.append("these standard deviations hold for white noise; model errors add to them")
     return Text(words, tuple(points), "neutral")
 

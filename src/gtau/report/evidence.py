@@ -27,14 +27,14 @@ APART = 4  # most findings of one kind on different logs that are listed one by 
 LONGEST = 300_000  # samples; of longer runs only the beginning is predicted
 
 
-def findings_section(notes: Sequence[Finding], most: int | None = None) -> Section:
-    """List findings, the worst first, at most ``most`` of them."""
+def findings_section(notes: Sequence[Finding]) -> Section:
+    """List findings, the worst first."""
     nothing = Text("Nothing was repaired, left out or flagged.")
-    return Section("Findings", findings_table(notes, most) if notes else nothing, id="notes")
+    return Section("Findings", findings_table(notes) if notes else nothing, id="notes")
 
 
-def findings_table(notes: Sequence[Finding], most: int | None = None) -> Table:
-    """Tabulate findings, the worst first, at most ``most`` of them."""
+def findings_table(notes: Sequence[Finding]) -> Table:
+    """Tabulate findings, the worst first."""
     rows = [
         (grade.value, note.source, _where(note), note.what, note.advice)
         for grade, members in by_severity(same_in_several(notes)).items()
@@ -47,7 +47,7 @@ def findings_table(notes: Sequence[Finding], most: int | None = None) -> Table:
         Column("what was found", Kind.SENTENCE),
         Column("what to do", Kind.SENTENCE),
     )
-    return Table(columns, rows[:most], listed=True)
+    return Table(columns, rows, listed=True)
 
 
 def _where(note: Finding) -> str:

@@ -22,7 +22,7 @@ LARGEST = 1000.0  # per cent; larger standard deviations are shown as "> 1000"
 
 
 def gains_section(
-    result: IdentifiedModel, prior: Mapping[str, float] | None = None, charts: bool = True, short: bool = False
+    result: IdentifiedModel, prior: Mapping[str, float] | None = None, charts: bool = True, reasons: bool = True
 ) -> Section:
     """Show drive gains with 95 % intervals, prior gains, reasons of verdicts, and the sources of the scale."""
     prior, gains = prior or {}, result.drive_gains
@@ -35,8 +35,8 @@ def gains_section(
         title,
         _gains_table(result, prior, estimated),
         Text(words, style="soft") if estimated else None,
-        _reasons_table(result, charts),
-        _scale_text(result, short) if estimated else None,
+        _reasons_table(result, charts) if reasons else None,
+        _scale_text(result, short=not reasons) if estimated else None,
         _whole_mass(result),
         gains_chart(gains, prior) if charts else None,
         id="gains",

@@ -15,7 +15,7 @@ from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Grade, percent_text, percents
+from gtau.findings import Finding, Grade, by_severity, percent_text, percents
 from gtau.progress import Progress, silent
 from gtau.report.evidence import (
     RunEvidence,
@@ -25,7 +25,6 @@ from gtau.report.evidence import (
     preparation_words,
     same_in_several,
     settings_of,
-    worst_joint,
 )
 from gtau.report.gains import (
     GOOD_OUTCOMES,
@@ -36,8 +35,8 @@ from gtau.report.gains import (
     unknown_payloads,
 )
 from gtau.report.motion import logs_section, motion_section, singularities_section
-from gtau.report.page import Column, Facts, Kind, Page, Section, Text, table_of
-from gtau.report.parameters import friction_section, inertias_section, parameters_section
+from gtau.report.page import Column, Facts, Kind, Page, Section, Text, joint_label, table_of
+from gtau.report.parameters import corrections, friction_section, inertias_section, parameters_section
 from gtau.report.render.html import write_report
 from gtau.report.robot import geometry_section
 from gtau.report.torques import determination, fit_table, torques_section
@@ -47,33 +46,47 @@ from gtau.signals.reading.drafting import DRAFT
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run
 
-NOTES = 5  # most findings on the short page
+MOST = 3  # findings, and guesses, on the short page
 MOVED = 0.5  # standard deviations; smaller moves are not listed
 LISTED = 12
 
 
 def summary_page(result: IdentifiedModel) -> Page:
-    """Show verdict, drive gains, payloads, fit and the most important findings on one screen."""
-    notes = [note for note in findings(result) if note.kind != DRAFT]
-    guessed = [note for note in result.notes if note.kind == DRAFT]
-    assumed = tuple("; ".join(filter(None, (note.what, note.advice))) for note in guessed)
-    assumptions = Text(f"Correct any wrong entry in {guessed[0].source}:", assumed) if guessed else None
-    more = len(same_in_several(notes)) - NOTES
-    rest = "parameters and the fit of each joint: --verbose, or model.json."
-    rest = f"{more} more note{'s' * (more > 1)}, all {rest}" if more > 0 else f"All {rest}"
+    """Show verdict, drive gains, masses, the findings that call for something, and the next step on one screen."""
+    guesses = [note for note in result.notes if note.kind == DRAFT]
+    files = dict.fromkeys(note.source for note in guesses)
+    doubts = [*map(_in_short, reasons(result)), *map(str, _urgent(result)), *corrections(result.audit)]
+    more = f"{len(doubts) - MOST} more findings, all" if len(doubts) > MOST + 1 else "All"
     return Page(
         "",
         Section("", Text(headline(result))),
         requirements_section(result),
-        gains_section(result, charts=False, short=True),
+        gains_section(result, charts=False, reasons=False),
         Section("", masses_table(result.payloads)),
-        _fit(result),
-        inertias_section(result.audit, short=True),
-        findings_section(notes, NOTES) if notes else None,
-        Section("Assumptions from the logs", assumptions),
-        Section("", Text(rest)),
-        Section("", Text("", tuple(next_steps(result)))),
+        Section("What to do", Text("", tuple(doubts[:MOST]))) if doubts else None,
+        Section(f"Assumed; correct it in {', '.join(files)}", Text("", _assumed(guesses))) if guesses else None,
+        Section("", Text(f"{more} parameters, fits and notes: --verbose, or report.html.")),
+        Section("", Text("", tuple(next_steps(result)[:1]))),
     )
+
+
+def _urgent(result: IdentifiedModel) -> list[Finding]:
+    """List the findings beside the gains that have a remedy, the worst first."""
+    notes = [note for note in findings(result) if note.kind != DRAFT and note.advice]
+    return [note for group in by_severity(same_in_several(notes)).values() for note in group]
+
+
+def _in_short(reason: Finding) -> str:
+    """Write why gains are not good on one line: joints, cause and remedy; the table holds the intervals."""
+    first, *others = [part.partition(", because ")[2] or part for part in reason.what.split("; ")]
+    alike = ", or alike" if set(others) - {first} else ""
+    return f"{', '.join(map(joint_label, reason.joints))}: {first}{alike}; {reason.advice}"
+
+
+def _assumed(guesses: Sequence[Finding]) -> tuple[str, ...]:
+    """List the first guesses of a draft, and count the others."""
+    more = len(guesses) - MOST
+    return (*(note.what for note in guesses[:MOST]), *([f"{more} more, marked CHECK there"] if more > 0 else []))
 
 
 def full_page(result: IdentifiedModel) -> Page:
@@ -166,7 +179,7 @@ def next_steps(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> lis
     elif not all(gain.verdict.outcome in GOOD_OUTCOMES for gain in result.drive_gains.values()):
         first = "Next: plan a motion that narrows these intervals (gtau excite DESIGN.yaml), and log it"
     elif all(run.used for run in runs):
-        first = "Next: predict a log that was not used (gtau validate MODEL.json EXPERIMENT.yaml)"
+        first = "Next: predict a log that was not used (gtau validate MODEL.json LOG)"
     else:
         first = "Next: weigh a known load, which tests the scale as no residual does (gtau payload MODEL.json LOG)"
     return [first, "Then export the model (gtau export), or watch the robot with it (gtau watch)"]
@@ -221,21 +234,6 @@ def _settings(result: IdentifiedModel) -> Facts:
             "Signals": f"bandwidth {bandwidth}, position filter {cutoff}, decimation {decimation}{given}",
         }
     )
-
-
-def _fit(result: IdentifiedModel) -> Section | None:
-    worst = worst_joint(result.residuals)
-    if worst is None:
-        return None
-    errors = [residual.relative_all for residual in result.residuals if residual.relative_all is not None]
-    more = f"; of all samples: {percents(errors)}" if errors else ""
-    where = f", the largest at '{worst.joint}'" if len(result.residuals) > 1 else ""
-    used = percents(residual.relative for residual in result.residuals)
-    said = [f"Torque residuals of the rows used: {used} rms{where}{more}."]
-    if result.consistency is not None:
-        cost = _growth(*result.consistency.loss.values())
-        said.append(f"Physically consistent parameters: torque residuals {cost}.")
-    return Section("Torque fit", *map(Text, said))
 
 
 def _sensors_section(result: IdentifiedModel) -> Section | None:

@@ -23,7 +23,6 @@ from gtau.signals.preparation.filters import position_filter
 GROUPS = ("base parameter", "friction", "motor", *(kind.name for kind in LINK_SIDE))
 LAW = [kind for kind in KINDS.values() if kind.friction and not kind.slope_of and kind.symbol not in SLOPES]
 POINTS = 3000  # most points in a panel
-CONTRADICTED = 6  # most parameters on a short page
 ORDER = ("contradicted", "agrees", "not stated", "not identifiable")
 FRICTION = (
     "Friction of each joint, identified on all samples at the gains and inertia above: fv qd + (fs + fb exp(-|qd| / "
@@ -79,8 +78,8 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
     """Show the friction of each joint, with curves if ``runs`` are given; None if only the plain law was fitted."""
     if not result.curves:
         return None
-    panels = _curves(result, [run for run in runs if run.used])
-    drawn = (Text(CURVES, style="soft"), Chart(tuple(panels), columns=2)) if panels else ()
+    chart = friction_chart(result, [run for run in runs if run.used])
+    drawn = (Text(CURVES, style="soft"), chart) if chart.panels else ()
     friction = {**result.friction, **result.friction_parameters}
 
     def value(kind: str, curve: FrictionCurve) -> tuple[float, float] | None:
@@ -103,7 +102,7 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
     return Section("Friction on all samples", Text(FRICTION), listed, *drawn, id="friction")
 
 
-def _curves(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]:
+def friction_chart(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Chart:
     """Draw measured and predicted friction torque over the speed of each joint."""
     gathered: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]] = []
     for evidence in runs:
@@ -129,13 +128,13 @@ def _curves(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> list[Panel]
         x = Axis(f"speed, {position_unit(result.robot, joint)}/s")
         y = Axis(f"friction, {torque_unit(result.robot, joint)}")
         panels.append(Panel(x, y, series, joint_label(joint), height=2))
-    return panels
+    return Chart(tuple(panels), columns=2)
 
 
 # Inertias in the robot file
 
 
-def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section | None:
+def inertias_section(audit: InertiaAudit | None) -> Section | None:
     """Show how well the inertias in the robot file predict, and which of them the data contradict."""
     if audit is None:
         return None
@@ -149,8 +148,6 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
             "something else gives the scale, the comparison below uses the data without them."
         )
     ranked = sorted(audit.parameters, key=lambda parameter: (ORDER.index(parameter.standing), -abs(parameter.z or 0.0)))
-    if short:
-        ranked = [parameter for parameter in ranked if parameter.standing == "contradicted"][:CONTRADICTED]
     listed = table_of(
         ranked,
         (Column("base parameter", Kind.NAME), "name"),
@@ -161,28 +158,32 @@ def inertias_section(audit: InertiaAudit | None, short: bool = False) -> Section
         (Column("z", Kind.NUMBER, decimals=1), "z"),
         (Column("data", Kind.BADGE), "standing"),
     )
-    said = Text(words, tuple(_audit_points(audit, short)))
-    return Section("Inertias of the robot file", said, listed if ranked or not short else None, id="inertias")
+    return Section("Inertias of the robot file", Text(words, tuple(_audit_points(audit))), listed, id="inertias")
 
 
-def _audit_points(audit: InertiaAudit, short: bool) -> list[str]:
+def corrections(audit: InertiaAudit | None) -> list[str]:
+    """List the links to correct in the robot file, if the data contradict any."""
+    if audit is None or not audit.links:
+        return []
+    steps = [f"{link.name} ({link.error:.2g} %)" for link in audit.links]
+    return [f"correct in the robot file, in this order (torque error after each step): {', '.join(steps)}"]
+
+
+def _audit_points(audit: InertiaAudit) -> list[str]:
     wrong, points = audit.of("contradicted"), []
     tested = len(wrong) + len(audit.of("agrees"))
     if not wrong:
         points.append(f"the data contradict none of the {tested} base parameters that they determine")
     elif audit.links:
         points.append(f"the data contradict {len(wrong)} of the {tested} base parameters that they determine")
-        steps = [f"{link.name} ({link.error:.2g} %)" for link in audit.links]
-        points.append(f"correct in the file, in this order (torque error after each step): {', '.join(steps)}")
+        points += corrections(audit)
     if open_ := audit.of("not stated"):
         points.append(f"{len(open_)} include a rotor inertia (armature) that the file does not state")
     if unknown := audit.of("not identifiable"):
         several = len(unknown) > 1
-        listed = f": {', '.join(parameter.name for parameter in unknown)}"
-        if short:
-            listed = f"; --verbose lists {'them' if several else 'it'}"
+        listed = ", ".join(parameter.name for parameter in unknown)
         points.append(
             f"{len(unknown)} base parameter{'s are' if several else ' is'} not identifiable from these motions to "
-            f"better than +-100 % of the link{listed}"
+            f"better than +-100 % of the link: {listed}"
         )
     return points

@@ -16,14 +16,15 @@ from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.report.chart import Axis, Chart, Panel, Series
+from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.check import check_page
-from gtau.report.evidence import RunEvidence, gather, settings_of
+from gtau.report.evidence import RunEvidence, gather, settings_of, worst_joint
 from gtau.report.fleet import comparison_page
 from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_section, unknown_payloads, value_cells
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
 from gtau.report.motion import TIME, distances_panels, seconds
-from gtau.report.page import Column, Kind, Page, Section, Table, Text
+from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label
+from gtau.report.parameters import friction_chart
 from gtau.report.render.charts import figure_of, robot_figure
 from gtau.report.render.html import frame, stamped
 from gtau.report.render.html import html as rendered
@@ -37,12 +38,14 @@ from gtau.report.uncertainty import (
     singular_values_chart,
 )
 from gtau.robots.parameter import torque_unit
+from gtau.robots.robot import Robot
 from gtau.signals.run import Run
 from gtau.uses.prediction import Prediction, predict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+FIGURES = "a result, a prediction, a run or a robot"  # of what plot() draws
 SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 
 
@@ -60,6 +63,51 @@ def write(result: IdentifiedModel, path: Path) -> None:
     """Write the report of a result and its runs to an HTML file."""
     report = report_page(result, gather(result, result.data), {})
     write_atomically(path, rendered(stamped(report, settings_of(result))))
+
+
+def plot(shown: IdentifiedModel | Prediction | Run | Robot) -> Figure:
+    """Draw a result (as ``result.plot()``), a prediction, the signals of a run, or a robot at home.
+
+    Returns
+    -------
+    Figure
+        Of Matplotlib; a notebook shows it, and ``savefig`` writes it.
+
+    Raises
+    ------
+    GtauError
+        For anything else.
+
+    Examples
+    --------
+    >>> gtau.plot(gtau.load_robot("five-bar")).savefig("five-bar.png")
+    """
+    match shown:
+        case IdentifiedModel():
+            return Plots(shown)()
+        case Prediction():
+            return figure_of(_prediction_chart(shown))
+        case Run():
+            return figure_of(_run_chart(shown))
+        case Robot():
+            return robot_figure(shown)
+    raise GtauError(f"a {type(shown).__name__} has no figure; give {FIGURES}.")
+
+
+def _prediction_chart(prediction: Prediction) -> Chart:
+    units, time = ["N m or N"] * len(prediction.joints), prediction.time - prediction.time[0]
+    return torques_chart(prediction, units, "", time)
+
+
+def _run_chart(run: Run) -> Chart:
+    """Draw positions and commands of the joints over time."""
+    time, commands = run.time - run.time[0], run.command[:, : len(run.joints)]
+    panels = []
+    for values, label in ((run.position, "position, rad or m"), (commands, f"{run.kind}, {run.channels[0].unit}")):
+        columns = enumerate(zip(run.joints, values.T, strict=True))
+        lines = [Series(joint_label(joint), time, column, colour(k)) for k, (joint, column) in columns]
+        panels.append(Panel(TIME, Axis(label), tuple(lines), height=2.0))
+    return Chart(tuple(panels), run.name, live=True)
 
 
 def view(shown: object) -> Page:
@@ -80,8 +128,7 @@ def view(shown: object) -> Page:
             ]
             return Page("", Section("", Table((Column("name", Kind.NAME), *VALUE, *ends), rows)))
         case Prediction():
-            units, time = ["N m or N"] * len(shown.joints), shown.time - shown.time[0]
-            return Page("", Section("", torques_chart(shown, units, "", time)))
+            return Page("", Section("", _prediction_chart(shown)))
         case ExperimentCheck():
             return Page("", *(part for part in check_page(shown).sections if part.id in SECTIONS))
     return Page("", Section("", Text(repr(shown), style="command")))
@@ -101,6 +148,16 @@ class Plots:
         names = [name for name in dir(self) if not name.startswith("_") and name != "result"]
         return f"figures of {self.result.robot.name!r}: {', '.join(names)}"
 
+    def __call__(self) -> Figure:
+        """Draw the drive gains, and the torques of the joint that fits worst along the first run."""
+        gains, worst = gains_chart(self.result.drive_gains, {}), worst_joint(self.result.residuals)
+        panels = () if gains is None else gains.panels
+        if self.result.data and worst is not None:
+            panels += self._torques(worst.joint, None).panels
+        if not panels:
+            raise GtauError("the drive gains were given, and there is no run; draw result.plot.torques(joint, run).")
+        return figure_of(Chart(panels, self.result.robot.name))
+
     def gains(self, prior: Mapping[str, float] | None = None) -> Figure:
         """Draw drive gains with 95 % intervals and ``prior`` gains, in per cent of the gain."""
         chart = gains_chart(self.result.drive_gains, prior or {})
@@ -112,8 +169,12 @@ class Plots:
         self, joint: str | None = None, run: str | Run | None = None, start: float = 0.0, stop: float | None = None
     ) -> Figure:
         """Draw measured and predicted torques and residuals of one joint or all, from ``start`` to ``stop`` in s."""
-        evidence, joints = self._evidence(joint, run)
-        assert evidence.prediction is not None
+        return figure_of(self._torques(joint, run, start, stop))
+
+    def _torques(
+        self, joint: str | None, run: str | Run | None, start: float = 0.0, stop: float | None = None
+    ) -> Chart:
+        evidence, prediction, joints = self._evidence(joint, run)
         end = seconds(evidence.run) if stop is None else stop
         if not start < end:
             raise GtauError(f"the stretch from {start:g} to {end:g} s is empty; give start below stop.")
@@ -121,15 +182,21 @@ class Plots:
         if start > 0 or stop is not None:
             title += f", {start:.4g} to {end:.4g} s of {seconds(evidence.run):.4g} s"
         window = (time >= start) & (time <= end)
-        prediction, robot = evidence.prediction.of(joints).part(window), self.result.robot
-        units = [torque_unit(robot, name) for name in joints]
-        return figure_of(torques_chart(prediction, units, evidence.run.kind, time[window], title=title))
+        units = [torque_unit(self.result.robot, name) for name in joints]
+        return torques_chart(prediction.of(joints).part(window), units, evidence.run.kind, time[window], title=title)
+
+    def friction(self, joint: str | None = None, run: str | Run | None = None) -> Figure:
+        """Draw measured and predicted friction of one joint or all over the speed."""
+        evidence, prediction, joints = self._evidence(joint, run)
+        chart = friction_chart(self.result, [replace(evidence, prediction=prediction.rows)])
+        shown = {joint_label(name) for name in joints}
+        panels = tuple(panel for panel in chart.panels if panel.title in shown)
+        return figure_of(replace(chart, panels=panels, columns=min(len(panels), 2)))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
         """Draw a joint's residuals along a run, with histogram, spectrum and autocorrelation."""
-        evidence, _ = self._evidence(joint, run)
-        assert evidence.prediction is not None
-        evidence = replace(evidence, prediction=evidence.prediction.in_band)
+        evidence, prediction, _ = self._evidence(joint, run)
+        evidence = replace(evidence, prediction=prediction.in_band)
         robot = self.result.robot
         unit, values = torque_unit(robot, joint), evidence.residuals[:, robot.actuated.index(joint)]
         line = Series("", evidence.time, values, "residual", width=1.0)
@@ -165,16 +232,13 @@ class Plots:
             raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
         return figure_of(Chart(tuple(panels)))
 
-    def robot(self) -> Figure:
-        """Draw the robot in its home pose."""
-        return robot_figure(self.result.robot)
-
-    def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, tuple[str, ...]]:
+    def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, Prediction, tuple[str, ...]]:
         joints = self.result.robot.actuated
         if joint is not None and joint not in joints:
             raise GtauError(f"there is no joint '{joint}'; choose from {', '.join(joints)}.")
         chosen = run if isinstance(run, Run) else self._run(run)
-        return RunEvidence(chosen, True, predict(self.result, chosen)), joints if joint is None else (joint,)
+        prediction = predict(self.result, chosen)
+        return RunEvidence(chosen, True, prediction), prediction, joints if joint is None else (joint,)
 
     def _run(self, name: str | None) -> Run:
         runs = {run.name: run for run in self.result.data}

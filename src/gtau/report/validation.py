@@ -90,7 +90,7 @@ def write_torques(runs: Sequence[RunEvidence], folder: Path) -> list[Path]:
     for name, run in zip(unique_names([run.run.name for run in runs]), runs, strict=True):
         if run.samples is not None:
             written.append(folder / f"torques_{name}.parquet")
-            write_table(run.samples.table(), written[-1])
+            write_table(run.samples.to_frame(), written[-1])
     return written
 
 

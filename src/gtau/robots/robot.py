@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau.documents.validation import name_problem
-from gtau.errors import GtauError, UnknownName
+from gtau.errors import GtauError, UnknownName, spelled
 from gtau.robots.placement import Digits, compose
 from gtau.robots.placement import Mdh as Mdh
 from gtau.robots.placement import Placement as Placement
@@ -174,6 +174,7 @@ class RobotFile:
     rounding: Digits | None = field(default=None, compare=False)
 
 
+@spelled(plot="gtau.plot(robot)")
 @dataclass(frozen=True, repr=False)
 class Robot:
     """A spanning tree of joints, platforms and closures, and springs between its bodies.
@@ -184,7 +185,7 @@ class Robot:
     """
 
     name: str
-    joints: tuple[Joint, ...]
+    joints: tuple[Joint, ...] = None  # type: ignore[assignment]  # refused below
     platforms: tuple[Platform, ...] = ()
     closures: tuple[Closure, ...] = ()
     couplings: tuple[Coupling, ...] = ()
@@ -197,6 +198,8 @@ class Robot:
     def __post_init__(self) -> None:
         if problem := name_problem(self.name):
             raise GtauError(f"robot: {problem}.")
+        if self.joints is None:
+            raise GtauError(f"a robot has joints; did you mean gtau.load_robot({self.name!r})?")
         refuse_many(len(self.joints), "joints that move", MOST_JOINTS)
         if problem := next(_problems(self), None):
             raise GtauError(f"robot '{self.name}': {problem}.")

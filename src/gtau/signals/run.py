@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from gtau.documents.validation import FUNCTION, name_problem, read_group, takes
-from gtau.errors import GtauError
+from gtau.errors import GtauError, spelled
 from gtau.findings import Finding
 from gtau.robots.placement import WrenchFrame
 from gtau.robots.robot import base_rows
@@ -24,6 +24,9 @@ from gtau.signals.reading.units import Units
 from gtau.signals.repair.checks import check, parts_between_gaps
 from gtau.signals.repair.commands import motor_currents
 from gtau.signals.storage import blocks, store
+
+if TYPE_CHECKING:
+    import polars as pl
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,7 @@ class Log:
     updates: float | None = None
 
 
+@spelled(plot="gtau.plot(run)")
 @dataclass(frozen=True, eq=False, init=False)
 class Run:
     """Sampled positions and commands of the actuated joints, and torques of sensors on the link side of their gears.
@@ -171,6 +175,16 @@ class Run:
         """Sampling rate, Hz."""
         return (len(self.time) - 1) / float(self.time[-1] - self.time[0])
 
+    def to_frame(self) -> pl.DataFrame:
+        """Return the run as a Polars table of ``t``, ``qJOINT`` and ``vJOINT`` (``tauJOINT`` for torques), SI units."""
+        import polars as pl
+
+        letter = "v" if self.kind == "current" else "tau"
+        columns = {f"q{joint}": column for joint, column in zip(self.joints, self.position.T, strict=True)}
+        commands = zip(self.joints, self.command.T, strict=False)  # sensors come after the joints
+        columns |= {f"{letter}{joint}": column for joint, column in commands}
+        return pl.DataFrame({"t": self.time, **columns})
+
     @property
     def updates(self) -> float:
         """Rate at which all signals change, Hz: lower than the sampling rate where they are held."""
@@ -210,7 +224,7 @@ def read_run(
     signals: Signals | Mapping[str, Any],
     payload: Payload | Mapping[str, Any] | None = None,
     units: Units | Mapping[str, Any] | None = None,
-    progress: Callable[[float], None] = lambda done: None,
+    progress: Callable[[float], None] | None = None,
     settings: PreparationSettings | Mapping[str, Any] = CHOSEN,
     part: Part = WHOLE,
 ) -> Run:
@@ -240,7 +254,14 @@ def read_run(
     ------
     GtauError
         A file cannot be read, lacks a column, or fails the checks of :func:`gtau.signals.repair.checks.check`.
+
+    Examples
+    --------
+    >>> position, current = {"left": "qleft", "right": "qright"}, {"left": "vleft", "right": "vright"}
+    >>> gtau.read_run("empty_1.csv", {"time": "t", "position": position, "current": current}).rate
+    250.0
     """
+    payload = as_payload(payload)
     signals, units = read_group(Signals, "signals", signals), read_group(Units, "units", {} if units is None else units)
     settings = read_group(PreparationSettings, "settings", settings)
     paths = [log] if isinstance(log, (str, Path)) else log
@@ -248,7 +269,8 @@ def read_run(
         with as_log(log) as path:
             run = read_run(path, signals, payload, units, progress, settings, part)
         return replace(run, log=replace(run.log, paths=(), signals=None, units=None))
-    (run,) = read_parts([Path(path) for path in paths], signals, payload, units, progress, settings, part, cut=False)
+    logs, reported = [Path(path) for path in paths], progress or (lambda done: None)
+    (run,) = read_parts(logs, signals, payload, units, reported, settings, part, cut=False)
     return run
 
 

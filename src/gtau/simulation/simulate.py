@@ -27,7 +27,7 @@ from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.reading.experiment import RobotName
-from gtau.signals.reading.statements import Payload
+from gtau.signals.reading.statements import CarriedPayload, Payload
 from gtau.simulation.closed_loop import (
     BANDWIDTH,
     Engine,
@@ -63,7 +63,7 @@ class SimulatedRun(Keys):
 
     name: str
     trajectory: MotionEntry
-    payload: Payload | None = None
+    payload: CarriedPayload = None
     weigh: bool = False
 
     @field_validator("name")
@@ -242,7 +242,7 @@ def make_run(
 
 @takes(out=PATH, progress=FUNCTION)
 def simulate(
-    source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress = silent
+    source: str | Path | Simulation | Mapping[str, Any], out: str | Path, progress: Progress | None = None
 ) -> tuple[Path, ...]:
     """Simulate the runs of a simulation file and write their logs and ``experiment.yaml`` to a folder.
 
@@ -267,6 +267,11 @@ def simulate(
         If the file is wrong, a run cannot be simulated, or a file cannot be written.
     KeyboardInterrupt
         If interrupted; the text lists the finished logs.
+
+    Examples
+    --------
+    >>> [file.name for file in gtau.simulate("simulation.yaml", "simulated")]
+    ['free.csv', 'experiment.yaml']
     """
     simulation, out = as_simulation(source), folder_of(out)
     robot = load_robot(simulation.robot)
@@ -281,7 +286,7 @@ def simulate(
     experiment.unlink(missing_ok=True)  # it would refer to a mix of new and old logs
     try:
         for run in described:
-            simulated = make_run(simulation, model, run, partial(progress, run.name))
+            simulated = make_run(simulation, model, run, partial(progress or silent, run.name))
             log = out / f"{run.name}.csv"
             write_log(simulated.run, log)
             written.append(log)

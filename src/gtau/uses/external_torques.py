@@ -289,7 +289,7 @@ def torques_along_log(
         for joint, kept in zip(prediction.joints, prediction.keep.T, strict=True)
         if kept.any()
     ]
-    table, wrench = prediction.table(), None
+    table, wrench = prediction.to_frame(), None
     if bandwidth is not None:
         torques = momentum_observer(result, run, bandwidth).T
         columns = zip(prediction.joints, torques, strict=True)
@@ -333,6 +333,13 @@ def momentum_observer(result: IdentifiedModel, run: Run, bandwidth: float) -> np
     ------
     GtauError
         Where the run does not suit the robot, the loops cannot be closed, or the bandwidth is not positive.
+
+    Examples
+    --------
+    >>> result = gtau.load("result/model.json")
+    >>> run = gtau.read_run("check_1200g.csv", result.recording.signals, payload={"name": "load_1200g"})
+    >>> gtau.momentum_observer(result, run, bandwidth=10.0).shape == run.position.shape
+    True
     """
     if not 0 < bandwidth < np.inf:
         raise GtauError(f"the bandwidth of the observer is {bandwidth:g} Hz; write a positive number.")

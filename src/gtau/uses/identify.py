@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,23 +32,23 @@ def read_log(
 ) -> Run:
     """Read a log, or a ``part`` of it, for use with a model; the robot carries the model's ``payload``, if named.
 
-    The ``signals`` and ``units`` of an experiment file name the columns; by default they are ``t``, and ``q`` and ``v``
-    with each joint's name (``tau`` if the model was identified from torques), SI units. Raises GtauError.
+    The ``signals`` and ``units`` of an experiment file name the columns; by default they are as in the model's logs. A
+    model that does not know these expects ``t``, and ``q`` and ``v`` with each joint's name (``tau`` if it was
+    identified from torques), SI units. Raises GtauError.
     """
     if payload is not None:
         return carrying(model, read_log(model, log, experiment, part), payload)
     if experiment is not None:
         described = read_experiment(experiment)
         return read_run(log, described.signals, None, described.units, settings=described.preparation, part=part)
-    command, letter = ("current", "v") if model.kind == "current" else ("torque", "tau")
-    joints = model.robot.actuated
-    signals: Mapping[str, Any] = {
-        "time": "t",
-        "position": {joint: f"q{joint}" for joint in joints},
-        command: {joint: f"{letter}{joint}" for joint in joints},
-    }
+    letter, joints = "v" if model.kind == "current" else "tau", model.robot.actuated
+    signals: Any = {"time": "t", "position": {joint: f"q{joint}" for joint in joints}}
+    signals |= {model.kind: {joint: f"{letter}{joint}" for joint in joints}}
+    units = None
+    if model.recording is not None:
+        signals, units = model.recording.signals, model.recording.units
     try:
-        return read_run(log, signals, part=part)
+        return read_run(log, signals, None, units, part=part)
     except NoFile:
         raise
     except GtauError as error:
@@ -107,6 +107,7 @@ def identify(
     result = identify_subject(subject, progress)
     if subject.experiment is None:
         return result
+    result = result.replaced(notes=(*subject.experiment.guesses, *result.notes))
     demanded = subject.experiment.require.torque_error is not None
     validation = read_validation(subject.experiment, progress) if demanded else ((), ())
     return with_requirements(result, subject.experiment, validation)

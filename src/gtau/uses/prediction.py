@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, spelled
 from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import at_rate_of
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 
+@spelled(plot="gtau.plot(prediction)")
 @dataclass(frozen=True)
 class Prediction:
     """Torques at every sample of a run: ``time`` (N,) in s, ``predicted`` and ``measured`` (N, n) in N m or N.
@@ -87,7 +88,7 @@ class Prediction:
             f"{self.time[-1]:.4g} s)"
         )
 
-    def table(self) -> pl.DataFrame:
+    def to_frame(self) -> pl.DataFrame:
         """Return the torques as a Polars table, one row per sample.
 
         Columns: ``t`` (s); for each joint ``motor_J`` (drive gain times current), ``model_J`` (what the motion takes),
@@ -106,22 +107,6 @@ class Prediction:
                 f"valid_{joint}": self.valid[:, j],
             }
         return pl.DataFrame(columns)
-
-    def to_frame(self) -> pl.DataFrame:
-        """Return the prediction as a Polars table, one row per instant and joint."""
-        import polars as pl
-
-        samples, n = self.measured.shape
-        return pl.DataFrame(
-            {
-                "time": np.repeat(self.time, n),
-                "joint": np.tile(np.array(self.joints), samples),
-                "measured": self.measured.reshape(-1),
-                "predicted": self.predicted.reshape(-1),
-                "kept": self.keep.reshape(-1),
-                "valid": self.valid.reshape(-1),
-            }
-        )
 
 
 def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tuple[TorqueError, ...]:

@@ -55,7 +55,7 @@ WORSE = (
 )
 
 
-@takes(model=("the result of gtau.identify or gtau.Result.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)
+@takes(model=("the result of gtau.identify or gtau.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)
 @single_threaded_blas()
 def weigh(
     model: IdentifiedModel,
@@ -63,7 +63,7 @@ def weigh(
     runs: Sequence[Run] | None = None,
     gains: str = "identified",
     prior_gains: Mapping[str, float | Mapping[str, float]] | None = None,
-    progress: Progress = silent,
+    progress: Progress | None = None,
 ) -> tuple[PayloadEstimate, ...]:
     """Weigh the unknown payloads of an experiment by WLS, the robot re-identified from its runs without payload.
 
@@ -99,10 +99,19 @@ def weigh(
     ------
     GtauError
         If a file is wrong or describes another robot, or the runs cannot separate the payload from the robot.
+
+    Examples
+    --------
+    >>> result = gtau.load("result/model.json")
+    >>> empty = gtau.read_run("empty_2.csv", result.recording.signals)
+    >>> unknown = gtau.read_run("unknown.csv", result.recording.signals, payload={"name": "load"})
+    >>> (load,) = gtau.weigh(result, result.robot, [empty, unknown])
+    >>> print(f"{load.parameters['m']:.1f} kg")
+    0.7 kg
     """
     if gains not in ("identified", "prior"):
         raise GtauError(f"gains is '{gains}'; write 'identified' or 'prior'.")
-    is_path = isinstance(source, (str, Path))
+    progress, is_path = progress or silent, isinstance(source, (str, Path))
     subject = read(source, runs, options_of(prior_gains), progress)
     where = f"{source}: " if is_path else ""
     require_same(model, subject.robot, subject.runs[0].kind, str(source) if is_path else "this experiment")

@@ -58,7 +58,7 @@ class Watch:
     Parameters
     ----------
     model : IdentifiedModel
-        From :func:`gtau.identify` or :meth:`gtau.Result.load`.
+        From :func:`gtau.identify` or :meth:`gtau.load`.
     out : path, optional
         Folder of the history, continued if it exists; in memory if omitted. A history of another model is refused.
     tolerances : Tolerances, optional
@@ -69,7 +69,7 @@ class Watch:
         was begun with.
     """
 
-    @takes(model=("the result of gtau.identify or gtau.Result.load", (IdentifiedModel,)))
+    @takes(model=("the result of gtau.identify or gtau.load", (IdentifiedModel,)))
     def __init__(
         self,
         model: IdentifiedModel,

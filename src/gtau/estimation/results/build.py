@@ -25,7 +25,10 @@ from gtau.model.base_parameters import regrouped
 from gtau.robots.geometry import longest_placement
 from gtau.robots.parameter import DRIFTING, FURTHER_FRICTION, Parameter, gain_unit, torque_unit, unit_of
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
+from gtau.signals.reading.experiment import Recording
 from gtau.signals.reading.statements import FIRST_MOMENTS, PAYLOAD_KINDS
+from gtau.signals.reading.units import Units
+from gtau.signals.run import Run
 
 
 def model_estimates(
@@ -100,7 +103,15 @@ def fit_record(
         "statistics": {**solution.statistics, **statistics, "condition_number": condition},
         "singular_values": tuple(singular.tolist()),
         "data": dataset.runs,
+        "recording": _recording(dataset.runs),
     }
+
+
+def _recording(runs: Sequence[Run]) -> Recording | None:
+    """Return the columns and units of the runs' logs, None where they differ or are of arrays."""
+    signals, units = runs[0].log.signals, runs[0].log.units or Units()
+    alike = all((run.log.signals, run.log.units or Units()) == (signals, units) for run in runs)
+    return Recording(signals=signals, units=units) if alike and signals is not None else None
 
 
 def evidence(

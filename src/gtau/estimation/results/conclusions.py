@@ -23,7 +23,7 @@ SCALE_UNTESTED = "torque scale not tested"
 HEAD = """\
 # Torque scale of '{robot}', identified by gtau from {runs}.
 # true torque = factor x reported torque; a command for a wanted torque is the torque divided by the factor.
-# Correct the factors whose state is 'wrong'; leave the others at 1. Intervals: 95 %. Docs: torque-scale.md
+# Correct the factors whose state is 'wrong'; leave the others at 1. Intervals: 95 %. See 'gtau docs torque-scale'
 """
 INFLATED = 1.8  # ratio of jackknife to white-noise standard errors, from which the summary says so
 NEAR_SINGULAR = 0.05  # distance to a singularity of type 2, below which errors of the model are magnified

@@ -6,12 +6,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from numbers import Integral
 from pathlib import Path
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 
 from gtau.documents.files import write_table
-from gtau.errors import GtauError, UnknownName
+from gtau.errors import GtauError, OtherSpelling, UnknownName
 from gtau.estimation.diagnostics.verdict import GOOD
 from gtau.findings import Finding, to_width
 from gtau.model.singularities import TYPES
@@ -51,6 +51,16 @@ class Estimate:
         half = self.half_interval()
         shown = f"{to_width(self.value, half)} +- {to_width(half, half)}" if half else f"{self.value:.5g}"
         return f"{shown} {self.unit}"
+
+    def __float__(self) -> float:
+        """Return the value; raises GtauError where it is not identifiable."""
+        if self.value is None:
+            raise GtauError(f"'{self.name}' is not identifiable, so it has no value: {self.verdict.why}.")
+        return self.value
+
+    def __format__(self, spec: str) -> str:
+        """Format the value, or without a ``spec`` print it with its interval and unit."""
+        return format(float(self), spec) if spec else str(self)
 
     def __repr__(self) -> str:
         return f"Estimate({self.name!r}: {self}, {self.verdict.outcome.value})"
@@ -111,6 +121,11 @@ class Named(dict[Key, Estimate], Generic[Key]):
         if isinstance(name, Integral) and str(name) in self:
             return self[str(name)]  # type: ignore[index]
         raise UnknownName(f"there is no '{name}' here; choose from {', '.join(self) or 'nothing'}.")
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self:
+            raise OtherSpelling(f"names are written in brackets; did you mean [{name!r}]?")
+        return object.__getattribute__(self, name)
 
 
 @dataclass(frozen=True)

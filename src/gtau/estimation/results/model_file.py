@@ -46,6 +46,7 @@ from gtau.robots.readers.native import native_text, parse_native
 from gtau.signals.channel import SENSOR, ChannelKind, link_side_kind
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.experiment import Recording
 
 SCHEMA = "gtau-model/5"
 
@@ -149,6 +150,10 @@ def _method(name: str) -> str:
     if name not in NAMES and name not in registered(GROUP):
         raise ValueError(unknown(f"method '{name}'", name, NAMES))
     return name
+
+
+def _recording(recording: Recording | None) -> dict[str, Any] | None:
+    return None if recording is None else recording.model_dump(mode="json", exclude_defaults=True)
 
 
 def _statistics(figures: dict[str, float]) -> dict[str, float]:
@@ -270,6 +275,7 @@ class ModelDocument(_Group):
     requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
     effects: tuple[Annotated[EstimatedEffect, PlainSerializer(_effect)], ...]
     singularities: tuple[NearestPose, ...]
+    recording: Annotated[Recording | None, PlainSerializer(_recording)] = None
     temperatures: ReferenceTemperatures | None = None
     geometry: Annotated[GeometryTest, _entry(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None

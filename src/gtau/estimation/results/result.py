@@ -20,6 +20,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import SHAPES, Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.signals.preparation.prepared_run import Preparation
+from gtau.signals.reading.experiment import Recording
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
@@ -96,6 +97,8 @@ class IdentifiedModel:
         What the experiment file requires, and what was found of it.
     singularities : tuple of NearestPose
         Where each run comes nearest to singularities of either type.
+    recording : Recording, optional
+        Columns and units of its logs, by which further logs of the recorder are read; None where its runs differ.
     distances : tuple of ndarray
         Of each run: ``time``, s, and distances to singularities, ``type_1`` and ``type_2``, at its decimated samples:
         reciprocal condition numbers, 0 at a singularity, NaN where the robot has none of a type.
@@ -131,6 +134,7 @@ class IdentifiedModel:
     audit: InertiaAudit | None = None
     requirements: tuple[Requirement, ...] = ()
     singularities: tuple[NearestPose, ...] = ()
+    recording: Recording | None = None
     distances: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:

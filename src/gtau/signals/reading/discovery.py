@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
+from gtau.pages import page
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading.column_names import POSE, Group, base_like, has_word, matched, renamed_labels, wrench_like
@@ -20,6 +21,8 @@ from gtau.signals.reading.log_contents import COMMANDS, LogContents
 from gtau.signals.reading.statements import masses_in_name
 from gtau.signals.reading.units import SI, is_unit, read_unit
 
+FLOATING = page("experiment-file", "A base that floats")
+ON_BODIES = page("experiment-file", "Wrenches on bodies")
 QUESTIONS = {
     "masses": "write the payload masses ('or' in the file) that file names give in several ways: they set the scale of "
     "all drive gains",
@@ -43,10 +46,9 @@ QUESTIONS = {
     "torques": "remove the '#' of joint_torque if these come from sensors behind the gears, not from currents",
     "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
     "(--payload LOG=KG)",
-    "base": "if the base of the robot moved, write 'base: floating' and the columns of its motion "
-    "(docs/lookup/experiment-file.md, 'A base that floats')",
+    "base": f"if the base of the robot moved, write 'base: floating' and the columns of its motion ({FLOATING})",
     "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a floating "
-    "base under 'base:' (docs/lookup/experiment-file.md, 'Wrenches on bodies')",
+    f"base under 'base:' ({ON_BODIES})",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """Questions about the open points of a draft, in the order in which they are asked."""
@@ -61,15 +63,15 @@ class Unused:
     ``others`` might be meant in place of the columns that are used.
     """
 
-    side: Mapping[str, str | Mapping[str, str]]
-    torques: Mapping[str, str]
-    computed: bool
-    pose: tuple[str, ...]
-    motion: tuple[str, ...]
-    wrenches: tuple[str, ...]
-    still: tuple[str, ...]
-    moving: tuple[str, ...]
-    others: tuple[str, ...]
+    side: Mapping[str, str | Mapping[str, str]] = field(default_factory=dict)
+    torques: Mapping[str, str] = field(default_factory=dict)
+    computed: bool = False
+    pose: tuple[str, ...] = ()
+    motion: tuple[str, ...] = ()
+    wrenches: tuple[str, ...] = ()
+    still: tuple[str, ...] = ()
+    moving: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -103,6 +105,10 @@ class Draft:
     urdf: str | None = None
 
 
+class NoColumns(GtauError):
+    """Error raised for a log of which no columns are recognised."""
+
+
 def listed_units(units: Mapping[str, Any]) -> str:
     """List units, by joint where they differ."""
     by_joint = {
@@ -125,32 +131,43 @@ ALIKE = 0.1  # by which the derivative of positions may differ from the velociti
 COMPUTED = 0.3
 
 
-def discover(paths: Sequence[Path], robot: Robot | None = None, source: str | None = None, base: Any = None) -> Draft:
+def discover(
+    paths: Sequence[Path],
+    robot: Robot | None = None,
+    source: str | None = None,
+    base: Any = None,
+    columns: Mapping[str, str] | None = None,
+) -> Draft:
     """Infer the signals of logs recorded with the same layout, one for each run, or positions and then commands.
 
-    ``source`` is the entry of the ``robot`` in the file. Where the placement of its ``base`` is given, no columns are
-    taken for the motion of a base.
+    ``source`` is the entry of the ``robot`` in the file. ``columns`` are patterns of the columns of the first log by
+    kind, see :meth:`LogContents.stated`; they are matched with the joints by name or in their order. Where the
+    placement of its ``base`` is given, no columns are taken for the motion of a base.
     """
-    log, command_log, runs = _sources(paths, robot)
+    if columns:
+        log = command_log = LogContents.read(paths[0], robot).stated(columns)
+        runs: list[tuple[Path, ...]] = [(path,) for path in paths]
+    else:
+        log, command_log, runs = _sources(paths, robot)
     positions, commands = _groups(log, command_log, robot)
-    columns, currents, labels, how, by_name = matched(positions, commands, robot)
+    positions_of, currents, labels, how, by_name = matched(positions, commands, robot)
     clock, why_time, open_ = _clock(log, command_log, positions)
     kind, doubts = _kind(commands, command_log, currents)
     sensors, still = _sensors(command_log, "sensor", labels)
-    entries = {"time": clock, "position": columns, kind: currents} | ({"joint_torque": sensors} if sensors else {})
+    entries = {"time": clock, "position": positions_of, kind: currents} | ({"joint_torque": sensors} if sensors else {})
     signals = read_group(Signals, "signals", entries)
     used = {*positions.columns.values(), *commands.columns.values()}
     unused = _unused(log, command_log, signals, labels, used, moving_base=base is None)
     unused = replace(unused, still=(*still, *unused.still), moving=unused.moving if robot else ())
-    unit, why_unit = _position_unit(log, positions, columns, robot)
-    written = _units(log, "position", columns)
+    unit, why_unit = _position_unit(log, positions, positions_of, robot)
+    written = _units(log, "position", positions_of)
     if unit and not written and positions.unit is None:
         open_["unit"] = f"positions are assumed to be in {unit}: {why_unit}"
     units = {"time": log.time_unit()[0]} if log.time else {}
     units |= written or ({"position": unit} if unit else {})
     units |= _units(command_log, kind, currents) | _units(command_log, "joint_torque", sensors)
     stated = {"position"} if "unit" in open_ else set()
-    moving = list(columns) if robot and len(columns) < len(robot.actuated) else None
+    moving = list(positions_of) if robot and len(positions_of) < len(robot.actuated) else None
     gravity = [0, 0, 0] if "gravity" in doubts else None
     entries = {"file": source, "base": base, "gravity": gravity, "joints": moving}
     draft = Draft(
@@ -217,9 +234,10 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
         still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
         columns += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)
         named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
-        raise GtauError(
+        raise NoColumns(
             f"no columns of {what} are recognised among {columns}; {named}write the experiment file by hand "
-            "(docs/lookup/experiment-file.md), or rename columns or arrays, such as q1 and current1.",
+            f"({page('experiment-file')}), name them by --position and --current, or rename columns or arrays, such as "
+            "q1 and current1.",
             source=log.table.path,
         )
     return positions, commands

@@ -18,11 +18,13 @@ from gtau.findings import Finding, Grade, counted
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
-from gtau.signals.reading.columns import PRESETS, SampleRate
-from gtau.signals.reading.discovery import QUESTIONS, Draft, discover
+from gtau.signals.reading.columns import PRESETS
+from gtau.signals.reading.discovery import FLOATING, QUESTIONS, Draft, Reasons, Unused, discover
+from gtau.signals.reading.experiment import Recording
 from gtau.signals.reading.formats import listed
 from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
+from gtau.signals.reading.statements import masses_in_name
 
 DRAFT = "draft"  # the kind of what a draft assumes
 SEAL = "# as drafted: "  # a checksum of all above follows
@@ -36,13 +38,15 @@ def draft_logs(
     masses: Mapping[str, float] | None = None,
     kind: Literal["current", "torque"] | None = None,
     preset: str | None = None,
+    columns: Mapping[str, str] | None = None,
     xacro: Mapping[str, str] | None = None,
 ) -> Draft:
     """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
 
     ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
     Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log; a ``preset`` gives the kind of commands
-    and whether torques include gravity. ``xacro`` are arguments of a robot's xacro file.
+    and whether torques include gravity; ``columns`` are patterns by kind (``{"position": "enc_J*"}``), ``xacro`` the
+    arguments of a robot's xacro file.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
@@ -52,13 +56,29 @@ def draft_logs(
     if known is not None and known.floating:
         raise GtauError(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
-            "floats is not drafted; start from docs/lookup/experiment-file.md, 'A base that floats'."
+            f"floats is not drafted; start from {FLOATING}."
         )
-    draft = replace(discover(logs, known, URDF if urdf is not None else robot, base), urdf=urdf)
+    draft = replace(discover(logs, known, URDF if urdf is not None else robot, base, columns), urdf=urdf)
     draft = replace(draft, robot={**draft.robot, "xacro": dict(xacro)}) if xacro else draft
     draft = draft if preset is None else with_preset(draft, preset)
     draft = draft if kind is None else with_kind(draft, kind)
     return with_masses(draft, _by_log(draft, masses or {}))
+
+
+def draft_as(recording: Recording, logs: Sequence[Path], robot: str, masses: Mapping[str, float]) -> Draft:
+    """Draft an experiment from logs of a known recorder."""
+    reason = "as in the logs of the model"
+    draft = Draft(
+        logs=tuple((log,) for log in logs),
+        signals=recording.signals,
+        units=recording.units.model_dump(mode="json", exclude_defaults=True),
+        robot={"file": robot},
+        payloads={log: read for log in logs if (read := masses_in_name(log.name))},
+        reasons=Reasons(reason, reason, reason),
+        open={},
+        unused=Unused(),
+    )
+    return with_masses(draft, _by_log(draft, masses))
 
 
 def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
@@ -71,11 +91,6 @@ def with_kind(draft: Draft, kind: Literal["current", "torque"]) -> Draft:
 
 def _settled(draft: Draft, *keys: str) -> Draft:
     return replace(draft, open={key: assumed for key, assumed in draft.open.items() if key not in keys})
-
-
-def with_rate(draft: Draft, rate: float) -> Draft:
-    """Return the draft with a sampling rate, Hz."""
-    return replace(_settled(draft, "rate"), signals=draft.signals.model_copy(update={"time": SampleRate(rate=rate)}))
 
 
 def with_sensors(draft: Draft) -> Draft:
@@ -130,11 +145,32 @@ def alternatives(masses: Sequence[float]) -> str:
     return " or ".join(f"{mass:g}" for mass in masses)
 
 
-def write_draft(draft: Draft, file: Path) -> list[Path]:
+def write_skeleton(logs: Sequence[Path], robot: str | None, file: Path) -> None:
+    """Write an experiment file for logs whose columns are not recognised, with all but the names of these."""
+    joints = ("JOINT",) if robot is None else load_robot(robot).motors
+    columns = _flow(dict.fromkeys(joints, "COLUMN"))
+    lines = [
+        "# Drafted by gtau: write the columns in place of COLUMN, then run gtau check.",
+        f"robot: {_flow(_entry_of(robot, file.parent) if robot else 'NAME-OR-FILE')}",
+        "signals:",
+        "  time: COLUMN  # or {rate: HZ}",
+        f"  position: {columns}",
+        f"  current: {columns}  # or torque:",
+        f"# The columns of {logs[0].name}: {', '.join(find_columns(logs[0]).columns)}",
+        "runs:",
+        *(f"  - log: {_flow(_relative(log, file.parent))}  # payload: {{name: steel, mass: 1.2}}" for log in logs),
+    ]
+    _write({file: _sealed("\n".join(map(printable, lines)) + "\n")}, file)
+
+
+def write_draft(draft: Draft, file: Path) -> None:
     """Write the experiment file of a draft, and the robot file from a bag, replacing unedited drafts alone."""
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
-    texts[file] = _sealed(draft_text(draft, folder))
+    _write(texts | {file: _sealed(draft_text(draft, folder))}, file)
+
+
+def _write(texts: Mapping[Path, str], file: Path) -> None:
     written = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
     edited = SEAL not in written or written != _sealed(written.rpartition(SEAL)[0])
     for path, text in texts.items():
@@ -145,7 +181,6 @@ def write_draft(draft: Draft, file: Path) -> list[Path]:
             )
     for path, text in texts.items():
         write_atomically(path, text)
-    return list(texts)
 
 
 def _sealed(text: str) -> str:
@@ -240,6 +275,9 @@ def _signals(draft: Draft) -> Iterator[str]:
     if sensors := signals.sensors(SENSOR):
         doubt = _question(draft, "sensors") or "torque sensors behind the gears (by name)"
         yield from _by_joint("joint_torque", sensors, doubt)
+    shown = {"time", "position", signals.kind, "joint_torque", "preset"}
+    for key, value in signals.model_dump(mode="json", exclude_defaults=True, exclude=shown).items():
+        yield f"  {key}: {_flow(value)}"
 
 
 def _unused(draft: Draft) -> Iterator[str]:
@@ -304,9 +342,13 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
 def _robot_entry(draft: Draft, folder: Path) -> Any:
     if "file" not in draft.robot:
         return "NAME-OR-FILE"
-    path = Path(draft.robot["file"])
-    file = _relative(path, folder) if draft.urdf is None and path.exists() else draft.robot["file"]
+    file = draft.robot["file"] if draft.urdf is not None else _entry_of(draft.robot["file"], folder)
     return {**draft.robot, "file": file} if len(draft.robot) > 1 else file
+
+
+def _entry_of(robot: str, folder: Path) -> str:
+    """Return the path of a robot's file from a folder, or the robot's name."""
+    return _relative(Path(robot), folder) if Path(robot).exists() else robot
 
 
 def _units(draft: Draft) -> Iterator[str]:

@@ -13,6 +13,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PrivateAttr,
     ValidationInfo,
     field_validator,
     model_validator,
@@ -22,6 +23,7 @@ from gtau.documents.files import EXPERIMENT, NO_FILE, beside, matching, refuse_o
 from gtau.documents.validation import PATH, Keys, Positive, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.findings import Finding
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
@@ -31,6 +33,7 @@ from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.reading.samples import Part
 from gtau.signals.reading.statements import (
     CHOSEN,
+    CarriedPayload,
     Drive,
     GainEntry,
     Payload,
@@ -74,7 +77,7 @@ class LoggedRun(Part):
         BeforeValidator(lambda value: (value,) if isinstance(value, (str, Path)) else value),
         Field(min_length=1, max_length=2),
     ]
-    payload: Payload | None = None
+    payload: CarriedPayload = None
 
     def overlaps(self, other: LoggedRun) -> bool:
         """Decide whether both runs share rows."""
@@ -133,6 +136,13 @@ def _no_file(path: Path) -> str:
     return f"there is no file '{path}'; paths are relative to the file that names them"
 
 
+class Recording(Keys):
+    """How a recorder writes logs: their columns and units, as in an experiment file."""
+
+    signals: Signals
+    units: Units = Units()
+
+
 class Experiment(Keys):
     """An experiment file; once read, its paths are absolute or relative to the working directory.
 
@@ -155,6 +165,7 @@ class Experiment(Keys):
     tolerances: Tolerances = Tolerances()
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
+    _guesses: tuple[Finding, ...] = PrivateAttr(())
 
     def __repr__(self) -> str:
         robot = self.robot if isinstance(self.robot, str) else self.robot.file
@@ -227,6 +238,11 @@ class Experiment(Keys):
             if drive.inertia is not None and Parameter("ia", joint) in info.data.get("priors", {}):
                 raise ValueError(f"'priors' has 'ia_{joint}' too; remove it, or the 'rotor_inertia' of '{joint}' here")
         return drives
+
+    @property
+    def guesses(self) -> tuple[Finding, ...]:
+        """What a draft from logs assumes, see :func:`gtau.draft`."""
+        return self._guesses
 
     @property
     def stated_gains(self) -> dict[str, StatedGain]:
@@ -306,6 +322,11 @@ def read_experiment(path: str | Path, logs: Path | None = None) -> Experiment:
     ------
     GtauError
         The file cannot be read, or something in it is missing, misspelt or contradictory.
+
+    Examples
+    --------
+    >>> gtau.read_experiment("experiment.yaml").signals.kind
+    'current'
     """
     refuse_other_kind(path, EXPERIMENT)
     folder = Path(path).parent

@@ -6,10 +6,12 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
+from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading.column_names import (
@@ -190,6 +192,45 @@ class LogContents:
         time = _time_columns(wanted, values)
         units = {name.name: name.unit for name in names if name.unit}
         return cls(table, values, time, tuple(_classified(groups, values, path)), rate, units, tuple(elsewhere))
+
+    def stated(self, patterns: Mapping[str, str]) -> LogContents:
+        """Return the contents with the groups that ``patterns`` of columns state by kind; raises GtauError.
+
+        A pattern is a column, several between commas, or a glob (``enc_J*``); what the asterisk stands for, or else the
+        whole name, is the label of a joint.
+        """
+        names = {kind: self._matching(kind, pattern) for kind, pattern in patterns.items()}
+        taken = {name for columns in names.values() for name in columns.values()}
+        values = dict(self.values) | _values(self.table.path, sorted(taken), self.table)
+        parsed = (parse_column_name(name, (), self.table.units.get(name)) for name in taken)
+        units = dict(self.units) | {name.name: name.unit for name in parsed if name.unit}
+        others = [group for group in self.groups if taken.isdisjoint(group.columns.values())]
+        groups = [Group(kind, patterns[kind], columns) for kind, columns in names.items() if kind != "time"]
+        stated = set(COMMANDS if names.keys() & set(COMMANDS) else ()).union(names)
+        kept = [group for group in others if group.kind not in stated]
+        return replace(
+            self,
+            values=values,
+            units=units,
+            groups=(*groups, *kept),
+            time=tuple(names["time"].values()) if "time" in names else self.time,
+            elsewhere=(),
+        )
+
+    def _matching(self, kind: str, pattern: str) -> dict[str, str]:
+        columns: dict[str, str] = {}
+        for part in pattern.split(","):
+            before, star, after = part.strip().partition("*")
+            matches = [name for name in self.table.columns if fnmatchcase(name, part.strip())]
+            if not matches:
+                raise GtauError(
+                    f"--{kind} is '{pattern}', but no column matches '{part.strip()}'; the columns are "
+                    f"{some_of(self.table.columns, 20)}.",
+                    source=self.table.path,
+                )
+            for name in matches:
+                columns[name[len(before) : len(name) - len(after)] if star else name] = name
+        return columns
 
     def command_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""

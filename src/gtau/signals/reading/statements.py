@@ -94,9 +94,16 @@ def _no_body(parameters: Mapping[str, float], mass: float | None) -> str:
     return ""
 
 
-def as_payload(payload: Payload | Mapping[str, Any] | None) -> Payload | None:
+def as_payload(payload: Payload | Mapping[str, Any] | str | float | None) -> Payload | None:
     """Read a payload from a mapping as in the experiment file; raises GtauError."""
+    if isinstance(payload, (str, float, int)):
+        name, mass = (repr(payload), "...") if isinstance(payload, str) else ("'load'", f"{payload:g}")
+        raise GtauError(f"a payload has keys; did you mean payload={{'name': {name}, 'mass': {mass}}}?")
     return None if payload is None else read_group(Payload, "payload", payload)
+
+
+# None where a file says "payload: none", null or {}
+CarriedPayload = Annotated[Payload | None, BeforeValidator(lambda load: None if load in ("none", "null", {}) else load)]
 
 
 class Prior(Keys):

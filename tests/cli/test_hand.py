@@ -1,0 +1,183 @@
+"""What people of the field type in Python: it works, or the answer can be typed."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars
+import pytest
+from engines import Pinocchio, random_parameters
+from five_bar_logs import STEEL, Plant, write_experiment
+from matplotlib.figure import Figure
+from models_to_export import model_of
+from robots_for_tests import seven_r
+
+import gtau
+from gtau.findings import Finding, Grade
+
+SIGNALS = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_experiment(tmp_path_factory.mktemp("hand"), Plant(noise=0.01)).parent
+
+
+@pytest.fixture(scope="module")
+def result(folder: Path) -> gtau.Result:
+    return gtau.identify(folder / "experiment.yaml")
+
+
+def test_numbers_of_an_estimate(result: gtau.Result) -> None:
+    gain = result.drive_gains["left"]
+    assert float(gain) == gain.value
+    assert f"{gain:.3f}" == f"{gain.value:.3f}"
+    assert f"{gain}" == str(gain)
+
+
+def test_a_saved_result_is_loaded(result: gtau.Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "model.json")
+    assert gtau.load(tmp_path / "model.json").drive_gains == result.drive_gains
+    assert result.export("csv", tmp_path / "csv").files
+
+
+def test_logs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With columns by name, or stated: the same result, and the notes say what was guessed."""
+    monkeypatch.chdir(tmp_path)
+    for name, load in (("empty", None), ("loaded", STEEL)):
+        run = Plant(noise=0.01).run(name, payload=load, seed=len(name))
+        table = run.to_frame().rename({"qleft": "enc_J1", "qright": "enc_J2", "vleft": "iq_J1", "vright": "iq_J2"})
+        table.write_csv(f"{name}.csv")
+    columns = {"position": "enc_J*", "current": "iq_J*", "time": "t"}
+    experiment = gtau.draft(["empty.csv", "loaded.csv"], "five-bar", {"loaded.csv": 1.2}, columns=columns)
+    assert experiment.signals.position == {"left": "enc_J1", "right": "enc_J2"}
+    assert any("columns were assigned to the joints" in guess.what for guess in experiment.guesses)
+    drafted = gtau.identify(experiment)
+    assert any("columns were assigned" in note.what for note in drafted.notes)
+    for name in ("empty", "loaded"):
+        polars.read_csv(f"{name}.csv").rename({"enc_J1": "q1", "enc_J2": "q2", "iq_J1": "v1", "iq_J2": "v2"}).write_csv(
+            f"{name}.csv"
+        )
+    result = gtau.identify(["empty.csv", "loaded.csv"], robot="five-bar", payload={"loaded.csv": 1.2})
+    assert result.gains == pytest.approx(drafted.gains)
+    assert result.gains == pytest.approx([2.5, 4.0], rel=0.01)
+    assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_figures(result: gtau.Result, folder: Path) -> None:
+    run = result.data[0]
+    shown = {
+        "robot": gtau.plot(result.robot),
+        "run": gtau.plot(run),
+        "prediction": gtau.plot(result.predict(run)),
+        "result": gtau.plot(result),
+        "panel": result.plot(),
+        "friction": result.plot.friction(),
+        "of left": result.plot.friction("left", run),
+    }
+    assert all(isinstance(figure, Figure) for figure in shown.values())
+    assert [axes.get_ylabel() for axes in shown["run"].axes] == ["position, rad or m", "current, A"]
+    assert len(shown["panel"].axes) == 3  # gains, and torques and residuals of the joint that fits worst
+    assert [len(shown[name].axes) for name in ("friction", "of left")] == [2, 1]
+    result.save(folder / "saved.json")
+    assert len(gtau.load(folder / "saved.json").plot().axes) == 1  # of the gains: there are no runs
+    with pytest.raises(gtau.GtauError, match="a str has no figure; give a result, a prediction, a run or a robot"):
+        gtau.plot("five-bar")  # type: ignore[arg-type]
+
+
+def test_the_summary_says_a_cause_once(result: gtau.Result) -> None:
+    text = "the 95 % interval is {own}, because the data cannot exclude a torque constant of '{joint}' that falls"
+    gains = {
+        joint: replace(
+            gain,
+            verdict=Finding(
+                "wide", text=text.replace("{joint}", joint), own=f"+-{k} %", advice="log more", grade=Grade.WEAK
+            ),
+        )
+        for k, (joint, gain) in enumerate(result.drive_gains.items(), 4)
+    }
+    said = " ".join(result.replaced(drive_gains=gains).summary(verbose=False).split())
+    cause = "the data cannot exclude a torque constant of 'left' that falls, or alike; log more"
+    assert f"joint left, joint right: {cause}" in said
+    assert "the 95 % interval is" not in said
+
+
+def test_a_run_is_a_table_that_is_read_again(result: gtau.Result) -> None:
+    run = result.data[0]
+    frame = run.to_frame()
+    assert frame.columns == ["t", "qleft", "qright", "vleft", "vright"]
+    signals = {"time": "t"} | {
+        kind: {joint: f"{letter}{joint}" for joint in run.joints}
+        for kind, letter in (("position", "q"), ("current", "v"))
+    }
+    assert gtau.read_run(frame, signals).command == pytest.approx(run.command)
+    assert isinstance(result.predict(run).to_frame(), polars.DataFrame)
+    external = result.external_torques(run, frame="0 0 0.1 0 0 0", force_only=True, observer=10.0)
+    assert external.wrench is not None
+    assert {"external_left", "observed_left"} <= set(external.table.columns)
+
+
+def test_terms_of_the_equation_of_motion(result: gtau.Result) -> None:
+    """Of a robot with loops: they add up to the torques, and C is that of Christoffel's symbols."""
+    rng = np.random.default_rng(0)
+    home = np.array([joint.home for joint in result.robot.joints if joint.actuated])
+    q, qd, qdd = (home + 0.2 * rng.normal(size=(4, 2))), rng.normal(size=(4, 2)), rng.normal(size=(4, 2))
+    for payload in (None, {"name": "steel"}):
+        M, C, g = result.inertia(q, payload), result.coriolis(q, qd, payload), result.gravity(q, payload)
+        tau = (M @ qdd[..., None] + C @ qd[..., None])[..., 0] + g
+        friction = result.torques(q, qd, 0 * qd, payload) - ((C @ qd[..., None])[..., 0] + g)
+        assert tau + friction == pytest.approx(result.torques(q, qd, qdd, payload), abs=1e-9)
+        assert pytest.approx(M.transpose(0, 2, 1), abs=1e-9) == M
+        assert (np.linalg.eigvalsh(M) > 0).all()
+        h = 1e-6
+        rate = (result.inertia(q + h * qd, payload) - result.inertia(q - h * qd, payload)) / (2 * h)
+        assert rate == pytest.approx(C + C.transpose(0, 2, 1), abs=1e-6)  # dM/dt - 2 C is skew-symmetric
+    assert result.gravity(q[0]).shape == (2,)
+    assert result.inertia(q[0]) == pytest.approx(result.inertia(q)[0])
+    assert result.coriolis(q[0], qd[0]).shape == (2, 2)
+
+
+def test_terms_agree_with_pinocchio() -> None:
+    pin, robot, rng = pytest.importorskip("pinocchio"), seven_r(), np.random.default_rng(1)
+    chi = random_parameters(robot, rng)
+    arm, tree = model_of(robot, chi=chi), Pinocchio(robot, chi)
+    q, qd = rng.normal(size=(2, 7))
+    rotors = np.diag([chi[f"ia_{joint.name}"] for joint in robot.joints])
+    M = pin.crba(tree.model, tree.data, q)
+    assert arm.inertia(q) == pytest.approx(np.triu(M) + np.triu(M, 1).T + rotors, abs=1e-9)
+    assert arm.coriolis(q, qd) == pytest.approx(pin.computeCoriolisMatrix(tree.model, tree.data, q, qd), abs=1e-9)
+    assert arm.gravity(q) == pytest.approx(pin.computeGeneralizedGravity(tree.model, tree.data, q), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("call", "answer"),
+    [
+        ("gtau.Robot('five-bar')", "did you mean gtau.load_robot('five-bar')?"),
+        ("gtau.InverseDynamics('arm.urdf')", "did you mean gtau.load_robot('arm.urdf')?"),
+        ("gtau.base_parameters(robot)", "give gtau.InverseDynamics(robot)."),
+        ("gtau.Result.load('model.json')", "did you mean gtau.load('model.json')?"),
+        ("gtau.identify('five-bar', [run])", "gtau.load_robot('five-bar'), or an experiment file alone."),
+        ("gtau.identify([run, run])", "did you mean gtau.identify(gtau.load_robot(...), runs)?"),
+        ("gtau.identify(robot, [run], payload={'a': 1.0})", "give their paths, ['empty.csv', 'loaded.csv']."),
+        ("gtau.draft('a.csv')", "give ['empty.csv', 'loaded.csv']."),
+        ("robot.plot()", "did you mean gtau.plot(robot)?"),
+        ("run.plot()", "did you mean gtau.plot(run)?"),
+        ("result.predict(run).plot()", "did you mean gtau.plot(prediction)?"),
+        ("result['left']", "did you mean result.drive_gains['left']?"),
+        ("result['fv_left']", "did you mean result.parameters['fv_left']?"),
+        ("result['middle']", "there is no estimate 'middle'; result.to_frame() lists all."),
+        ("result.drive_gains.left", "did you mean ['left']?"),
+        ("gtau.read_run('a.csv', SIGNALS, payload=1.2)", "did you mean payload={'name': 'load', 'mass': 1.2}?"),
+        ("gtau.read_run('a.csv', SIGNALS, payload='steel')", "did you mean payload={'name': 'steel', 'mass': ...}?"),
+        ("result.torques(q, q, q, payload='steel')", "did you mean payload={'name': 'steel', 'mass': ...}?"),
+    ],
+)  # fmt: skip
+def test_another_spelling_is_answered_by_the_one_that_works(call: str, answer: str, result: gtau.Result) -> None:
+    names = {"gtau": gtau, "robot": result.robot, "run": result.data[0], "result": result, "q": np.zeros((1, 2))}
+    with pytest.raises(gtau.GtauError) as refused:
+        eval(call, {**names, "SIGNALS": SIGNALS})
+    assert str(refused.value).endswith(answer)
+    assert re.search(r"^(?!.*Traceback)", str(refused.value))
