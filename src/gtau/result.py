@@ -178,8 +178,8 @@ class Result(IdentifiedModel):
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
-        """Refuse: the function is :func:`gtau.load`."""
-        raise GtauError(f"a result is loaded by a function; did you mean gtau.load({str(path)!r})?")
+        """Load a result, as :func:`gtau.load` does."""
+        return load(path)
 
 
 @takes(path=PATH)

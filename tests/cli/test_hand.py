@@ -158,7 +158,6 @@ def test_terms_agree_with_pinocchio() -> None:
         ("gtau.Robot('five-bar')", "did you mean gtau.load_robot('five-bar')?"),
         ("gtau.InverseDynamics('arm.urdf')", "did you mean gtau.load_robot('arm.urdf')?"),
         ("gtau.base_parameters(robot)", "give gtau.InverseDynamics(robot)."),
-        ("gtau.Result.load('model.json')", "did you mean gtau.load('model.json')?"),
         ("gtau.identify('five-bar', [run])", "gtau.load_robot('five-bar'), or an experiment file alone."),
         ("gtau.identify([run, run])", "did you mean gtau.identify(gtau.load_robot(...), runs)?"),
         ("gtau.identify(robot, [run], payload={'a': 1.0})", "give their paths, ['empty.csv', 'loaded.csv']."),

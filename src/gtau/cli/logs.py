@@ -133,6 +133,7 @@ def init(
         str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
     ] = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
+    yes: Annotated[bool, option("", "As always: ask nothing.", "--yes", hidden=True)] = False,  # of older scripts
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate.
