@@ -27,7 +27,8 @@ from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import effort_of
+from gtau.estimation.diagnostics.effort import columns_of_effort
+from gtau.estimation.diagnostics.gravity import likeliest_gravity
 from gtau.estimation.diagnostics.log_checks import doubtful_commands
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -231,17 +232,23 @@ def measured(name: str, data: Path) -> dict[str, str]:
             for run, own in zip(runs, gravity, strict=True)
         ]
         try:
-            found[what] = meaning(reduce_runs(dataset.robot, altered, dataset.preparation), slowest)
+            found[what] = meaning(reduce_runs(dataset.robot, altered, dataset.preparation))
         except GtauError as refusal:
             found[what] = f"refused: {refusal}"[:60]
         print(name, what, found[what], sep=" | ", flush=True)
     return found
 
 
-def meaning(dataset: Dataset, slowest: float) -> str:
+def meaning(dataset: Dataset) -> str:
     """The likeliest description, and what the size says without a payload."""
-    doubtful = list(doubtful_commands(dataset.runs, dataset.robot))
-    return str(doubtful[0].kind) if doubtful else effort_of(dataset, slowest)[0]
+    if doubtful := list(doubtful_commands(dataset.runs, dataset.robot)):
+        return str(doubtful[0].kind)
+    gains = None if dataset.runs[0].kind == "current" else np.ones(len(dataset.model.actuated))
+    fit = fit_by(ml_or_wls(gains), dataset.system(), gains is None)
+    if findings := columns_of_effort(fit):
+        return findings[0].kind
+    other = likeliest_gravity(fit, turned=False)
+    return "as stated" if other is None else other.cause.kind
 
 
 def main() -> None:

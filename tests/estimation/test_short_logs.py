@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import JointRows, _late, unexplained
+from gtau.estimation.diagnostics.effort import MiddleRows, _late
 from gtau.estimation.diagnostics.log_checks import require_motion
 from gtau.robots.parameter import Parameter
 
@@ -16,13 +16,17 @@ from gtau.robots.parameter import Parameter
 @pytest.mark.parametrize(("inertia", "late"), [(1.0, True), (0.0, False)])
 def test_no_lag_without_acceleration_that_shows_it(rng: np.random.Generator, inertia: float, late: bool) -> None:
     """A current of friction alone fits better a quarter of a second earlier, as controllers lead at reversals."""
-    acceleration, friction, other = np.linalg.qr(rng.standard_normal((400, 3)))[0].T
-    shifted = inertia * acceleration + friction + 0.1 * other
-    logged = shifted + 0.5 * other
-    columns, nothing = np.column_stack([acceleration, friction]), np.zeros((400, 2))
-    effort = np.column_stack([logged, shifted])
-    joint = JointRows(columns, nothing, columns * [0.0, 1.0], np.array([0, 1]), effort, -0.25)
-    assert bool(list(_late([joint], unexplained(joint.basis, effort)[None]))) == late
+    acceleration, friction, other = np.linalg.qr(rng.standard_normal((402, 3)))[0].T
+    effort = inertia * acceleration + friction + 0.1 * other
+    logged = np.roll(effort, 1)  # by a row
+    signals = np.column_stack([logged, *np.zeros((2, 402))])
+    rows = np.column_stack([acceleration, friction, np.zeros(402), signals])[None]
+    parameters, keep = (Parameter("ia", "arm"), Parameter("fv", "arm")), np.zeros((1, 402), dtype=bool)
+    keep[0, 2:-2] = True
+    problem = SimpleNamespace(parameters=parameters, longest_delays=np.array([0.1]))
+    middle = MiddleRows(SimpleNamespace(problem=problem, gains=np.ones(1)), rows, keep, 0.25, 2)  # type: ignore[arg-type]
+    lags, _ = _late(middle)
+    assert lags == ({0: pytest.approx(0.25)} if late else {})
 
 
 @pytest.mark.parametrize(("share", "value", "refused"), [(7.0, 0.1, True), (0.3, 0.1, False), (7.0, 9.0, False)])

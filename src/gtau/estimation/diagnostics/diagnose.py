@@ -21,7 +21,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics import descriptions, gains, gravity, scale
-from gtau.estimation.diagnostics.effort import GRAVITY_MISFIT, effort_of
+from gtau.estimation.diagnostics.effort import MISFIT_TRIED, columns_of_effort
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit, logged_torques
 from gtau.estimation.diagnostics.units import reversed_by_file, units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, decide, delay_verdicts, motors, unexplained_shares
@@ -95,22 +95,22 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             shown_as="model",
         )
         return Examination(findings=(few,))
-    held, alterations, as_well = effort_of(fit.dataset, fit.system.unreduced.longest_delays.max())
-    mixed, findings = None, list(alterations)
+    misfit = float(unexplained_shares(fit).max()) > MISFIT_TRIED
+    lacking = lack_of_fit(fit.problem, fit.solution) > LACKING
+    mixed, findings = None, list(columns_of_effort(fit) if misfit or lacking else ())
     effects = contradicting = tuple[EstimatedEffect, ...]()
     try:
         if (mixed := estimate_effects(fit)) is not None:
             effects = estimated_effects(mixed)
             contradicting = _contradicting(effects, contradictions(mixed))
-        frozen = list(frozen_encoders(fit))
-        tried = _other_descriptions(fit, held, bool(alterations), effects, bool(frozen), progress)
+        findings = [*frozen_encoders(fit), *findings]
+        tried = _other_descriptions(fit, misfit, lacking, effects, progress)
         # one that leaves more of the residuals than the user's explains a single joint at most
-        if refit := next((other for other in tried if other is not None and other.share > 0), None):
-            # what is linear about the wrong description explains nothing, and what columns would hold is its effect
-            effects, contradicting, findings = (refit,), (refit,), []
-        elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
+        likelier = (other for other in tried if other is not None and other.share > 0)
+        if not findings and (refit := next(likelier, None)):
+            effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
+        elif not findings and not (fit.dataset.robot.inertias and fit.kind == "torque"):
             findings += gravity.gravity_not_shown(fit)
-        findings = [*frozen, *findings]
     except GtauError as refusal:
         text = f"effects that the model may lack could not be tested: {str(refusal).removesuffix('.')}"
         kind = "other estimators not tried"
@@ -140,28 +140,23 @@ def _contradicting(
 
 
 def _other_descriptions(
-    fit: Fit, held: str, altered: bool, effects: Sequence[EstimatedEffect], frozen: bool, progress: Progress
+    fit: Fit, misfit: bool, lacking: bool, effects: Sequence[EstimatedEffect], progress: Progress
 ) -> Iterator[EstimatedEffect | None]:
     """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
 
     Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
     """
-    misfit = float(unexplained_shares(fit).max()) > GRAVITY_MISFIT
-    lacking = lack_of_fit(fit.problem, fit.solution) > LACKING
-    if (lacking or misfit) and not frozen:
+    if misfit or lacking:
         yield descriptions.other_loads(fit)
         yield descriptions.other_body(fit)
     if misfit:
         yield descriptions.reversed_torques(fit)
-    if altered:
-        return
     tilted = any(effect.effect == "gravity" and effect.share > gravity.REFUTED_SHARE for effect in effects)
-    missing, turned = held == gravity.WITHOUT_GRAVITY, lacking and (tilted or misfit)
     others = list[EstimatedEffect | None]()
     if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
         others.append(gravity.other_clock(fit, progress))
-    if missing or turned:
-        others.append(gravity.likeliest_gravity(fit, missing, turned, progress))
+    if misfit or lacking:
+        others.append(gravity.likeliest_gravity(fit, lacking and (tilted or misfit), progress))
     # a clock that is far too slow leaves as little gravity as torques without gravity do
     yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
     if misfit:
@@ -220,7 +215,6 @@ def diagnose(
         plain = estimates_of(fit, examined, correlated=True, shifted=False)
     return (
         *gains.wrench_contradictions(fit),
-        *gains.payloads_in_noise(fit, judged),
         *examined.findings,
         *(() if audit is None or examined.contradicting else reversed_by_file(fit, audit)),
         *gains.all_negative(fit, examined.contradicting, judged, prior_gains),

@@ -76,18 +76,6 @@ def judged_gains(fit: Fit, estimates: Estimates) -> list[JudgedGain]:
     ]
 
 
-def payloads_in_noise(fit: Fit, gains: Iterable[JudgedGain]) -> Iterator[Finding]:
-    """Find gains by total least squares that are noise: what they seem to contradict is noise too."""
-    text = "total least squares cannot separate the payload from the noise (standard deviation over "
-    text += f"{100 * LOST_GAIN:g} %)"
-    advice = "use --method ml, or a heavier payload and longer runs with less noise"
-    for gain in gains if "singular_ratio" in fit.solution.statistics else ():
-        if gain.std > LOST_GAIN:
-            yield Finding(
-                "payload lost in noise", (gain.joint,), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE
-            )
-
-
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
     """Find, against all gains, a negative mass of a floating robot, and an unexplained wrench on its base."""
     base, problem = fit.dataset.robot.floating, fit.problem

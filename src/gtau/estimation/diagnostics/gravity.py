@@ -2,8 +2,7 @@
 
 An arm on a wall or a ceiling, or a tracker whose vertical is y, has gravity where the robot file has none. Parameters
 adapt to that, so that a linear test points anywhere: the robot is fitted again with gravity along each axis of the
-base, and from the best of them freely (Gauss-Newton over directions). Whether torques exclude gravity, as with a driver
-that compensates it, is asked where :mod:`gtau.estimation.diagnostics.effort` finds it likely.
+base, without it, as with a driver that compensates it, and from the best axis freely (Gauss-Newton over directions).
 
 A clock that is s times too fast makes velocities s and accelerations s^2 times too large, and with them the inertial
 torques against gravity. Beyond some ten per cent the torques are far from linear in it: the robot is fitted again.
@@ -17,25 +16,25 @@ from math import asin, atan2, hypot
 
 import numpy as np
 
-from gtau.errors import GtauError
-from gtau.estimation.diagnostics.descriptions import ALIKE, LEFT, described_otherwise, residual_ratio
+from gtau.estimation.diagnostics.descriptions import ALIKE, LEFT, described_otherwise, refitted, residual_ratio
+from gtau.estimation.diagnostics.verdict import has_wrenches
 from gtau.estimation.effects.effect import EstimatedEffect, Levels, window_motion
 from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY
 from gtau.estimation.effects.known.gravity import clock_words, gravity_changes
 from gtau.estimation.effects.rows import fitted_sizes
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.regression.dataset import Dataset
-from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding, Grade, percent
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import BY_LOAD
+from gtau.signals.preparation.prepared_run import SampleWindow
 
 REFUTED_SHARE = 0.05  # share of the residual variance that another gravity explains
 GRAVITY_LEAST = 5.0  # angle from the stated gravity, degrees, below which the linear test of a tilt speaks
 GRAVITY_FELT = 0.06  # torque of gravity over the whole, rms, of the joint that feels it most: below, no test of gravity
 UNFELT = 1e-6  # torque of gravity over the whole, rms, below which no motion changes the torque of gravity
+LESS_GRAVITY = 0.5  # share of gravity with which residuals are larger than without, where torques have none
+AS_WELL = 1.1  # residual variance without gravity over with it, up to which compensation explains torques as well
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 
 FASTEST = 3.0  # times too fast, or too slow, at most: beyond, motions are implausible
@@ -45,20 +44,19 @@ EXPLAINED = 0.9  # share of the residual variance that another clock takes away:
 OTHER_GRAVITY, WITHOUT_GRAVITY, OTHER_CLOCK = "gravity", "torques without gravity", "clock"
 
 
-def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress = silent) -> EstimatedEffect | None:
-    """Fit without gravity where that may be ``missing``, and with another one where it may be ``turned``.
+def likeliest_gravity(fit: Fit, turned: bool, progress: Progress = silent) -> EstimatedEffect | None:
+    """Fit without gravity, and with another one where it may be ``turned``; None where it explains as much as stated.
 
-    The one with less residual variance counts; where both are similar, only logged torques lack gravity. None where
-    gravity as stated explains as much. Raises GtauError where the data do not determine the gains.
+    The one with less residual variance counts; where both are similar, only logged torques lack gravity.
     """
-    if not fit.dataset.windows():
+    if (unaltered := at_middle(fit)) is None:
         return None
-    unaltered = _with_gravity(_at_middle(fit), np.array(fit.dataset.robot.gravity))
-    best, alike, remaining = unaltered, list[Fit](), 1 - REFUTED_SHARE
-    if missing:
-        without = _with_gravity(unaltered, np.zeros(3))
+    best, alike, remaining, stated = unaltered, list[Fit](), 1 - REFUTED_SHARE, np.array(fit.dataset.robot.gravity)
+    without, less = (_with_gravity(unaltered, share * stated) for share in (0.0, LESS_GRAVITY))
+    if without is not None and not has_wrenches(fit):
         # a joint alone may fit as well without, as its other columns stand for its gravity: all of them count
-        if (ratio := residual_ratio(without, unaltered)) <= remaining:
+        ratio = residual_ratio(without, unaltered)
+        if ratio <= remaining and (less is None or ratio < residual_ratio(less, unaltered)):
             best, remaining = without, ratio / ALIKE if fit.kind == "torque" else ratio * ALIKE
     if turned:
         other, others = _other_gravity(unaltered, progress)
@@ -68,63 +66,52 @@ def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress 
 
 
 def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None:
-    """Fit again with velocities and accelerations of another clock; None where none explains nearly all.
-
-    Nor where the middle of the runs, on which it is judged, does not determine the gains.
-    """
+    """Fit again with velocities and accelerations of another clock; None where none explains nearly all."""
     from scipy.optimize import minimize_scalar
 
-    if not fit.dataset.windows():
+    if (unaltered := at_middle(fit)) is None:
         return None
-    middle = _at_middle(fit)
-    windows = [window for _, window in fit.dataset.windows()]
 
-    def slowed(factor: float) -> Fit:
-        along = [replace(at, qd=at.qd / factor, qdd=at.qdd / factor**2, part_of=None) for at in windows]
-        return _fitted(middle, middle.dataset.reduced(along=along))
+    def slowed(factor: float) -> Fit | None:
+        along = [replace(at, qd=at.qd / factor, qdd=at.qdd / factor**2, part_of=None) for at in _along(fit)]
+        return refitted(unaltered, dataset=fit.dataset.reduced(along=along))
 
     def remaining(log_factor: float) -> float:
         progress("another clock", 0, 1)
-        try:
-            return float(np.log(residual_ratio(slowed(np.exp(log_factor)), unaltered)))
-        except GtauError:
-            return 0.0  # with it, the data do not determine the gains
+        other = slowed(np.exp(log_factor))
+        return 0.0 if other is None else float(np.log(residual_ratio(other, unaltered)))
 
     end = np.log(FASTEST)
-    try:
-        unaltered = slowed(1.0)
-    except GtauError:
-        return None
-    log_factor = float(minimize_scalar(remaining, bounds=(-end, end), options={"xatol": CLOSE_ENOUGH}).x)
-    factor, other = float(np.exp(log_factor)), slowed(np.exp(log_factor))
-    if 1 - residual_ratio(other, unaltered) < EXPLAINED:
+    found = minimize_scalar(remaining, bounds=(-end, end), options={"xatol": CLOSE_ENOUGH})
+    factor, other = float(np.exp(found.x)), slowed(np.exp(found.x))
+    if other is None or 1 - residual_ratio(other, unaltered) < EXPLAINED:
         return None
     text, advice = clock_words(fit, factor - 1, f" by {percent(abs(factor - 1), '.2g')}")
     cause = Finding(OTHER_CLOCK, values={"factor": factor}, text=text, advice=advice)
     return described_otherwise(GRAVITY.name, cause, other, unaltered)
 
 
-def _at_middle(fit: Fit) -> Fit:
-    """Leave only the middle of the runs, which bounds the time."""
-    windows = [window for _, window in fit.dataset.windows()]
-    middle = replace(fit.dataset, prepared=PreparedRuns(windows))  # type: ignore[arg-type]  # used as prepared runs
-    return replace(fit, system=replace(fit.system, dataset=middle))
+def _along(fit: Fit) -> list[SampleWindow]:
+    """List the middle of each run, which bounds the time; a run too short for that whole."""
+    windows = dict(fit.dataset.windows())
+    return [windows.get(k) or run.samples() for k, run in enumerate(fit.dataset.prepared)]
 
 
-def _fitted(fit: Fit, reduced: Dataset) -> Fit:
-    """Fit rows that are reduced otherwise; raises GtauError where they do not determine the gains."""
-    gains = None if fit.free_gains else fit.gains
-    terms = tuple(term for term in fit.system.terms if term.kind not in BY_LOAD)
-    return fit_by(ml_or_wls(gains), fit.system.again(reduced, terms), fit.free_gains)
+def at_middle(fit: Fit) -> Fit | None:
+    """Fit the middle of the runs; None where that does not determine the gains."""
+    gains, terms = (
+        (None if fit.free_gains else fit.gains),
+        tuple(term for term in fit.system.terms if term.kind not in BY_LOAD),
+    )
+    plain = replace(fit, system=replace(fit.system, terms=terms), solve=ml_or_wls(gains))
+    return refitted(plain, dataset=fit.dataset.reduced(along=_along(fit))) if fit.dataset.windows() else None
 
 
-def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit:
-    """Fit with another gravity; raises GtauError where the data do not determine the gains with it."""
-    dataset = fit.dataset
-    equations = dataset.equations
-    if not np.array_equal(gravity, dataset.robot.gravity):
-        equations = replace(equations, model=dataset.model.altered(gravity=tuple(gravity.tolist())), known=None)
-    return _fitted(fit, replace(dataset, equations=equations, factors=()).reduced())
+def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit | None:
+    """Fit with another gravity; None where the data do not determine the gains with it."""
+    model = fit.dataset.model.altered(gravity=tuple(gravity.tolist()))
+    dataset = replace(fit.dataset, equations=replace(fit.dataset.equations, model=model, known=None))
+    return refitted(fit, dataset=dataset.reduced(along=_along(fit)))
 
 
 def _other_gravity(unaltered: Fit, progress: Progress) -> tuple[Fit, list[Fit]]:
@@ -136,11 +123,9 @@ def _other_gravity(unaltered: Fit, progress: Progress) -> tuple[Fit, list[Fit]]:
     size, tried = float(np.linalg.norm(declared)), [(1.0, unaltered)]
     for k, axis in enumerate(np.vstack([np.eye(3), -np.eye(3)])):
         progress("gravity along other axes", k, 6)
-        try:
-            other = unaltered if _degrees(axis, declared) < GRAVITY_LEAST else _with_gravity(unaltered, size * axis)
-        except GtauError:
-            continue  # with it, the data do not determine the gains
-        tried.append((residual_ratio(other, unaltered), other))
+        other = unaltered if _degrees(axis, declared) < GRAVITY_LEAST else _with_gravity(unaltered, size * axis)
+        if other is not None:
+            tried.append((residual_ratio(other, unaltered), other))
     progress("gravity along other axes", 6, 6)
     remaining, best = min(tried, key=lambda other: other[0])
     alike = [other for ratio, other in tried[1:] if ratio <= ALIKE * remaining and other is not best]
@@ -153,17 +138,16 @@ def _other_gravity(unaltered: Fit, progress: Progress) -> tuple[Fit, list[Fit]]:
 
 def _freely(at: Fit) -> Iterator[Fit]:
     """Rotate gravity to the direction that the residuals favour."""
-    windows = list(enumerate(at.dataset.prepared))
     for _ in range(STEPS):
         gravity = np.array(at.dataset.robot.gravity)
         size = float(np.linalg.norm(gravity))
-        turned = gravity + fitted_sizes(at, windows, GRAVITY, 2) @ gravity_changes(gravity)[:2]  # type: ignore[arg-type]
+        turned = gravity + fitted_sizes(at, at.dataset.windows(), GRAVITY, 2) @ gravity_changes(gravity)[:2]
         if not np.isfinite(turned).all() or np.allclose(turned, gravity, rtol=0, atol=1e-4 * size):
             return
-        try:
-            at = _with_gravity(at, size * turned / np.linalg.norm(turned))
-        except GtauError:
+        better = _with_gravity(at, size * turned / np.linalg.norm(turned))
+        if better is None:
             return
+        at = better
         yield at
 
 
@@ -241,7 +225,11 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
         along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
         torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
     felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))
-    if UNFELT <= felt < GRAVITY_FELT:
+    if not UNFELT <= felt < GRAVITY_FELT:
+        return
+    unaltered = at_middle(fit)
+    without = unaltered and _with_gravity(unaltered, np.zeros(3))
+    if unaltered and without and residual_ratio(without, unaltered) < AS_WELL:
         kind = dataset.runs[0].kind
         # drivers of arms that compensate gravity report torques
         named = bool(dataset.robot.closures) or kind == "current"

@@ -22,6 +22,19 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 
 
+def best_delay(rest: np.ndarray, longest: float) -> float:
+    """Find the delay d, s, with ``|d| < longest`` that leaves least of ``v - d v' + d^2/2 v''`` in rows (., 3)."""
+    if len(rest) < 2:
+        return 0.0
+    r, r1, r2 = rest.T
+    # |r - d r1 + d^2/2 r2|^2 is a quartic in d
+    quartic = np.array([r2 @ r2 / 4, -(r1 @ r2), r1 @ r1 + r @ r2, -2 * (r @ r1), r @ r])
+    stationary = np.roots(np.polyder(quartic))
+    real = stationary[np.abs(stationary.imag) < 1e-12].real
+    real = real[np.abs(real) < longest]  # none of them without a delay
+    return float(real[np.argmin(np.polyval(quartic, real))]) if real.size else 0.0
+
+
 class Unknowns(tuple[Parameter, ...]):
     """Unknowns in order, (k,): the parameters of the model, theta, then the gains and delays of the channels."""
 
@@ -259,19 +272,8 @@ class Problem:
     @cached_property
     def own_delays(self) -> np.ndarray:
         """Delay of each channel (s), (c,), with the best fit of its own model; zero if beyond ``longest_delays``."""
-        delays = np.zeros(len(self.channels))
-        for j, T in enumerate(self.own_currents):
-            if T.shape[0] < 2:
-                continue
-            r, r1, r2 = T.T
-            # |r - d r1 + d^2/2 r2|^2 is a quartic in d
-            quartic = np.array([r2 @ r2 / 4, -(r1 @ r2), r1 @ r1 + r @ r2, -2 * (r @ r1), r @ r])
-            stationary = np.roots(np.polyder(quartic))
-            real = stationary[np.abs(stationary.imag) < 1e-12].real
-            real = real[np.abs(real) < self.longest_delays[j]]  # none of them without a delay
-            if real.size:
-                delays[j] = real[np.argmin(np.polyval(quartic, real))]
-        return delays
+        currents = zip(self.own_currents, self.longest_delays, strict=True)
+        return np.array([best_delay(T, longest) for T, longest in currents])
 
     @cached_property
     def own_sigma(self) -> np.ndarray:

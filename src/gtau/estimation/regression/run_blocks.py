@@ -169,32 +169,26 @@ def _lag(a: np.ndarray, b: np.ndarray, moves: np.ndarray) -> int | None:
     return int(lags[k])
 
 
-def central_windows(prepared: Sequence[PreparedRun], pieces: int, cut: Sequence[list[range]] | None = None) -> Windows:
+def central_windows(prepared: Sequence[PreparedRun], pieces: int) -> Windows:
     """Cut the middle of every run into ``pieces`` windows, each with its run's number.
 
     Long rests, in which no channel has a usable sample, are cut out; the remainder at either side separates the
     filters' supports. All windows together have at most ``SAMPLES`` samples; runs too short for a row of each window
-    are left out. With :func:`moving_stretches` of the same runs prepared otherwise (``cut``), the windows are those.
+    are left out.
     """
     windows: list[tuple[int, SampleWindow]] = []
-    cut = moving_stretches(prepared, pieces) if cut is None else cut
-    for number, (run, stretches) in enumerate(zip(prepared, cut, strict=True)):
+    for number, run in enumerate(prepared):
+        wanted = min(SAMPLES // len(prepared), len(run)) // pieces
+        stretches = _moving(run, wanted * pieces, max(int(WINDOW_REST * wanted), 1))
         size = sum(map(len, stretches)) // pieces
         if run.preparation.decimator.outputs(size) == 0:
             continue
         kept = _middle(stretches, size * pieces)
         middle = joined([run.samples(stretch.start, stretch.stop) for stretch in kept])
-        first = range(0, size * pieces, size)
-        windows += [(number, replace(middle[at : at + size], part_of=(middle, at))) for at in first]
+        windows += [
+            (number, replace(middle[at : at + size], part_of=(middle, at))) for at in range(0, size * pieces, size)
+        ]
     return windows
-
-
-def moving_stretches(prepared: Sequence[PreparedRun], pieces: int) -> list[list[range]]:
-    """List for each run the stretches in its middle, without long rests, that ``pieces`` windows are cut from."""
-    sizes = [min(SAMPLES // len(prepared), len(run)) // pieces for run in prepared]
-    return [
-        _moving(run, size * pieces, max(int(WINDOW_REST * size), 1)) for run, size in zip(prepared, sizes, strict=True)
-    ]
 
 
 def _moving(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range]:
@@ -220,19 +214,6 @@ def _middle(stretches: Sequence[range], count: int) -> list[range]:
     shifts = zip(stretches, ends, strict=False)
     cut = [stretch[max(first - at, 0) : max(first + count - at, 0)] for stretch, at in shifts]
     return [stretch for stretch in cut if stretch]
-
-
-def window_clusters(windows: Windows, groups: np.ndarray, spans: np.ndarray) -> np.ndarray:
-    """Assign numbers (W,) to the windows, equal ones to the nearest windows of runs that repeat a motion."""
-    numbers: list[int] = []
-    first: dict[int, tuple[int, list[tuple[float, int]]]] = {}  # of a group, its first run and that one's windows
-    for run, window in windows:
-        middle = float(window.time[len(window) // 2]) - spans[run, 0]
-        leader, numbered = first.setdefault(int(groups[run]), (run, []))
-        if run == leader:
-            numbered.append((middle, max(numbers, default=-1) + 1))
-        numbers.append(min(numbered, key=lambda window: abs(window[0] - middle))[1])
-    return np.array(numbers)
 
 
 def usable_rows(windows: Windows, prepared: Sequence[PreparedRun]) -> int:
