@@ -80,27 +80,27 @@ LOG_S = np.array([-0.3, 0.5, 0.1])
 
 def test_the_loss_is_the_restricted_likelihood(columns: list[np.ndarray]) -> None:
     model = model_of(columns)
-    grams = [noise.whitened(rows) for noise, rows in zip(NOISE, model.rows, strict=True)]
+    model = replace(model, noise=NOISE)
     constant = 0.5 * sum(np.linalg.slogdet(covariance(noise, stretches(ROWS)))[1] for noise in NOISE)
     for log_s in (LOG_S, LOG_S - 1.0):
-        found = posterior(model, grams, log_s)
+        found = posterior(model, log_s)
         assert found.loss + constant == pytest.approx(restricted_loss(columns, log_s), rel=1e-8)
 
 
 def test_the_slope_is_the_derivative_of_the_loss(columns: list[np.ndarray]) -> None:
     model = replace(model_of(columns), largest=np.full(3, 0.7))
-    grams = [noise.whitened(rows) for noise, rows in zip(NOISE, model.rows, strict=True)]
-    slope = posterior(model, grams, LOG_S).slope
+    model = replace(model, noise=NOISE)
+    slope = posterior(model, LOG_S).slope
     for k in range(3):
         step = 1e-5 * np.eye(3)[k]
-        above, below = (posterior(model, grams, LOG_S + sign * step).loss for sign in (1, -1))
+        above, below = (posterior(model, LOG_S + sign * step).loss for sign in (1, -1))
         assert slope[k] == pytest.approx((above - below) / 2e-5, rel=1e-5)
 
 
 def test_the_posterior_is_generalised_least_squares(columns: list[np.ndarray]) -> None:
     model = model_of(columns)
-    grams = [noise.whitened(rows) for noise, rows in zip(NOISE, model.rows, strict=True)]
-    found = posterior(model, grams, LOG_S)
+    model = replace(model, noise=NOISE)
+    found = posterior(model, LOG_S)
     V, J, Z, e = dense(columns, LOG_S)
     inverse = np.linalg.inv(V)
     A = np.linalg.inv(J.T @ inverse @ J)
@@ -151,7 +151,7 @@ def test_the_evidence_for_an_effect_is_what_is_lost_without_it() -> None:
     fit = fit_mixed(model)
     for group in range(3):
         assert fit.lost_without([group]) > 20
-    without = find_sizes(fit.model, fit.grams, fit.log_s, [0])
+    without = find_sizes(fit.model, fit.log_s, [0])
     assert np.exp(without[0]) < 1e-4
     absent = replace(model, rows=tuple(replace(part, products=_without(part.products)) for part in model.rows))
     assert fit_mixed(absent).lost_without([0]) < 3

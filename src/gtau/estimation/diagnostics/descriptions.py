@@ -25,9 +25,9 @@ from gtau.errors import GtauError
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
-from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
+from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
 from gtau.estimation.regression.priors import require_scale
 from gtau.findings import Finding, listed, to_width
@@ -242,15 +242,6 @@ def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | N
         remains, explained = ratio, described_otherwise(COLUMNS, cause, other, unaltered)
     progress("angles from other links", len(described), len(described))
     return explained
-
-
-def angle_of_parallelogram(system: System, progress: Progress) -> Finding | None:
-    """Say which angle makes the iteration of the gains diverge, if one does."""
-    try:
-        angle = angle_from_another_link(fit_by(likeliest, system, free_gains=True), progress)
-    except GtauError:
-        return None
-    return None if angle is None else angle.cause
 
 
 def _with_parallelogram(robot: Robot) -> Iterator[tuple[str, str, Robot]]:

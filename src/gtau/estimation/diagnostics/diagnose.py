@@ -29,10 +29,13 @@ from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import CONTRADICTED, Mixed, contradictions, estimate_effects, estimated_effects
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import likeliest
 from gtau.estimation.estimators.newton import degrees_of_freedom
+from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding, Grade, listed
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 
@@ -161,6 +164,21 @@ def _other_descriptions(
     yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
     if misfit:
         yield descriptions.angle_from_another_link(fit, progress)
+
+
+def explained_failure(system: System, progress: Progress) -> str:
+    """Say what makes the iteration of the gains diverge, if columns of effort or an angle of a parallelogram do."""
+    try:
+        fit = fit_by(likeliest, system, free_gains=True)
+        if columns := columns_of_effort(fit):
+            joints = listed(joint for finding in columns for joint in finding.joints)
+            return f"the iteration of the drive gains did not converge; joint {joints}: {columns[0]}."
+        angle = descriptions.angle_from_another_link(fit, progress)
+    except GtauError:
+        return ""
+    if angle is None:
+        return ""
+    return f"the robot as described gives no drive gains; {angle.subject} explains the logs: {angle.cause.advice}."
 
 
 def estimates_of(

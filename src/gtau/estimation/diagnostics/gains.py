@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.problem import Estimates
 from gtau.findings import MOST_PERCENT, Finding, Grade, percent, percent_text
 from gtau.model.base_parameters import regrouped, whole_mass
-from gtau.robots.parameter import unit_of
+from gtau.robots.parameter import Parameter, unit_of
 
 Effects = Sequence[EstimatedEffect]
 
@@ -46,34 +46,30 @@ ALL_NEGATIVE, REFUTED, WIDE_RANDOM = "all gains negative", "description refuted"
 UNEXPLAINED = "unexplained current"
 
 
-@dataclass(frozen=True)
-class JudgedGain:
-    """A gain that was estimated, with the relative standard deviation of its random part, and halves of its intervals.
+class JudgedGain(NamedTuple):
+    """Relative figures of an estimated gain: standard deviation of its random part, and halves of 95 % intervals.
 
-    ``half`` is half the relative width of its 95 % interval, ``random_half`` the same of the random part alone.
+    ``half`` is of all parts together, ``random_half`` of the random part alone.
     """
 
-    joint: str
-    row: int
-    value: float
     std: float
     half: float
     random_half: float
 
 
-def judged_gains(fit: Fit, estimates: Estimates) -> list[JudgedGain]:
-    """List the gains of the joints, where they are estimated; the six rows of a base are judged together."""
+Judged = Mapping[str, JudgedGain]
+
+
+def judged_gains(fit: Fit, estimates: Estimates) -> Judged:
+    """Judge the gains of the joints where they are estimated; the six rows of a base are judged together."""
     if not fit.free_gains:
-        return []
-    problem, rows = fit.problem, fit.problem.gain_rows
-    values, halves = estimates.values[rows], half_widths(fit, estimates)
+        return {}
+    rows, channels = fit.problem.gain_rows, fit.problem.channels
     random, total = (np.sqrt(np.diag(part)[rows]) for part in (estimates.random, estimates.covariance))
-    parts = values, random / np.abs(values), halves, halves * random / total
-    return [
-        JudgedGain(joint, rows.start + j, *(float(part[j]) for part in parts))
-        for j, joint in enumerate(problem.joints)
-        if problem.channels[j].kind.measures_joint
-    ]
+    halves = half_widths(fit, estimates)
+    figures = np.transpose([random / np.abs(estimates.values[rows]), halves, halves * random / total]).tolist()
+    judged = zip(channels, figures, strict=False)
+    return {channel.joint: JudgedGain(*parts) for channel, parts in judged if channel.kind.measures_joint}
 
 
 def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
@@ -144,35 +140,32 @@ def unexplained_signals(fit: Fit, wrong: Sequence[Finding]) -> Iterator[Finding]
             yield contradiction(UNEXPLAINED, (joint,), text, wrenches_first(fit, advice))
 
 
-def all_negative(
-    fit: Fit, better: Effects, gains: Sequence[JudgedGain], prior_gains: Mapping[str, float]
-) -> Iterator[Finding]:
+def all_negative(fit: Fit, better: Effects, judged: Judged, prior_gains: Mapping[str, float]) -> Iterator[Finding]:
     """Find that all gains are negative, if no motor is known to turn against its joint: then all may."""
-    problem = fit.problem
-    free = [gain.value for gain in gains if problem.unknown_gains[gain.row - problem.gain_rows.start]]
+    names = [joint for joint in judged if joint in motors(fit)]
+    negative = bool(names) and fit.gains[[fit.problem.joints.index(joint) for joint in names]].max() < 0
     # by another gravity
     turned = any(all(move < -100 for move in part.moves.values()) for part in better)
-    if min(prior_gains.values(), default=1.0) > 0 and max(free, default=0.0) < 0 and not turned:
+    if min(prior_gains.values(), default=1.0) > 0 and negative and not turned:
         advice = wrenches_first(fit, f"check the sign of the currents and positions, gravity{which_payload(fit)}")
         yield contradiction(ALL_NEGATIVE, motors(fit), "all drive gains are negative", advice)
 
 
 def refuted_descriptions(
-    fit: Fit, better: Effects, gains: Iterable[JudgedGain], wrong: Sequence[Finding], accuracy: float
+    fit: Fit, better: Effects, judged: Judged, wrong: Sequence[Finding], accuracy: float
 ) -> Iterator[Finding]:
     """Find descriptions that explain the data ``better``, and move a gain by more than the accuracy.
 
     Where gains are given they explain more than ``wrong`` values of payloads do.
     """
-    gains = [gain for gain in gains if gain.random_half < 1]  # a gain that is noise refutes nothing
     least = min((finding.values["remains"] for finding in wrong), default=1.0)
     for part in better:
-        for gain in gains:
-            move = part.moves[gain.joint] / 100
-            if abs(move) > accuracy:
+        for joint, gain in judged.items():
+            move = part.moves[joint] / 100
+            if abs(move) > accuracy and gain.random_half < 1:  # a gain that is noise refutes nothing
                 turned = ", which reverses its sign" if -MOST_PERCENT / 100 < move < -1 else ""
                 text = f"{explained_share(part)} and move the gain by {{own}}"
-                yield refuted(fit, part, (gain.joint,), text, percent(move, "+.2g") + turned)
+                yield refuted(fit, part, (joint,), text, percent(move, "+.2g") + turned)
         harmless = part.effect == TORQUE_SCALE.name and abs(part.size) - 3 * part.std <= OTHER_SCALE
         if not (fit.free_gains or harmless) and part.cause.values.get("remains", 0.0) < least:
             yield refuted(fit, part, part.cause.joints or motors(fit), explained_share(part))
@@ -194,10 +187,10 @@ def refuted(fit: Fit, part: EstimatedEffect, joints: tuple[str, ...], text: str,
     return contradiction(REFUTED, joints, text, advice, causes=(kind,), own=own)
 
 
-def small_refutations(better: Effects, gains: Sequence[JudgedGain], accuracy: float) -> Iterator[Finding]:
+def small_refutations(better: Effects, judged: Judged, accuracy: float) -> Iterator[Finding]:
     """Note parts of the description that the data refute without moving any gain by more than the accuracy."""
-    least = min((gain.half for gain in gains), default=np.inf)
-    for part in better if gains else ():
+    least = min((gain.half for gain in judged.values()), default=np.inf)
+    for part in better if judged else ():
         if (move := part.largest_move / 100) <= accuracy:
             yield Finding(
                 "description refuted, gains unmoved",
@@ -210,9 +203,9 @@ def small_refutations(better: Effects, gains: Sequence[JudgedGain], accuracy: fl
             )
 
 
-def gains_without_value(fit: Fit, gains: Sequence[JudgedGain]) -> Iterator[Finding]:
+def gains_without_value(fit: Fit, judged: Judged) -> Iterator[Finding]:
     """Find gains that the data do not determine, the worst first for each joint."""
-    if gains and not fit.solution.converged:
+    if judged and not fit.solution.converged:
         text = "the iteration did not converge, so the data do not determine it"
         advice = "resolve the contradictory joints first"
         yield Finding("not converged", motors(fit), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
@@ -222,13 +215,12 @@ def gains_without_value(fit: Fit, gains: Sequence[JudgedGain]) -> Iterator[Findi
             "use a heavier payload, and motions in which the joint lifts or accelerates it; check the direction of "
             f"gravity{which_payload(fit)}"
         )
-    for gain in gains:
+    for joint, gain in judged.items():
         kind, text = "sign open", "the 95 % interval includes zero"  # which leaves not even the sign
         if gain.std > LOST_GAIN:
-            kind = "lost in noise"
-            text = f"the relative standard deviation is {percent(gain.std, '.0f')}"
+            kind, text = "lost in noise", f"the relative standard deviation is {percent(gain.std, '.0f')}"
         if gain.std > LOST_GAIN or gain.half >= 1:
-            yield Finding(kind, (gain.joint,), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
+            yield Finding(kind, (joint,), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
 
 
 def unloaded_advice(fit: Fit) -> str:
@@ -267,19 +259,18 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
         yield contradiction("impossible parameters", joints, text, IMPOSSIBLE)
 
 
-def wide_gains(
-    fit: Fit, effects: Effects, estimates: Estimates, gains: Iterable[JudgedGain], accuracy: float
-) -> Iterator[Finding]:
+def wide_gains(fit: Fit, effects: Effects, estimates: Estimates, judged: Judged, accuracy: float) -> Iterator[Finding]:
     """Find gains whose intervals are wider than the accuracy, with the largest contribution to each."""
     sized, interval = [effect for effect in effects if effect.std], "the 95 % interval is {own}"
-    for gain in gains:
+    for joint, gain in judged.items():
         if gain.half <= accuracy:
             continue
         causes: tuple[str, ...] = ()
-        random, model = estimates.random[gain.row, gain.row], estimates.model[gain.row, gain.row]
-        most = max(sized, key=lambda effect: abs(effect.moves[gain.joint] * effect.std / effect.size), default=None)
+        row = estimates.unknowns.places[Parameter("gain", joint)]
+        random, scale, model = (part[row, row] for part in (estimates.random, estimates.scale, estimates.model))
+        most = max(sized, key=lambda effect: abs(effect.moves[joint] * effect.std / effect.size), default=None)
         kind, text, advice = WIDE_RANDOM, interval, unloaded_advice(fit)
-        if estimates.scale[gain.row, gain.row] > NAMED_SHARE * (random + model):
+        if scale > NAMED_SHARE * (random + model):
             kind = WIDE_SCALE
             text = f"{interval}, limited by the uncertainty of the scale reference"
             advice = "calibrate the sensors, or weigh the payload, more accurately"
@@ -297,4 +288,4 @@ def wide_gains(
                 "if other joints are weak too, check which runs carry the payload, on which body, and gravity"
             )
         width = f"+-{percent_text(100 * gain.half, 100 * accuracy)} %"
-        yield Finding(kind, (gain.joint,), causes=causes, text=text, own=width, advice=advice, grade=Grade.WEAK)
+        yield Finding(kind, (joint,), causes=causes, text=text, own=width, advice=advice, grade=Grade.WEAK)

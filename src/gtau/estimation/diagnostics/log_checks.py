@@ -212,7 +212,7 @@ def require_payload_excitation(system: System) -> None:
     loads = {name for columns in system.payloads for name in columns.unknown}
     robot_columns = [k for k, name in enumerate(problem.parameters) if name not in loads]
     without, with_all = (
-        np.array([_residual(R, columns) for R in problem.triangles[: len(problem.joints)]])
+        np.array([own_share(R, columns) for R in problem.triangles[: len(problem.joints)]])
         for columns in (robot_columns, list(range(n + 1)))
     )
     if np.all(without < UNFELT_PAYLOAD * with_all):
@@ -249,10 +249,11 @@ def require_motion(fit: Fit, estimates: Estimates) -> None:
         )
 
 
-def _residual(R: np.ndarray, columns: list[int]) -> float:
-    """Compute the relative residual of a joint's current, fitted by ``columns`` of its own equations."""
-    solved = np.linalg.lstsq(R[:, columns], R[:, SIGNAL], rcond=1e-10)[0]
-    return float(np.linalg.norm(R[:, SIGNAL] - R[:, columns] @ solved) / np.linalg.norm(R[:, SIGNAL]))
+def own_share(rows: np.ndarray, columns: list[int]) -> float:
+    """Compute the share of a joint's current that ``columns`` of its own equations (., p) leave unexplained."""
+    A, v = rows[:, columns], rows[:, SIGNAL]
+    A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    return float(np.linalg.norm(v - A @ np.linalg.lstsq(A, v, rcond=1e-9)[0]) / max(float(np.linalg.norm(v)), 1e-300))
 
 
 def lack_of_fit(problem: Problem, solution: Solution) -> float:
@@ -291,12 +292,9 @@ def frozen_encoders(fit: Fit) -> list[Finding]:
 
 def unexplained_by_run(fit: Fit) -> np.ndarray:
     """Compute the share of each joint's current that its own equations leave unexplained in each run, (runs, n)."""
-    problem, unit_runs = fit.problem, fit.system.block_positions[:, 0]
+    problem, block_runs = fit.problem, fit.system.block_positions[:, 0]
     shares = np.zeros((len(fit.dataset.runs), len(problem.joints)))
     for run, joint in np.ndindex(*shares.shape):
-        rows = problem.blocks[unit_runs == run, joint].reshape(-1, problem.blocks.shape[-1])
-        W, v = rows[:, problem.own_columns[joint]], rows[:, SIGNAL]
-        W = W / np.maximum(np.linalg.norm(W, axis=0), 1e-300)
-        rest = v - W @ np.linalg.lstsq(W, v, rcond=1e-9)[0]
-        shares[run, joint] = np.linalg.norm(rest) / max(float(np.linalg.norm(v)), 1e-300)
+        rows = np.concatenate(problem.blocks[block_runs == run, joint])
+        shares[run, joint] = own_share(rows, problem.own_columns[joint])
     return shares

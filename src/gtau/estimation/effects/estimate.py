@@ -100,7 +100,7 @@ def _scale(mixed: MixedFit) -> np.ndarray:
 
 def _random(mixed: MixedFit, slopes: np.ndarray) -> np.ndarray:
     """Compute the covariance (k, k) that the noise alone gives the values, by their ``slopes`` (k, k)."""
-    alone = posterior(mixed.model, mixed.grams, np.full(len(mixed.log_s), BOUNDS[0] - 10.0))
+    alone = posterior(mixed.model, np.full(len(mixed.log_s), BOUNDS[0] - 10.0))
     k = mixed.model.unknowns
     return np.asarray(slopes @ alone.covariance[:k, :k] @ slopes.T)
 
@@ -146,7 +146,7 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
     against = [n for n, layout in enumerate(result.rows.layouts) if layout.effect.description]
     log_s = mixed.log_s.copy()
     log_s[against] = 0.0
-    at = posterior(mixed.model, mixed.grams, log_s)
+    at = posterior(mixed.model, log_s)
     opened = replace(result, mixed=replace(mixed, log_s=log_s, at=at))
     listed = [(result.rows.layouts[n].effect, *column)
               for n in against for column in _columns(opened, n, result.rows.layouts[n])]  # fmt: skip

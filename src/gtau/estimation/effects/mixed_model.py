@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -106,7 +107,7 @@ class MixedModel:
     Its m own columns, k of the Jacobian, those that all channels share, and the residuals. ``known`` (k + 1, k + 1) are
     products of further equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and
     ``shared_groups`` the groups of the columns; ``largest`` the standard deviation of s of each group before the data:
-    a half-normal prior.
+    a half-normal prior. ``noise`` of each channel is of independent rows of unit variance where it was not found yet.
     """
 
     rows: tuple[LagProducts, ...]
@@ -115,6 +116,12 @@ class MixedModel:
     shared_groups: np.ndarray
     largest: np.ndarray
     noise: tuple[Noise, ...] = ()
+
+    @cached_property
+    def grams(self) -> tuple[np.ndarray, ...]:
+        """Products of each channel's rows with independent noise of unit variance."""
+        noise = self.noise or (Noise(),) * len(self.rows)
+        return tuple(channel.whitened(rows) for channel, rows in zip(noise, self.rows, strict=True))
 
     @property
     def unknowns(self) -> int:
@@ -159,7 +166,7 @@ class Posterior:
         return value, slopes @ self.covariance @ slopes.T + added
 
 
-def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray) -> Posterior:
+def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
     """Solve for d and all u at the sizes ``exp(log_s)``: minus the restricted log-likelihood, and its slope.
 
     The slope by ``log s_k`` is ``m_k - |u_k / s_k|^2 - tr C_kk`` with C the posterior covariance of ``u / s``.
@@ -174,7 +181,7 @@ def posterior(model: MixedModel, grams: Sequence[np.ndarray], log_s: np.ndarray)
     S[np.ix_(at, at)] = model.known
     S[range(k, count), range(k, count)] += 1.0
     determinant, roots, sides = 0.0, [], []
-    for gram in grams:
+    for gram in model.grams:
         A = gram[:m, :m] * own_sizes[:, None] * own_sizes
         A[range(m), range(m)] += 1.0
         A[range(m), range(m)] *= 1 + ROUNDING
@@ -211,9 +218,7 @@ def _variance(root: np.ndarray, response: np.ndarray, covariance: np.ndarray) ->
     return np.asarray(np.sum(root**2, axis=0) + np.einsum("ij,ij->i", response @ covariance, response))
 
 
-def find_sizes(
-    model: MixedModel, grams: Sequence[np.ndarray], start: np.ndarray, without: Sequence[int] = ()
-) -> np.ndarray:
+def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()) -> np.ndarray:
     """Maximise the restricted likelihood over the sizes of all groups, from a ``start``: log s, (groups,)."""
     from scipy.optimize import minimize
 
@@ -223,7 +228,7 @@ def find_sizes(
 
     def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
         log_s[free] = values
-        at = posterior(model, grams, log_s)
+        at = posterior(model, log_s)
         return at.loss, at.slope[free]
 
     if len(free):
@@ -238,7 +243,6 @@ class MixedFit:
     """A model at its most likely sizes ``s``: exp(log_s), with the posterior of all effects."""
 
     model: MixedModel
-    grams: tuple[np.ndarray, ...]
     log_s: np.ndarray
     at: Posterior
 
@@ -249,42 +253,32 @@ class MixedFit:
 
     def lost_without(self, groups: Sequence[int]) -> float:
         """Compute the log-likelihood that is lost without some groups, the sizes of the others being found again."""
-        others = find_sizes(self.model, self.grams, self.log_s, groups)
-        return posterior(self.model, self.grams, others).loss - self.at.loss
+        return posterior(self.model, find_sizes(self.model, self.log_s, groups)).loss - self.at.loss
 
 
 def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     """Find sizes of all effects and the noise of all channels in turn, from those ``near`` them if given."""
-    channels, log_s = range(len(model.rows)), np.full(len(model.largest), START)
+    log_s = np.full(len(model.largest), START)
     log_s = log_s if near is None else np.maximum(near.log_s, log_s)  # a small size has no slope to grow by
-    noise = model.noise or (Noise(),) * len(model.rows)
     for _ in range(PASSES):
-        grams = _grams(model, noise)
-        log_s = find_sizes(model, grams, log_s)
-        at, sizes = posterior(model, grams, log_s), np.exp(log_s)
-        before = noise
+        log_s = find_sizes(model, log_s)
+        at, before = posterior(model, log_s), model.noise or (Noise(),) * len(model.rows)
         noise = tuple(
-            noise_of(model.rows[c], model.coefficients(sizes, at, c), _used(model, grams[c], sizes, at, c))
-            for c in channels
+            noise_of(rows, model.coefficients(np.exp(log_s), at, c), _used(model, np.exp(log_s), at, c))
+            for c, rows in enumerate(model.rows)
         )
+        model = replace(model, noise=noise)
         change = [abs(np.log(new.std / old.std)) for new, old in zip(noise, before, strict=True)]
         if max(change) < SETTLED:
             break
-    model = replace(model, noise=noise)
-    grams = _grams(model, noise)
-    return MixedFit(model, grams, log_s, posterior(model, grams, log_s))
+    return MixedFit(model, log_s, posterior(model, log_s))
 
 
-def _grams(model: MixedModel, noise: Sequence[Noise]) -> tuple[np.ndarray, ...]:
-    """Combine the rows of each channel into products of rows with unit noise."""
-    return tuple(channel.whitened(rows) for channel, rows in zip(noise, model.rows, strict=True))
-
-
-def _used(model: MixedModel, gram: np.ndarray, sizes: np.ndarray, at: Posterior, channel: int) -> float:
+def _used(model: MixedModel, sizes: np.ndarray, at: Posterior, channel: int) -> float:
     """Compute how many rows of a channel its own effects and its share in the common ones take up: tr(C X^T X)."""
     m = len(model.own_groups)
     scale = np.concatenate([sizes[model.own_groups], np.ones(model.unknowns), sizes[model.shared_groups]])
-    A = gram[:-1, :-1] * scale[:, None] * scale
+    A = model.grams[channel][:-1, :-1] * scale[:, None] * scale
     B, C = at.response[channel], at.covariance
     root, within = at.root[channel], A[:m, :m]
     own_effects = float(np.sum((root @ within) * root)) + float(np.sum((B.T @ within @ B) * C))

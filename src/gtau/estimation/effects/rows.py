@@ -56,13 +56,6 @@ def triangles(rows: np.ndarray, keep: np.ndarray) -> np.ndarray:
     return np.stack([np.pad(R, ((0, height - len(R)), (0, 0))) for R in reduced])
 
 
-def least_squares_step(J: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """Solve for the steps (k, ...) that minimise ``e + J step``, in the directions that are excited."""
-    scale = np.linalg.norm(J, axis=0)
-    scale[scale == 0] = 1.0
-    return np.asarray((np.linalg.lstsq(J / scale, -e, rcond=RANK)[0].T / scale).T)
-
-
 def fitted_sizes(fit: Fit, windows: Windows, effect: Effect, count: int) -> np.ndarray:
     """Fit the sizes of an effect's first columns together with all unknowns, along windows; raises GtauError."""
     e_known, J_known = known_rows(fit, windows)
@@ -75,7 +68,9 @@ def fitted_sizes(fit: Fit, windows: Windows, effect: Effect, count: int) -> np.n
         added = -R[..., first : first + count] * scale[:, None, None]
         errors.append(e)
         jacobians.append(np.hstack([J, added.reshape(len(e), count)]))
-    return least_squares_step(np.vstack(jacobians), np.concatenate(errors))[-count:]
+    J = np.vstack(jacobians)
+    norms = np.maximum(np.linalg.norm(J, axis=0), 1e-300)
+    return np.asarray((np.linalg.lstsq(J / norms, -np.concatenate(errors), rcond=RANK)[0] / norms)[-count:])
 
 
 def _columns_of(effects: Sequence[Effect]) -> Callable[[FitWindow], Torques]:

@@ -288,9 +288,11 @@ def remarks(result: IdentifiedModel) -> list[Finding]:
             notes.append(Finding(kind, subject=name, text=text, advice=advice, shown_as="model"))
     lack = result.statistics["lack_of_fit"]
     if lack > INFLATED and any(error.relative > VISIBLE for error in result.residuals):
+        largest = max(result.effects, key=lambda effect: effect.share, default=None)
+        found = f"; the largest found is {largest.subject}" if largest and largest.share else ""
         text = (
             f"residuals are autocorrelated: standard errors are {lack:.1f} times as large as for white noise, so the "
-            "model lacks an effect, such as another kind of friction, motor ripple, cables or elasticity"
+            f"model lacks an effect{found}"
         )
         notes.append(Finding("autocorrelated residuals", text=text, shown_as="model"))
     lost = [name for name, estimate in result.parameters.items() if estimate.value is None]
