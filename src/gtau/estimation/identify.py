@@ -14,7 +14,6 @@ from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
     lack_of_fit,
-    require_motion,
     require_payload_excitation,
     smoothed_commands,
 )
@@ -140,7 +139,6 @@ def estimate(
     if any(scale.verdict(accuracy).outcome == Grade.CONTRADICTORY for scale in scales):
         moved = None  # what a sensor contradicts, effects would explain in part
     estimates = estimates_of(fit, examined, not as_paper, moved is not None)
-    require_motion(fit, estimates)
     lack = lack_of_fit(fit.system.problem, fit.solution)
     plain, fit = fit, moved or fit
     essential, reduced, loss = essential_fit(fit, ratio, correlated=not as_paper, joint=as_paper)

@@ -9,7 +9,7 @@ Torques that are reversed are tried one by one: :mod:`gtau.estimation.diagnostic
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -94,19 +94,20 @@ def columns_of_effort(fit: Fit) -> tuple[Finding, ...]:
     except GtauError:
         return ()
     before, least, findings = unexplained_shares(stated), 1.0, tuple[Finding, ...]()
-    lags, late = _late(middle)
-    readings = {LATE_CURRENTS: late, MAGNITUDES: _magnitudes(middle), SWAPPED_CHANNELS: _exchanged(middle, stated)}
+    late, shifted = _late(middle)
+    readings = {LATE_CURRENTS: shifted, MAGNITUDES: _magnitudes(middle), SWAPPED_CHANNELS: _exchanged(middle, stated)}
     for kind, signals in readings.items():
         try:
             other = middle.fitted(signals)
         except GtauError:
             continue
         altered, after, remains = sorted(signals), unexplained_shares(other), residual_ratio(other, stated)
-        if altered and remains < least and np.all(after[altered] < np.minimum(ALTERED * before[altered], MISFIT)):
-            least = remains
-            shares = before[altered], after[altered]
-            found = _lates(fit, lags, *shares) if kind == LATE_CURRENTS else [_looks(fit, kind, altered, *shares)]
-            findings = tuple(found)
+        # a joint that is late shows it by its own equations, beside others that are late too
+        explained = kind == LATE_CURRENTS or np.all(after[altered] < np.minimum(ALTERED * before[altered], MISFIT))
+        if altered and explained and remains < least:
+            least, findings = remains, (_looks(fit, kind, altered, before[altered], after[altered]),)
+            if kind == LATE_CURRENTS:
+                findings = late
     return findings
 
 
@@ -129,40 +130,33 @@ def middle_rows(fit: Fit) -> MiddleRows | None:
     return MiddleRows(fit, np.concatenate(rows, axis=1), kept, step, reach)
 
 
-def _late(middle: MiddleRows) -> tuple[dict[int, float], Signals]:
-    """Shift the columns that fit much better at a lag (s), of either sign, than at any delay that the model describes.
+def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
+    """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes.
 
     Acceleration shows the lag: without it friction, stops and the controller look like one.
     """
-    longest, lags, signals = float(middle.fit.problem.longest_delays.max()), dict[int, float](), dict[int, np.ndarray]()
-    for j in range(len(middle.fit.gains) if middle.reach else 0):
+    fit, findings, signals = middle.fit, list[Finding](), dict[int, np.ndarray]()
+    longest, rows = float(fit.problem.longest_delays.max()), range(-middle.reach, middle.reach + 1)
+    for j in range(len(fit.gains) if middle.reach else 0):
         kept, basis, signal = np.flatnonzero(middle.keep[j]), middle.basis(j), middle.rows[j, :, SIGNALS]
-        tried = {
-            late: left(basis, signal[kept + late], max(longest, middle.step))
-            for late in range(-middle.reach, middle.reach + 1)
-        }
+        tried = {late: left(basis, signal[kept + late], max(longest, middle.step)) for late in rows}
         late = min(tried, key=lambda late: tried[late])
-        share, delay = tried[late]
-        lag = late * middle.step - delay
-        if abs(late) == middle.reach or abs(lag) <= longest or share > ALTERED * left(basis, signal[kept], longest)[0]:
+        (share, delay), (logged, _) = tried[late], left(basis, signal[kept], longest)
+        lag, steady = late * middle.step - delay, left(middle.basis(j, TURNING), signal[kept + late], longest)[0]
+        if abs(late) == middle.reach or abs(lag) <= longest:
             continue
-        if share < LATE_STEADY * left(middle.basis(j, TURNING), signal[kept + late], longest)[0]:
-            lags[j], signals[j] = lag, np.roll(signal, -late, axis=0)
-    return lags, signals
-
-
-def _lates(fit: Fit, lags: Mapping[int, float], before: np.ndarray, after: np.ndarray) -> Iterator[Finding]:
-    """Say which columns are late."""
-    for (j, lag), logged, share in zip(sorted(lags.items()), before.tolist(), after.tolist(), strict=True):
-        text = (
-            f"the {fit.kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
-            f"{100 * share:.2g} % is unexplained after shifting them, {100 * logged:.2g} % as logged"
-        )
-        advice = (
-            "log them with the time stamps of the positions, or if all joints are equally late, write "
-            f"'preparation: {{delay: {lag:.3g}}}'"
-        )
-        yield contradiction(LATE_CURRENTS, (fit.problem.joints[j],), text, advice, size=logged)
+        if share < min(ALTERED * logged, LATE_STEADY * steady, MISFIT):
+            text = (
+                f"the {fit.kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
+                f"{100 * share:.2g} % is unexplained after shifting them, {100 * logged:.2g} % as logged"
+            )
+            advice = (
+                "log them with the time stamps of the positions, or if all joints are equally late, write "
+                f"'preparation: {{delay: {lag:.3g}}}'"
+            )
+            findings.append(contradiction(LATE_CURRENTS, (fit.problem.joints[j],), text, advice, size=logged))
+            signals[j] = np.roll(signal, -late, axis=0)
+    return tuple(findings), signals
 
 
 def _exchanged(middle: MiddleRows, stated: Fit) -> Signals:

@@ -28,13 +28,12 @@ from gtau.estimation.regression.factors import SIGNAL, SIGNALS
 from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.findings import Finding, Grade, listed, percent
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import INERTIAL, Robot
+from gtau.robots.robot import Robot
 from gtau.signals.preparation.bandwidth import end_of_commands
 from gtau.signals.reading.samples import extremes
 from gtau.signals.repair.commands import whole_numbers, window_of_commands
 from gtau.signals.run import Run
 
-DETERMINED = 2.0  # standard deviations of an inertial parameter: logs with a large residual say nothing with all below
 LAG_STD = 4.0  # lag of all commands together behind the motion, in standard errors
 LAG_JOINTS = 2  # joints whose acceleration shows the lag, or all of the robot: friction of one alone may look like it
 LAG_SAMPLES = 1.0  # lag of all commands together behind the motion, samples
@@ -221,31 +220,6 @@ def require_payload_excitation(system: System) -> None:
             f"joint {100 * without.max():.2g} % of its current, {100 * with_all.max():.2g} % with it), so they do not "
             "fix the drive gains; give actual currents or the references of the current loops, not targets of the "
             "controller's own model, check which runs carry the payload, or log longer runs with a heavier one."
-        )
-
-
-def require_motion(fit: Fit, estimates: Estimates) -> None:
-    """Refuse logs that say nothing of the robot, of which nothing can be judged then; raises GtauError.
-
-    They determine none of its inertial parameters, and parameters that fit some joints leave more of another's torque
-    than there is.
-    """
-    problem, dataset = fit.problem, fit.dataset
-    parts, gains = slice(problem.n_theta), problem.gain_rows
-    values, covariance = estimates.values[parts], estimates.covariance
-    # at the gains as estimated: a scale that nothing determines, such as the scale of noise, is another matter
-    by_gains = covariance[parts, gains] @ np.linalg.pinv(covariance[gains, gains], hermitian=True)
-    std = np.sqrt(np.maximum(np.diag(covariance)[parts] - np.sum(by_gains * covariance[parts, gains], axis=1), 0.0))
-    inertial = np.array([name.kind in (*INERTIAL, "ia") for name in problem.parameters])
-    worst = int(np.argmax(shares := unexplained_shares(fit)))
-    if shares[worst] > 1 and inertial.any() and np.all(np.abs(values) < DETERMINED * std, where=inertial):
-        joint = problem.channels[worst].joint
-        seconds = sum(len(run) / run.run.rate for run in dataset.prepared)
-        raise GtauError(
-            f"{seconds:.3g} s of motion determine none of the {inertial.sum()} inertial parameters (the model leaves "
-            f"{100 * shares[worst]:.0f} % of the {dataset.runs[0].kind} of joint '{joint}'), so "
-            "nothing can be said of the robot or of its logs; log longer, along a motion in which all joints move fast "
-            "through their ranges."
         )
 
 
