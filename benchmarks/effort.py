@@ -27,9 +27,8 @@ from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.effort import columns_of_effort
-from gtau.estimation.diagnostics.gravity import likeliest_gravity
-from gtau.estimation.diagnostics.log_checks import doubtful_commands
+from gtau.estimation.diagnostics.effort import columns_of_effort, middle_rows, shows_gravity
+from gtau.estimation.diagnostics.log_checks import doubtful_commands, lack_of_fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
@@ -245,10 +244,11 @@ def meaning(dataset: Dataset) -> str:
         return str(doubtful[0].kind)
     gains = None if dataset.runs[0].kind == "current" else np.ones(len(dataset.model.actuated))
     fit = fit_by(ml_or_wls(gains), dataset.system(), gains is None)
-    if findings := columns_of_effort(fit):
+    middle = middle_rows(fit)
+    if findings := columns_of_effort(middle):
         return findings[0].kind
-    other = likeliest_gravity(fit, turned=False)
-    return "as stated" if other is None else other.cause.kind
+    missing, _ = (False, False) if middle is None else shows_gravity(middle, lack_of_fit(fit.problem, fit.solution))
+    return "torques without gravity" if missing else "as stated"
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from stated_arm import plant, robot
 
-from gtau.estimation.effects.effect import EstimatedEffect, Levels
+from gtau.estimation.effects.effect import EstimatedEffect, rms_speeds
 from gtau.estimation.effects.estimate import Mixed, contradictions, estimate_effects, estimated_effects
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.rows import difference_root, run_covariance, run_modes
@@ -80,7 +80,7 @@ def test_friction_that_differs_between_runs_has_its_size() -> None:
     loaded = replace(plant, chi=chi).run("loaded", 10.0, STEEL, seed=2)
     result = mixed([plant.run("free", 10.0, seed=1), replace(loaded, payload=known)])
     fit, places = result.rows.fit, result.rows.fit.system.problem.unknowns.places
-    for joint, speed in zip(JOINTS, Levels(fit).speeds, strict=True):  # 5 % less than the mean of both runs
+    for joint, speed in zip(JOINTS, rms_speeds(fit), strict=True):  # 5 % less than the mean of both runs
         fv, fs = (result.values[places[Parameter(kind, joint, 0)]] for kind in ("fv", "fs"))
         expected = -0.05 * (plant.chi[f"fv_{joint}"] * speed + plant.chi[f"fs_{joint}"])
         assert fv * speed + fs == pytest.approx(expected, rel=0.2)

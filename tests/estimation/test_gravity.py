@@ -27,11 +27,11 @@ from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 
 
-def found(robot: Robot, runs: list[Run], turned: bool = True) -> EstimatedEffect | None:
+def found(robot: Robot, runs: list[Run], missing: bool = False) -> EstimatedEffect | None:
     dataset = reduce_runs(robot, runs)
     gains = np.ones(len(robot.actuated)) if runs[0].kind == "torque" else None
     system = dataset.system(per_run=len(runs) > 1)
-    return likeliest_gravity(fit_by(ml_or_wls(gains), system, gains is None), turned)
+    return likeliest_gravity(fit_by(ml_or_wls(gains), system, gains is None), missing, turned=not missing)
 
 
 def axis(gravity: Gravity) -> np.ndarray:
@@ -106,8 +106,8 @@ def test_gravity_is_not_missing_where_the_logs_contradict_it() -> None:
     Of an Orthoglide in MuJoCo, played well, all intervals once were +-180 % and more for this.
     """
     robot = load_robot("orthoglide")
-    assert found(robot, logged(robot, robot.gravity, currents=True), turned=False) is None
-    without = found(robot, logged(robot, (0.0, 0.0, 0.0), currents=True), turned=False)
+    assert found(robot, logged(robot, robot.gravity, currents=True), missing=True) is None
+    without = found(robot, logged(robot, (0.0, 0.0, 0.0), currents=True), missing=True)
     assert without is not None
     assert without.cause.values["remains"] < 0.1
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics import descriptions, gains, gravity, scale
-from gtau.estimation.diagnostics.effort import MISFIT_TRIED, columns_of_effort
+from gtau.estimation.diagnostics.effort import MISFIT_TRIED, columns_of_effort, middle_rows, shows_gravity
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit, logged_torques
 from gtau.estimation.diagnostics.units import reversed_by_file, units_and_signs
 from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, decide, delay_verdicts, motors, unexplained_shares
@@ -99,20 +99,22 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         )
         return Examination(findings=(few,))
     misfit = float(unexplained_shares(fit).max()) > MISFIT_TRIED
-    lacking = lack_of_fit(fit.problem, fit.solution) > LACKING
-    mixed, findings = None, list(columns_of_effort(fit) if misfit or lacking else ())
+    lack, middle = lack_of_fit(fit.problem, fit.solution), middle_rows(fit)
+    lacking = lack > LACKING
+    mixed, findings = None, list(columns_of_effort(middle) if misfit or lacking else ())
     effects = contradicting = tuple[EstimatedEffect, ...]()
     try:
         if (mixed := estimate_effects(fit)) is not None:
             effects = estimated_effects(mixed)
             contradicting = _contradicting(effects, contradictions(mixed))
         findings = [*frozen_encoders(fit), *findings]
-        tried = _other_descriptions(fit, misfit, lacking, effects, progress)
+        missing, as_well = (False, False) if middle is None else shows_gravity(middle, lack)
+        tried = _other_descriptions(fit, misfit, lacking, missing, effects, progress)
         # one that leaves more of the residuals than the user's explains a single joint at most
         likelier = (other for other in tried if other is not None and other.share > 0)
         if not findings and (refit := next(likelier, None)):
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
-        elif not findings and not (fit.dataset.robot.inertias and fit.kind == "torque"):
+        elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
             findings += gravity.gravity_not_shown(fit)
     except GtauError as refusal:
         text = f"effects that the model may lack could not be tested: {str(refusal).removesuffix('.')}"
@@ -143,7 +145,7 @@ def _contradicting(
 
 
 def _other_descriptions(
-    fit: Fit, misfit: bool, lacking: bool, effects: Sequence[EstimatedEffect], progress: Progress
+    fit: Fit, misfit: bool, lacking: bool, missing: bool, effects: Sequence[EstimatedEffect], progress: Progress
 ) -> Iterator[EstimatedEffect | None]:
     """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
 
@@ -158,8 +160,9 @@ def _other_descriptions(
     others = list[EstimatedEffect | None]()
     if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
         others.append(gravity.other_clock(fit, progress))
-    if misfit or lacking:
-        others.append(gravity.likeliest_gravity(fit, lacking and (tilted or misfit), progress))
+    turned = lacking and (tilted or misfit)
+    if missing or turned:
+        others.append(gravity.likeliest_gravity(fit, missing, turned, progress))
     # a clock that is far too slow leaves as little gravity as torques without gravity do
     yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
     if misfit:
@@ -170,7 +173,7 @@ def explained_failure(system: System, progress: Progress) -> str:
     """Say what makes the iteration of the gains diverge, if columns of effort or an angle of a parallelogram do."""
     try:
         fit = fit_by(likeliest, system, free_gains=True)
-        if columns := columns_of_effort(fit):
+        if columns := columns_of_effort(middle_rows(fit)):
             joints = listed(joint for finding in columns for joint in finding.joints)
             return f"the iteration of the drive gains did not converge; joint {joints}: {columns[0]}."
         angle = descriptions.angle_from_another_link(fit, progress)

@@ -1,4 +1,4 @@
-"""Read the columns of effort otherwise than stated: late, exchanged between joints, or magnitudes.
+"""Read the columns of effort otherwise than stated: late, exchanged between joints, magnitudes, or without gravity.
 
 The rows are the equations in the middle of the runs; columns are altered, never the rows or the freedom of the
 parameters. A joint's own equations say how late its column is, or which signs it lacks. Then all joints are fitted
@@ -11,26 +11,32 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import LEFT, residual_ratio
-from gtau.estimation.diagnostics.verdict import contradiction, unexplained_shares, wrenches_first
-from gtau.estimation.effects.effect import FitWindow
+from gtau.estimation.diagnostics.verdict import contradiction, has_wrenches, unexplained_shares, wrenches_first
+from gtau.estimation.effects.effect import FitWindow, Torques
 from gtau.estimation.effects.rows import triangles
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.estimators.newton import least_squares
-from gtau.estimation.regression.factors import SIGNAL, SIGNALS, delayed
+from gtau.estimation.regression.factors import SIGNAL, SIGNALS, channel_rows, delayed, triangle
 from gtau.estimation.regression.problem import best_delay
+from gtau.estimation.regression.rows import Rows
 from gtau.findings import Finding, listed
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import INERTIAL
 
 ALTERED = 0.5  # unexplained share of a joint's current, read otherwise, over that as logged
 LATE_STEADY = 0.6  # unexplained share of the shifted current over the share that terms without acceleration leave
 MISFIT_TRIED = 0.1  # unexplained share of a joint's signal, from which its column is exchanged with others
+LESS_GRAVITY = 0.5  # share of gravity with which rows are less likely than without, where torques have none
+MEANING_CLOSE = 3.0  # log likelihood by which torques are likelier without gravity, up to which they are not called so
+AS_WELL = 1.1  # residual variance without gravity over with it, up to which compensation explains torques as well
 HARDLY_NEGATIVE = 0.05  # most negative value over the largest of a column of magnitudes behind a filter
 
 LATE_CURRENTS, SWAPPED_CHANNELS, MAGNITUDES = "currents logged late", "swapped channels", "magnitudes"
@@ -48,11 +54,13 @@ Signals = Mapping[int, np.ndarray]
 class MiddleRows:
     """Rows (c, K, p) of a fit's problem in the middle of its runs, of which ``keep`` (c, K) count.
 
-    They are ``step`` (s) apart, and ``reach`` rows at both ends of each run do not count: their neighbours are missing.
+    ``weight`` (c, K, p) is gravity's part of them. They are ``step`` (s) apart, and ``reach`` rows at both ends of each
+    run do not count: their neighbours are missing.
     """
 
     fit: Fit
     rows: np.ndarray
+    weight: np.ndarray
     keep: np.ndarray
     step: float
     reach: int
@@ -66,14 +74,32 @@ class MiddleRows:
         problem = replace(problem, blocks=blocks, rows=counts, clusters=None)
         return replace(self.fit, system=replace(self.fit.system, problem=problem), solution=self.fit.solve(problem))
 
-    def basis(self, j: int, without: tuple[str, ...] = ()) -> np.ndarray:
-        """Orthonormal basis (K, r) of a joint's own columns, but for some kinds of parameters."""
-        from scipy.linalg import orth
+    @cached_property
+    def bases(self) -> list[np.ndarray]:
+        """Orthonormal bases (K, r) of the joints' own columns."""
+        return [basis_of(self.rows[j, self.keep[j], :SIGNAL]) for j in range(len(self.fit.gains))]
 
-        kept = [name.kind not in without for name in self.fit.problem.parameters]
-        columns = self.rows[j, self.keep[j], :SIGNAL][:, [*kept, True]]
-        norms = np.linalg.norm(columns, axis=0)
-        return np.asarray(orth(columns[:, norms > 0] / norms[norms > 0], rcond=RANK))
+    @cached_property
+    def shares(self) -> np.ndarray:
+        """Share that the equations of each joint leave of the column of each joint, (n, n)."""
+        n, signals = len(self.bases), self.rows[..., SIGNALS]
+        pairs = np.reshape(
+            [left(self.bases[j], signals[k, self.keep[j]], self.longest)[0] for j, k in np.ndindex(n, n)], (n, n)
+        )
+        return np.asarray(pairs)
+
+    @property
+    def longest(self) -> float:
+        """Longest delay that the model describes, s."""
+        return float(self.fit.problem.longest_delays.max())
+
+
+def basis_of(columns: np.ndarray) -> np.ndarray:
+    """Make an orthonormal basis (K, r) of columns (K, p)."""
+    from scipy.linalg import orth
+
+    norms = np.linalg.norm(columns, axis=0)
+    return np.asarray(orth(columns[:, norms > 0] / norms[norms > 0], rcond=RANK))
 
 
 def left(basis: np.ndarray, effort: np.ndarray, longest: float) -> tuple[float, float]:
@@ -84,13 +110,12 @@ def left(basis: np.ndarray, effort: np.ndarray, longest: float) -> tuple[float, 
     return float(np.linalg.norm(rest @ delayed(delay))) / max(size, 1e-300), delay
 
 
-def columns_of_effort(fit: Fit) -> tuple[Finding, ...]:
+def columns_of_effort(middle: MiddleRows | None) -> tuple[Finding, ...]:
     """Find what the columns of some joints hold instead of their efforts: what leaves least of all joints."""
-    middle = middle_rows(fit)
     if middle is None:
         return ()
     try:
-        stated = middle.fitted({})
+        fit, stated = middle.fit, middle.fitted({})
     except GtauError:
         return ()
     before, least, findings = unexplained_shares(stated), 1.0, tuple[Finding, ...]()
@@ -117,17 +142,52 @@ def middle_rows(fit: Fit) -> MiddleRows | None:
     rate = dataset.runs[0].rate
     step = dataset.preparation.at(rate).decimator.factor / rate
     reach = int(np.ceil(max(REACH, 2 * longest) / step)) if longest else 0
-    rows, keep = [], []
+    rows, weight, keep = [], [], []
     for run, window in dataset.windows():
         at = FitWindow(fit, run, window)
-        A, kept = at.rows()
+        both, kept = at.rows(_at_rest)
         inner = np.arange(kept.shape[1])
-        rows.append(at.equations(A))
+        for parts, A in zip((rows, weight), np.split(both, 2, axis=-1), strict=True):
+            parts.append(at.equations(A))
         keep.append(kept & (inner >= reach) & (inner < len(inner) - reach))
-    kept = np.concatenate(keep, axis=1) if keep else np.zeros((1, 0), dtype=bool)
-    if np.any(kept.sum(axis=1) < [2 * len(columns) + 1 for columns in fit.problem.own_columns]):
+    if not keep or np.any(
+        sum(part.sum(axis=1) for part in keep) < [2 * len(own) + 1 for own in fit.problem.own_columns]
+    ):
         return None
-    return MiddleRows(fit, np.concatenate(rows, axis=1), kept, step, reach)
+    return MiddleRows(fit, *(np.concatenate(parts, axis=1) for parts in (rows, weight, keep)), step, reach)
+
+
+def _at_rest(at: FitWindow) -> Torques:
+    """Make the rows that gravity alone would give along a window."""
+    layout, regressor, channels = at.fit.dataset.model.layout, at.regressor, at.fit.problem.channels
+    falling = np.array([name.kind in INERTIAL for name in regressor.names])[regressor.columns, None]
+
+    def rows(part: Rows) -> np.ndarray:
+        still = replace(part.motion, yd=np.zeros_like(part.motion.yd), ydd=np.zeros_like(part.motion.ydd))
+        entries = regressor(layout, still)[: len(part.entries)] * falling
+        terms, currents, external = (np.zeros_like(other) for other in (part.terms, part.currents, part.external))
+        rest = replace(part, entries=entries, terms=terms, currents=currents, external=external)
+        return channel_rows(regressor, channels, rest)
+
+    return rows
+
+
+def shows_gravity(middle: MiddleRows, lack: float) -> tuple[bool, bool]:
+    """Decide by each joint's own equations whether efforts lack gravity, and whether they fit as well without.
+
+    The log-likelihood of a share of gravity counts rows by ``lack``, how far their residuals are from white noise.
+    """
+    fit, shares = middle.fit, (1.0, LESS_GRAVITY, 0.0)
+    counts = middle.keep.sum(axis=1)[: len(fit.gains)] / max(lack, 1.0) ** 2
+    remains = np.zeros((3, len(fit.gains)))
+    for j, count in enumerate(counts.tolist()):
+        kept = middle.keep[j]
+        R, weight = np.split(triangle(np.hstack([middle.rows[j, kept], middle.weight[j, kept]])), 2, axis=1)
+        bases = (basis_of((R - (1 - share) * weight)[:, :SIGNAL]) for share in shares)
+        remains[:, j] = [count * np.log(max(left(basis, R[:, SIGNALS], middle.longest)[0], TINY)) for basis in bases]
+    stated, less, without = -remains.sum(axis=1)
+    missing = without > max(less, stated + MEANING_CLOSE) and not has_wrenches(fit)
+    return bool(missing), bool(without > stated - counts.sum() / 2 * np.log(AS_WELL))
 
 
 def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
@@ -136,16 +196,18 @@ def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
     Acceleration shows the lag: without it friction, stops and the controller look like one.
     """
     fit, findings, signals = middle.fit, list[Finding](), dict[int, np.ndarray]()
-    longest, rows = float(fit.problem.longest_delays.max()), range(-middle.reach, middle.reach + 1)
+    longest, rows = middle.longest, range(-middle.reach, middle.reach + 1)
+    turning = [name.kind not in TURNING for name in fit.problem.parameters]
     for j in range(len(fit.gains) if middle.reach else 0):
-        kept, basis, signal = np.flatnonzero(middle.keep[j]), middle.basis(j), middle.rows[j, :, SIGNALS]
-        tried = {late: left(basis, signal[kept + late], max(longest, middle.step)) for late in rows}
+        kept, signal, logged = np.flatnonzero(middle.keep[j]), middle.rows[j, :, SIGNALS], float(middle.shares[j, j])
+        tried = {late: left(middle.bases[j], signal[kept + late], max(longest, middle.step)) for late in rows}
         late = min(tried, key=lambda late: tried[late])
-        (share, delay), (logged, _) = tried[late], left(basis, signal[kept], longest)
-        lag, steady = late * middle.step - delay, left(middle.basis(j, TURNING), signal[kept + late], longest)[0]
-        if abs(late) == middle.reach or abs(lag) <= longest:
+        share, delay = tried[late]
+        lag = late * middle.step - delay
+        if abs(late) == middle.reach or abs(lag) <= longest or share > min(ALTERED * logged, MISFIT):
             continue
-        if share < min(ALTERED * logged, LATE_STEADY * steady, MISFIT):
+        steady = left(basis_of(middle.rows[j, kept, :SIGNAL][:, [*turning, True]]), signal[kept + late], longest)[0]
+        if share < LATE_STEADY * steady:
             text = (
                 f"the {fit.kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
                 f"{100 * share:.2g} % is unexplained after shifting them, {100 * logged:.2g} % as logged"
@@ -161,22 +223,25 @@ def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
 
 def _exchanged(middle: MiddleRows, stated: Fit) -> Signals:
     """Exchange columns pair by pair, as long as that leaves much less of all joints."""
-    n, rows, best = len(middle.fit.gains), middle.rows, stated
-    order, wrong = list(range(n)), unexplained_shares(stated) > MISFIT_TRIED
-    pairs = [pair for pair in combinations(range(n), 2) if wrong[list(pair)].any()]
+    n, signals, best = len(middle.fit.gains), middle.rows[..., SIGNALS], stated
+    order, before = list(range(n)), unexplained_shares(stated)[:n]
+    # what a joint's own equations leave of a column, all of them together leave at least
+    fits = (before > MISFIT_TRIED)[:, None] & (middle.shares < np.minimum(ALTERED * before, MISFIT)[:, None])
     while True:
         tried = list[tuple[float, list[int], Fit]]()
-        for one, other in pairs:
+        for one, other in combinations(range(n), 2):
+            if not (fits[one, order[other]] or fits[other, order[one]]):
+                continue
             exchanged = order.copy()
             exchanged[one], exchanged[other] = order[other], order[one]
             try:
-                fit = middle.fitted({j: rows[k, :, SIGNALS] for j, k in enumerate(exchanged) if j != k})
+                fit = middle.fitted({j: signals[k] for j, k in enumerate(exchanged) if j != k})
             except GtauError:
                 continue
             tried.append((residual_ratio(fit, best), exchanged, fit))
         ratio, exchanged, fit = min(tried, key=lambda other: other[0], default=(1.0, order, best))
         if ratio > LEFT:
-            return {j: rows[k, :, SIGNALS] for j, k in enumerate(order) if j != k}
+            return {j: signals[k] for j, k in enumerate(order) if j != k}
         order, best = exchanged, fit
 
 
@@ -184,13 +249,13 @@ def _magnitudes(middle: MiddleRows) -> Signals:
     """Give columns without negative values the signs with which the equations explain most of them."""
     signals, problem = dict[int, np.ndarray](), middle.fit.problem
     for j, joint in enumerate(problem.joints):
-        kept, basis, signal = middle.keep[j], middle.basis(j), middle.rows[j, :, SIGNALS].copy()
-        logged, effort = left(basis, signal[kept], problem.longest_delays[j])[0], signal[kept, 0]
+        kept, basis, signal = middle.keep[j], middle.bases[j], middle.rows[j, :, SIGNALS].copy()
+        effort = signal[kept, 0]
         if effort.min() > -HARDLY_NEGATIVE * effort.max():
             signal[kept] *= _signs(basis, effort)[:, None]
             parameters = least_squares(middle.rows[j, kept, :SIGNAL], signal[kept, 0])
             signal *= np.sign(parameters[problem.unknowns.places.get(Parameter("fs", joint), 0)])  # friction brakes
-            if left(basis, signal[kept], 0.0)[0] < ALTERED * logged:
+            if left(basis, signal[kept], 0.0)[0] < ALTERED * middle.shares[j, j]:
                 signals[j] = signal
     return signals
 

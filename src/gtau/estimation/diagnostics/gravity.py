@@ -17,8 +17,7 @@ from math import asin, atan2, hypot
 import numpy as np
 
 from gtau.estimation.diagnostics.descriptions import ALIKE, LEFT, described_otherwise, refitted, residual_ratio
-from gtau.estimation.diagnostics.verdict import has_wrenches
-from gtau.estimation.effects.effect import EstimatedEffect, Levels, window_motion
+from gtau.estimation.effects.effect import EstimatedEffect, rms_torques, window_motion
 from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY
 from gtau.estimation.effects.known.gravity import clock_words, gravity_changes
 from gtau.estimation.effects.rows import fitted_sizes
@@ -33,8 +32,6 @@ REFUTED_SHARE = 0.05  # share of the residual variance that another gravity expl
 GRAVITY_LEAST = 5.0  # angle from the stated gravity, degrees, below which the linear test of a tilt speaks
 GRAVITY_FELT = 0.06  # torque of gravity over the whole, rms, of the joint that feels it most: below, no test of gravity
 UNFELT = 1e-6  # torque of gravity over the whole, rms, below which no motion changes the torque of gravity
-LESS_GRAVITY = 0.5  # share of gravity with which residuals are larger than without, where torques have none
-AS_WELL = 1.1  # residual variance without gravity over with it, up to which compensation explains torques as well
 STEPS = 4  # of Gauss-Newton, from an axis at most 55 degrees off
 
 FASTEST = 3.0  # times too fast, or too slow, at most: beyond, motions are implausible
@@ -44,20 +41,19 @@ EXPLAINED = 0.9  # share of the residual variance that another clock takes away:
 OTHER_GRAVITY, WITHOUT_GRAVITY, OTHER_CLOCK = "gravity", "torques without gravity", "clock"
 
 
-def likeliest_gravity(fit: Fit, turned: bool, progress: Progress = silent) -> EstimatedEffect | None:
-    """Fit without gravity, and with another one where it may be ``turned``; None where it explains as much as stated.
+def likeliest_gravity(fit: Fit, missing: bool, turned: bool, progress: Progress = silent) -> EstimatedEffect | None:
+    """Fit without gravity where that may be ``missing``, and with another one where it may be ``turned``.
 
-    The one with less residual variance counts; where both are similar, only logged torques lack gravity.
+    The one with less residual variance counts; where both are similar, only logged torques lack gravity. None where
+    gravity as stated explains as much.
     """
     if (unaltered := at_middle(fit)) is None:
         return None
-    best, alike, remaining, stated = unaltered, list[Fit](), 1 - REFUTED_SHARE, np.array(fit.dataset.robot.gravity)
-    without, less = (_with_gravity(unaltered, share * stated) for share in (0.0, LESS_GRAVITY))
-    if without is not None and not has_wrenches(fit):
-        # a joint alone may fit as well without, as its other columns stand for its gravity: all of them count
-        ratio = residual_ratio(without, unaltered)
-        if ratio <= remaining and (less is None or ratio < residual_ratio(less, unaltered)):
-            best, remaining = without, ratio / ALIKE if fit.kind == "torque" else ratio * ALIKE
+    best, alike, remaining = unaltered, list[Fit](), 1 - REFUTED_SHARE
+    without = _with_gravity(unaltered, np.zeros(3)) if missing else None
+    # a joint alone may fit as well without, as its other columns stand for its gravity: all of them count
+    if without is not None and (ratio := residual_ratio(without, unaltered)) <= remaining:
+        best, remaining = without, ratio / ALIKE if fit.kind == "torque" else ratio * ALIKE
     if turned:
         other, others = _other_gravity(unaltered, progress)
         if other is not unaltered and residual_ratio(other, unaltered) < remaining:
@@ -224,12 +220,8 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
         parameters = fit.system.motion(run, fit.solution.theta)
         along = regressor.torques(regressor(model.layout, motion, parameters), gravity, n)
         torques = np.maximum(torques, np.reshape(along, (n, -1)).std(axis=1))
-    felt = float(np.max(torques / np.maximum(Levels(fit).torques, 1e-300)))
-    if not UNFELT <= felt < GRAVITY_FELT:
-        return
-    unaltered = at_middle(fit)
-    without = unaltered and _with_gravity(unaltered, np.zeros(3))
-    if unaltered and without and residual_ratio(without, unaltered) < AS_WELL:
+    felt = float(np.max(torques / np.maximum(rms_torques(fit), 1e-300)))
+    if UNFELT <= felt < GRAVITY_FELT:
         kind = dataset.runs[0].kind
         # drivers of arms that compensate gravity report torques
         named = bool(dataset.robot.closures) or kind == "current"

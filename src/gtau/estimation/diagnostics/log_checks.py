@@ -19,7 +19,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.units import BEYOND_GEARS
 from gtau.estimation.diagnostics.verdict import contradiction, half_widths, unexplained_shares
-from gtau.estimation.effects.effect import Levels
+from gtau.estimation.effects.effect import plain_friction, rms_speeds, rms_torques
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.estimators.newton import DELAY_MOTION
@@ -185,9 +185,8 @@ def logged_torques(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     if any({name := Parameter("fs", joint), name + "R"}.isdisjoint(known) for joint in joints):
         return
     rows = [fit.dataset.model.actuated.index(joint) for joint in joints]
-    levels = Levels(fit)
-    (fv, fs), torques = levels.friction, levels.torques
-    friction = float(((fv * levels.speeds + fs) / np.maximum(torques, 1e-300))[rows].max())
+    fv, fs = plain_friction(fit)
+    friction = float(((fv * rms_speeds(fit) + fs) / np.maximum(rms_torques(fit), 1e-300))[rows].max())
     residual = float(unexplained_shares(fit)[rows].max())
     if friction < FRICTIONLESS and residual < MODEL_RESIDUAL:
         yield Finding(

@@ -26,7 +26,7 @@ from gtau.estimation.diagnostics.verdict import (
     half_widths,
     motors,
 )
-from gtau.estimation.effects.effect import Levels
+from gtau.estimation.effects.effect import rms_speeds
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.problem import Estimates
 from gtau.findings import Finding, listed, write_limits
@@ -242,7 +242,7 @@ def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
 def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
     """Find gains that are too large for the speed of their joint, as a motor's voltage per speed is its gain."""
     runs, robot = fit.dataset.runs, fit.dataset.robot
-    speeds = dict(zip(fit.problem.joints, Levels(fit).speeds.tolist(), strict=False))
+    speeds = dict(zip(fit.problem.joints, rms_speeds(fit).tolist(), strict=False))
     volts = {joint: abs(gain) * speeds[joint] for joint, gain in known.items()}
     worst = max(volts, key=lambda joint: volts[joint], default="")
     if runs[0].kind == "current" and worst and volts[worst] > LARGEST_VOLTAGE:

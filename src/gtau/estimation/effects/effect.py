@@ -232,43 +232,36 @@ class EstimatedEffect:
         return max(map(abs, self.moves.values()), default=0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Levels:
-    """Levels of a fit's joints, (n,) each, by which the columns of effects are scaled."""
+# Levels of a fit's joints, (n,) each, by which the columns of effects are scaled
 
-    fit: Fit
 
-    @cached_property
-    def friction(self) -> tuple[np.ndarray, np.ndarray]:
-        """Viscous coefficients and Coulomb torques of the actuated joints; 0 where they are not estimated."""
-        estimates = zip(self.fit.system.problem.parameters, self.fit.solution.theta, strict=True)
-        values = {(name.kind, name.body): abs(value) for name, value in estimates if name.run is None}
-        joints = self.fit.dataset.model.actuated
-        fv, fs = ([values.get((kind, joint), 0.0) for joint in joints] for kind in ("fv", "fs"))
-        return np.array(fv), np.array(fs)
+def plain_friction(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Return viscous coefficients and Coulomb torques of the actuated joints; 0 where they are not estimated."""
+    estimates = zip(fit.system.problem.parameters, fit.solution.theta, strict=True)
+    values = {(name.kind, name.body): abs(value) for name, value in estimates if name.run is None}
+    fv, fs = ([values.get((kind, joint), 0.0) for joint in fit.dataset.model.actuated] for kind in ("fv", "fs"))
+    return np.array(fv), np.array(fs)
 
-    @cached_property
-    def torques(self) -> np.ndarray:
-        """Rms torques, N m or N."""
-        problem, gains = self.fit.system.problem, self.fit.gains
-        return np.asarray(np.abs(gains) * problem.balance(self.fit.solution.theta)[: len(gains)])
 
-    @cached_property
-    def speeds(self) -> np.ndarray:
-        """Largest rms speed in a run, rad/s or m/s; 1 of a joint that rests."""
-        speeds = np.sqrt(np.max([np.diag(run.speeds) for run in self.fit.dataset.prepared], axis=0))
-        return np.where(speeds > 0, speeds, 1.0)
+def rms_torques(fit: Fit) -> np.ndarray:
+    """Compute rms torques, N m or N."""
+    return np.asarray(np.abs(fit.gains) * fit.system.problem.balance(fit.solution.theta)[: len(fit.gains)])
 
-    @cached_property
-    def accelerations(self) -> np.ndarray:
-        """Rms accelerations over all runs, rad/s2 or m/s2; 1 of a joint that rests."""
-        windows = [window for _, window in self.fit.dataset.windows()]
-        squares = np.sum([np.sum(window.qdd**2, axis=0) for window in windows], axis=0)
-        rms = np.sqrt(squares / sum(len(window.qdd) for window in windows))
-        return np.where(rms > 0, rms, 1.0)
 
-    @cached_property
-    def friction_torques(self) -> np.ndarray:
-        """Friction at the rms speed, ``LEAST_FRICTION`` of the rms torque at least, N m or N."""
-        fv, fs = self.friction
-        return np.maximum(fv * self.speeds + fs, LEAST_FRICTION * self.torques)
+def rms_speeds(fit: Fit) -> np.ndarray:
+    """Return the largest rms speed in a run, rad/s or m/s; 1 of a joint that rests."""
+    speeds = np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))
+    return np.where(speeds > 0, speeds, 1.0)
+
+
+def rms_accelerations(fit: Fit) -> np.ndarray:
+    """Compute rms accelerations over all runs, rad/s2 or m/s2; 1 of a joint that rests."""
+    qdd = np.concatenate([window.qdd for _, window in fit.dataset.windows()])
+    rms = np.sqrt(np.mean(qdd**2, axis=0))
+    return np.where(rms > 0, rms, 1.0)
+
+
+def friction_torques(fit: Fit) -> np.ndarray:
+    """Compute friction at the rms speed, ``LEAST_FRICTION`` of the rms torque at least, N m or N."""
+    fv, fs = plain_friction(fit)
+    return np.maximum(fv * rms_speeds(fit) + fs, LEAST_FRICTION * rms_torques(fit))

@@ -16,7 +16,15 @@ from functools import cached_property
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques
+from gtau.estimation.effects.effect import (
+    Effect,
+    EffectColumn,
+    FitWindow,
+    Torques,
+    friction_torques,
+    plain_friction,
+    rms_speeds,
+)
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, Noise, lag_products
 from gtau.estimation.estimators.estimator import Fit
@@ -147,10 +155,9 @@ class EffectRows:
     def in_runs(self) -> tuple[list[int], np.ndarray]:
         """Places of the friction of runs among the unknowns, (r,), and a root (r, r) of its prior covariance."""
         names, joints = self.fit.system.problem.unknowns, self.fit.dataset.model.actuated
-        levels = Levels(self.fit)
-        plausible = {"fv": levels.friction_torques / levels.speeds, "fs": levels.friction_torques}
-        estimates = dict(zip(("fv", "fs"), levels.friction, strict=True))
-        sizes = {kind: np.where(level > 0, level, plausible[kind]) for kind, level in estimates.items()}
+        plausible, speeds = friction_torques(self.fit), rms_speeds(self.fit)
+        estimates = zip(("fv", "fs"), plain_friction(self.fit), (plausible / speeds, plausible), strict=True)
+        sizes = {kind: np.where(level > 0, level, otherwise) for kind, level, otherwise in estimates}
         places = [k for k, name in enumerate(names) if name.run is not None]
         root = np.zeros((len(places), len(places)))
         drift = difference_root(len(self.fit.dataset.runs)) if places else root

@@ -9,7 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Levels, Torques, Words
+from gtau.estimation.effects.effect import (
+    STEP,
+    Effect,
+    EffectColumn,
+    FitWindow,
+    Torques,
+    Words,
+    rms_accelerations,
+    rms_torques,
+)
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.assembly import is_transmitted
 from gtau.robots.parameter import Parameter
@@ -31,10 +40,10 @@ def _rotors(fit: Fit) -> list[str]:
 
 
 def _torques(at: FitWindow) -> Torques:
-    fit, window, levels = at.fit, at.window, Levels(at.fit)
+    fit, window = at.fit, at.window
     transmitted = at.values * is_transmitted(fit.dataset.base.names)
-    leads = at.torques_along(at.motion, transmitted).T * SI / levels.torques
-    rotors = window.samples().qdd * SI / levels.accelerations
+    leads = at.torques_along(at.motion, transmitted).T * SI / rms_torques(fit)
+    rotors = window.samples().qdd * SI / rms_accelerations(fit)
     motions, deflected = (window.q, window.qd, window.qdd), []
     for lead, joints in ((leads, _motors(fit)), (rotors, _rotors(fit))):
         steps = (lead, *differentiate(lead, window.run.rate))

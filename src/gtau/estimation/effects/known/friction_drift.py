@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, plain_friction
 from gtau.estimation.estimators.estimator import Fit
 from gtau.robots.parameter import Parameter
 
@@ -15,7 +15,7 @@ def _torques(at: FitWindow) -> Torques:
     terms, samples, joints = at.fit.system.terms, at.window.samples(), at.fit.dataset.model.actuated
     # friction that depends on the temperature has a slope of its own for this
     free = np.array([{Parameter("fvt", joint), Parameter("fst", joint)}.isdisjoint(terms) for joint in joints])
-    fv, fs = Levels(at.fit).friction
+    fv, fs = plain_friction(at.fit)
     friction = np.stack([(free * fv * samples.qd).T, (free * fs * np.sign(samples.qd)).T])
     return at.decimated(friction * at.along_run(samples.time))
 

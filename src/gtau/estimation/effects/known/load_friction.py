@@ -10,7 +10,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words
+from gtau.estimation.effects.effect import (
+    Effect,
+    EffectColumn,
+    FitWindow,
+    Torques,
+    Words,
+    rms_accelerations,
+    rms_torques,
+)
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.assembly import is_transmitted
 from gtau.robots.parameter import Parameter
@@ -23,9 +31,8 @@ def _torques(at: FitWindow) -> Torques:
     joints, terms, qd = at.fit.dataset.model.actuated, at.fit.system.terms, at.window.samples().qd
     missing = np.array([Parameter("fl", joint) not in terms for joint in joints])
     load = at.torques_along(at.motion, at.values * is_transmitted(at.fit.dataset.base.names)).T
-    turned = (
-        np.sign(load) * np.sign(qd) * at.window.samples().qdd * Levels(at.fit).torques / Levels(at.fit).accelerations
-    )
+    rotor = at.window.samples().qdd * rms_torques(at.fit) / rms_accelerations(at.fit)
+    turned = np.sign(load) * np.sign(qd) * rotor
     return at.decimated(np.stack([(np.abs(load) * np.sign(qd) * missing).T, turned.T]))
 
 

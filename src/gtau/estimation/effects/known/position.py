@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words, hats
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, hats, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.01  # of the rms torque: ripple of 0.5 to 2 % (data sheets of servo motors), cables of a dVRK 5 %
@@ -18,7 +18,7 @@ def _torques(at: FitWindow) -> Torques:
     windows = [window for _, window in at.fit.dataset.windows()]
     low, high = np.min([w.q.min(axis=0) for w in windows], axis=0), np.max([w.q.max(axis=0) for w in windows], axis=0)
     columns = hats(at.window.samples().q, np.linspace(low, high, KNOTS))
-    return at.decimated(columns * Levels(at.fit).torques[:, None])
+    return at.decimated(columns * rms_torques(at.fit)[:, None])
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.03  # relative fall up to twice the rms current: 0 to 0.05 (data sheets of servo motors)
@@ -19,7 +19,7 @@ LARGE = 2.0  # rms currents: where the fall is stated
 def _torques(at: FitWindow) -> Torques:
     # at every sample: the square of a decimated torque lacks what friction adds where it reverses
     tau = at.torques_along(at.motion, at.values)
-    return at.decimated((np.abs(tau) * tau / (LARGE * Levels(at.fit).torques[:, None]))[None])
+    return at.decimated((np.abs(tau) * tau / (LARGE * rms_torques(at.fit)[:, None]))[None])
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:

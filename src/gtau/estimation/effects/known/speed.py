@@ -7,7 +7,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Levels, Torques, Words, hats
+from gtau.estimation.effects.effect import (
+    Effect,
+    EffectColumn,
+    FitWindow,
+    Torques,
+    Words,
+    friction_torques,
+    hats,
+    rms_speeds,
+)
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.1  # of the friction at the rms speed: experience
@@ -15,10 +24,9 @@ KNOTS = 20
 
 
 def _torques(at: FitWindow) -> Torques:
-    levels, n = Levels(at.fit), len(at.fit.gains)
-    bent = np.arctan(2 * at.window.samples().qd / levels.speeds) / (np.pi / 2)
+    bent, n = np.arctan(2 * at.window.samples().qd / rms_speeds(at.fit)) / (np.pi / 2), len(at.fit.gains)
     columns = hats(bent, np.repeat(np.linspace(-1, 1, KNOTS)[:, None], n, axis=1))
-    return at.decimated(columns * levels.friction_torques[:, None])
+    return at.decimated(columns * friction_torques(at.fit)[:, None])
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
