@@ -82,11 +82,9 @@ class MiddleRows:
     @cached_property
     def shares(self) -> np.ndarray:
         """Share that the equations of each joint leave of the column of each joint, (n, n)."""
-        n, signals = len(self.bases), self.rows[..., SIGNALS]
-        pairs = np.reshape(
-            [left(self.bases[j], signals[k, self.keep[j]], self.longest)[0] for j, k in np.ndindex(n, n)], (n, n)
-        )
-        return np.asarray(pairs)
+        n, efforts = len(self.bases), self.rows[..., SIGNALS]
+        shares = [left(self.bases[j], efforts[k, self.keep[j]], self.longest)[0] for j, k in np.ndindex(n, n)]
+        return np.reshape(shares, (n, n))
 
     @property
     def longest(self) -> float:
@@ -123,16 +121,15 @@ def columns_of_effort(middle: MiddleRows | None) -> tuple[Finding, ...]:
     readings = {LATE_CURRENTS: shifted, MAGNITUDES: _magnitudes(middle), SWAPPED_CHANNELS: _exchanged(middle, stated)}
     for kind, signals in readings.items():
         try:
-            other = middle.fitted(signals)
+            other = middle.fitted(signals) if signals else stated
         except GtauError:
             continue
         altered, after, remains = sorted(signals), unexplained_shares(other), residual_ratio(other, stated)
         # a joint that is late shows it by its own equations, beside others that are late too
         explained = kind == LATE_CURRENTS or np.all(after[altered] < np.minimum(ALTERED * before[altered], MISFIT))
-        if altered and explained and remains < least:
-            least, findings = remains, (_looks(fit, kind, altered, before[altered], after[altered]),)
-            if kind == LATE_CURRENTS:
-                findings = late
+        if explained and remains < least:
+            exchanged, shares = kind == SWAPPED_CHANNELS, (before[altered], after[altered])
+            least, findings = remains, late if kind == LATE_CURRENTS else (_looks(fit, exchanged, altered, *shares),)
     return findings
 
 
@@ -142,25 +139,25 @@ def middle_rows(fit: Fit) -> MiddleRows | None:
     rate = dataset.runs[0].rate
     step = dataset.preparation.at(rate).decimator.factor / rate
     reach = int(np.ceil(max(REACH, 2 * longest) / step)) if longest else 0
-    rows, weight, keep = [], [], []
+    parts = list[tuple[np.ndarray, ...]]()
     for run, window in dataset.windows():
         at = FitWindow(fit, run, window)
         both, kept = at.rows(_at_rest)
         inner = np.arange(kept.shape[1])
-        for parts, A in zip((rows, weight), np.split(both, 2, axis=-1), strict=True):
-            parts.append(at.equations(A))
-        keep.append(kept & (inner >= reach) & (inner < len(inner) - reach))
-    if not keep or np.any(
-        sum(part.sum(axis=1) for part in keep) < [2 * len(own) + 1 for own in fit.problem.own_columns]
-    ):
+        kept &= (inner >= reach) & (inner < len(inner) - reach)
+        parts.append((*map(at.equations, np.split(both, 2, axis=-1)), kept))
+    if not parts:
         return None
-    return MiddleRows(fit, *(np.concatenate(parts, axis=1) for parts in (rows, weight, keep)), step, reach)
+    rows, weight, keep = (np.concatenate(arrays, axis=1) for arrays in zip(*parts, strict=True))
+    if np.any(keep.sum(axis=1) < [2 * len(own) + 1 for own in fit.problem.own_columns]):
+        return None
+    return MiddleRows(fit, rows, weight, keep, step, reach)
 
 
 def _at_rest(at: FitWindow) -> Torques:
     """Make the rows that gravity alone would give along a window."""
     layout, regressor, channels = at.fit.dataset.model.layout, at.regressor, at.fit.problem.channels
-    falling = np.array([name.kind in INERTIAL for name in regressor.names])[regressor.columns, None]
+    falling = np.array([name.kind in INERTIAL for name in at.fit.dataset.base.standard])[regressor.columns, None]
 
     def rows(part: Rows) -> np.ndarray:
         still = replace(part.motion, yd=np.zeros_like(part.motion.yd), ydd=np.zeros_like(part.motion.ydd))
@@ -279,14 +276,14 @@ def _signs(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
     return np.asarray(max(tried, key=lambda signs: np.linalg.norm(signs @ sums))[part])
 
 
-def _looks(fit: Fit, kind: str, altered: list[int], before: np.ndarray, after: np.ndarray) -> Finding:
+def _looks(fit: Fit, exchanged: bool, altered: list[int], before: np.ndarray, after: np.ndarray) -> Finding:
     """Say what columns look like, by the geometric means of what is left of them."""
     names = tuple(fit.problem.joints[j] for j in altered)
     logged, share = (float(np.exp(np.mean(np.log(np.maximum(shares, TINY))))) for shares in (before, after))
-    how, read = "like magnitudes", "with signs that fit the motion"
+    kind, how, read = MAGNITUDES, "like magnitudes", "with signs that fit the motion"
     advice = "log signed values (some drives store the sign in a separate bit or column)"
-    if kind == SWAPPED_CHANNELS:
-        how, read = "swapped" if len(names) == 2 else "permuted", "after exchanging them"
+    if exchanged:
+        kind, how, read = SWAPPED_CHANNELS, "swapped" if len(names) == 2 else "permuted", "after exchanging them"
         advice = f"check that the position and {fit.kind} columns are of the same joint in all runs"
         advice = wrenches_first(fit, advice)  # wrong ones make single currents look wrong
     text = (

@@ -256,8 +256,9 @@ def rms_speeds(fit: Fit) -> np.ndarray:
 
 def rms_accelerations(fit: Fit) -> np.ndarray:
     """Compute rms accelerations over all runs, rad/s2 or m/s2; 1 of a joint that rests."""
-    qdd = np.concatenate([window.qdd for _, window in fit.dataset.windows()])
-    rms = np.sqrt(np.mean(qdd**2, axis=0))
+    windows = [window for _, window in fit.dataset.windows()]
+    squares = np.sum([np.sum(window.qdd**2, axis=0) for window in windows], axis=0)
+    rms = np.sqrt(squares / sum(map(len, windows)))
     return np.where(rms > 0, rms, 1.0)
 
 

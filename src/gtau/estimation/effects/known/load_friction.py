@@ -31,8 +31,8 @@ def _torques(at: FitWindow) -> Torques:
     joints, terms, qd = at.fit.dataset.model.actuated, at.fit.system.terms, at.window.samples().qd
     missing = np.array([Parameter("fl", joint) not in terms for joint in joints])
     load = at.torques_along(at.motion, at.values * is_transmitted(at.fit.dataset.base.names)).T
-    rotor = at.window.samples().qdd * rms_torques(at.fit) / rms_accelerations(at.fit)
-    turned = np.sign(load) * np.sign(qd) * rotor
+    qdd, torques = at.window.samples().qdd, rms_torques(at.fit)
+    turned = np.sign(load) * np.sign(qd) * qdd * torques / rms_accelerations(at.fit)
     return at.decimated(np.stack([(np.abs(load) * np.sign(qd) * missing).T, turned.T]))
 
 
