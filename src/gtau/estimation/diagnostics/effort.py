@@ -2,7 +2,7 @@
 
 The rows are the equations in the middle of the runs; columns are altered, never the rows or the freedom of the
 parameters. A joint's own equations say how late its column is, or which signs it lacks. Then all joints are fitted
-again, as parameters that joints share tell columns apart which each joint alone could explain.
+again: parameters that joints share separate columns which each joint alone could explain.
 
 Torques that are reversed are tried one by one: :mod:`gtau.estimation.diagnostics.descriptions`.
 """
