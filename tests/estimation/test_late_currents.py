@@ -7,6 +7,8 @@ from dataclasses import replace
 import pytest
 from five_bar_logs import GAINS, STEEL, Plant
 
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.diagnose import explained_failure
 from gtau.estimation.diagnostics.effort import columns_of_effort, middle_rows
 from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
@@ -46,6 +48,17 @@ def test_the_delay_of_one_joint_is_its_own() -> None:
     left, right = reasons(found).values()
     assert left.startswith("the currents were logged 50 ms too late")
     assert right.startswith("joint 'left' contradicts the model")
+
+
+def test_a_lag_explains_why_the_iteration_does_not_converge() -> None:
+    """Where the delays are lost in noise, as of the tutorial's logs, nothing was said of a lag of 100 ms."""
+    system = reduce_runs(ROBOT, logs(-0.1, -0.1)).system(delays=False)
+    with pytest.raises(GtauError, match="did not converge"):
+        ML.fit(system, None, silent)
+    said = explained_failure(system, silent)
+    assert said.startswith("the iteration of the drive gains did not converge; joint 'left' and 'right': the currents")
+    assert "logged 100 ms too late" in said
+    assert "'preparation: {delay: 0.0999}'" in said
 
 
 @pytest.mark.parametrize("lead", [0.0, 0.02, -0.02])

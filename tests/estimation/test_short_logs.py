@@ -21,7 +21,10 @@ def test_no_lag_without_acceleration_that_shows_it(rng: np.random.Generator, ine
     rows = np.column_stack([acceleration, friction, np.zeros(402), signals])[None]
     parameters, keep = (Parameter("ia", "arm"), Parameter("fv", "arm")), np.zeros((1, 402), dtype=bool)
     keep[0, 2:-2] = True
-    problem = SimpleNamespace(parameters=parameters, longest_delays=np.array([0.1]), joints=("arm",))
-    middle = MiddleRows(SimpleNamespace(problem=problem, gains=np.ones(1), kind="current"), rows, rows, keep, 0.25, 2)  # type: ignore[arg-type]
+    problem = SimpleNamespace(parameters=parameters, joints=("arm",))
+    dataset = SimpleNamespace(preparation=SimpleNamespace(bandwidth=0.8))
+    middle = MiddleRows(
+        SimpleNamespace(problem=problem, gains=np.ones(1), kind="current", dataset=dataset), rows, rows, keep, 0.25, 2
+    )  # type: ignore[arg-type]
     findings, _ = _late(middle)
     assert ["250 ms too late" in finding.text for finding in findings] == [True] * late

@@ -25,7 +25,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.estimators.newton import least_squares
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS, channel_rows, delayed, triangle
-from gtau.estimation.regression.problem import best_delay
+from gtau.estimation.regression.problem import best_delay, longest_delay
 from gtau.estimation.regression.rows import Rows
 from gtau.findings import Finding, listed
 from gtau.robots.parameter import Parameter
@@ -88,8 +88,8 @@ class MiddleRows:
 
     @property
     def longest(self) -> float:
-        """Longest delay that the model describes, s."""
-        return float(self.fit.problem.longest_delays.max())
+        """Longest delay that the model describes, s, also where the fit lost it in noise."""
+        return longest_delay(self.fit.dataset.preparation.bandwidth)
 
 
 def basis_of(columns: np.ndarray) -> np.ndarray:
@@ -135,10 +135,9 @@ def columns_of_effort(middle: MiddleRows | None) -> tuple[Finding, ...]:
 
 def middle_rows(fit: Fit) -> MiddleRows | None:
     """Make the rows; None where a joint has as many parameters as half its rows, which explain anything."""
-    dataset, longest = fit.dataset, float(fit.problem.longest_delays.max())
-    rate = dataset.runs[0].rate
+    dataset, rate = fit.dataset, fit.dataset.runs[0].rate
     step = dataset.preparation.at(rate).decimator.factor / rate
-    reach = int(np.ceil(max(REACH, 2 * longest) / step)) if longest else 0
+    reach = int(np.ceil(max(REACH, 2 * longest_delay(dataset.preparation.bandwidth)) / step))
     parts = list[tuple[np.ndarray, ...]]()
     for run, window in dataset.windows():
         at = FitWindow(fit, run, window)
@@ -195,7 +194,7 @@ def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
     fit, findings, signals = middle.fit, list[Finding](), dict[int, np.ndarray]()
     longest, rows = middle.longest, range(-middle.reach, middle.reach + 1)
     turning = [name.kind not in TURNING for name in fit.problem.parameters]
-    for j in range(len(fit.gains) if middle.reach else 0):
+    for j in range(len(fit.gains)):
         kept, signal, logged = np.flatnonzero(middle.keep[j]), middle.rows[j, :, SIGNALS], float(middle.shares[j, j])
         tried = {late: left(middle.bases[j], signal[kept + late], max(longest, middle.step)) for late in rows}
         late = min(tried, key=lambda late: tried[late])
@@ -214,7 +213,8 @@ def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
                 f"'preparation: {{delay: {lag:.3g}}}'"
             )
             findings.append(contradiction(LATE_CURRENTS, (fit.problem.joints[j],), text, advice, size=logged))
-            signals[j] = np.roll(signal, -late, axis=0)
+            shift = np.array([[1.0, 0.0, 0.0], [-delay, 1.0, 0.0], [delay**2 / 2, -delay, 1.0]])
+            signals[j] = np.roll(signal, -late, axis=0) @ shift
     return tuple(findings), signals
 
 

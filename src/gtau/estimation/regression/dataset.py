@@ -28,7 +28,7 @@ from gtau.estimation.regression.bandwidth_trials import best_of_trials
 from gtau.estimation.regression.factors import KNOWN, Factors, reduce_rows
 from gtau.estimation.regression.plausibility import check_wrenches, prepare_runs, sensors_of
 from gtau.estimation.regression.priors import ReferenceModel, inertia_priors, known_equations, scale_of_file
-from gtau.estimation.regression.problem import MotorEquation, Problem
+from gtau.estimation.regression.problem import MotorEquation, Problem, longest_delay
 from gtau.estimation.regression.rows import Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows, block_of
 from gtau.findings import Finding, Grade
@@ -135,7 +135,7 @@ class Dataset:
         payload_blocks = payload_columns(model, base, payloads)
         effects = column_blocks(base, channels, payload_blocks, terms, len(self.runs) if per_run else 1)
         require_base_wrench(model, self.factors)
-        longest = 0.5 / (2 * np.pi * self.preparation.bandwidth) * np.asarray(delays)
+        longest = longest_delay(self.preparation.bandwidth) * np.asarray(delays)
         warm = None if self.temperatures is None else self.temperatures.by_block
         plain = assemble_problem(effects, channels, self.factors, longest, warm, self.prepared.places[0].tolist())
         if self.reference is None:  # which says what a joint at rest does not

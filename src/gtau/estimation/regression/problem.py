@@ -22,6 +22,11 @@ from gtau.robots.parameter import Parameter
 from gtau.signals.channel import Channel
 
 
+def longest_delay(bandwidth: float) -> float:
+    """Return the longest delay, s, that an expansion in derivatives describes of motion of some ``bandwidth``, Hz."""
+    return 0.5 / (2 * np.pi * bandwidth)
+
+
 def best_delay(rest: np.ndarray, longest: float) -> float:
     """Find the delay d, s, with ``|d| < longest`` that leaves least of ``v - d v' + d^2/2 v''`` in rows (., 3)."""
     if len(rest) < 2:
