@@ -24,7 +24,12 @@ def test_no_lag_without_acceleration_that_shows_it(rng: np.random.Generator, ine
     problem = SimpleNamespace(parameters=parameters, joints=("arm",))
     dataset = SimpleNamespace(preparation=SimpleNamespace(bandwidth=0.8))
     middle = MiddleRows(
-        SimpleNamespace(problem=problem, gains=np.ones(1), kind="current", dataset=dataset), rows, rows, keep, 0.25, 2
+        SimpleNamespace(problem=problem, gains=np.ones(1), kind="current", dataset=dataset),
+        rows,
+        0 * rows,
+        keep,
+        0.25,
+        2,
     )  # type: ignore[arg-type]
     findings, _ = _late(middle)
     assert ["250 ms too late" in finding.text for finding in findings] == [True] * late

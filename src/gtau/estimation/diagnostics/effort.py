@@ -29,7 +29,7 @@ from gtau.estimation.regression.problem import best_delay, longest_delay
 from gtau.estimation.regression.rows import Rows
 from gtau.findings import Finding, listed
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import INERTIAL
+from gtau.robots.robot import DRIVE, INERTIAL
 
 ALTERED = 0.5  # unexplained share of a joint's current, read otherwise, over that as logged
 LATE_STEADY = 0.6  # unexplained share of the shifted current over the share that terms without acceleration leave
@@ -40,7 +40,6 @@ AS_WELL = 1.1  # residual variance without gravity over with it, up to which com
 HARDLY_NEGATIVE = 0.05  # most negative value over the largest of a column of magnitudes behind a filter
 
 LATE_CURRENTS, SWAPPED_CHANNELS, MAGNITUDES = "currents logged late", "swapped channels", "magnitudes"
-TURNING = ("xx", "xy", "xz", "yy", "yz", "zz", "ia")  # parameters that only acceleration shows
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
 RANK = 1e-8  # of the largest singular value: directions below it are left out
 STARTS = 3  # eigenvectors from which signs are chosen
@@ -193,7 +192,7 @@ def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
     """
     fit, findings, signals = middle.fit, list[Finding](), dict[int, np.ndarray]()
     longest, rows = middle.longest, range(-middle.reach, middle.reach + 1)
-    turning = [name.kind not in TURNING for name in fit.problem.parameters]
+    rubbing = np.array([name.kind in DRIVE[1:] for name in fit.problem.parameters] + [False])
     for j in range(len(fit.gains)):
         kept, signal, logged = np.flatnonzero(middle.keep[j]), middle.rows[j, :, SIGNALS], float(middle.shares[j, j])
         tried = {late: left(middle.bases[j], signal[kept + late], max(longest, middle.step)) for late in rows}
@@ -202,7 +201,8 @@ def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
         lag = late * middle.step - delay
         if abs(late) == middle.reach or abs(lag) <= longest or share > min(ALTERED * logged, MISFIT):
             continue
-        steady = left(basis_of(middle.rows[j, kept, :SIGNAL][:, [*turning, True]]), signal[kept + late], longest)[0]
+        still = middle.weight[j, kept, :SIGNAL] + middle.rows[j, kept, :SIGNAL] * rubbing
+        steady = left(basis_of(still), signal[kept + late], longest)[0]
         if share < LATE_STEADY * steady:
             text = (
                 f"the {fit.kind}s were logged {abs(1000 * lag):.0f} ms too {'late' if lag > 0 else 'early'}: "
