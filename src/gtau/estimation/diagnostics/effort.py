@@ -10,6 +10,7 @@ Torques that are reversed are tried one by one: :mod:`gtau.estimation.diagnostic
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -47,6 +48,8 @@ TINY = 1e-9  # share of a torque or a delay that is rounding
 
 Signals = Mapping[int, np.ndarray]
 """Columns (K, 3) with two time derivatives that some joints have instead of their own."""
+Reading = tuple[tuple[Finding, ...], Signals]
+"""How columns are read: what is found, nothing if as stated, and the columns then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,24 +114,14 @@ def columns_of_effort(middle: MiddleRows | None) -> tuple[Finding, ...]:
     """Find what the columns of some joints hold instead of their efforts: what leaves least of all joints."""
     if middle is None:
         return ()
-    try:
-        fit, stated = middle.fit, middle.fitted({})
-    except GtauError:
-        return ()
-    before, least, findings = unexplained_shares(stated), 1.0, tuple[Finding, ...]()
-    late, shifted = _late(middle)
-    readings = {LATE_CURRENTS: shifted, MAGNITUDES: _magnitudes(middle), SWAPPED_CHANNELS: _exchanged(middle, stated)}
-    for kind, signals in readings.items():
-        try:
-            other = middle.fitted(signals) if signals else stated
-        except GtauError:
-            continue
-        altered, after, remains = sorted(signals), unexplained_shares(other), residual_ratio(other, stated)
-        # a joint that is late shows it by its own equations, beside others that are late too
-        explained = kind == LATE_CURRENTS or np.all(after[altered] < np.minimum(ALTERED * before[altered], MISFIT))
-        if explained and remains < least:
-            exchanged, shares = kind == SWAPPED_CHANNELS, (before[altered], after[altered])
-            least, findings = remains, late if kind == LATE_CURRENTS else (_looks(fit, exchanged, altered, *shares),)
+    read = [reading for reading in (_late(middle), _magnitudes(middle), _exchanged(middle)) if reading[0]]
+
+    def remains(reading: Reading) -> float:
+        with suppress(GtauError):
+            return residual_ratio(middle.fitted(reading[1]), middle.fitted({}))
+        return np.inf
+
+    findings, _ = min(read, key=remains, default=((), {}))
     return findings
 
 
@@ -185,7 +178,7 @@ def shows_gravity(middle: MiddleRows, lack: float) -> tuple[bool, bool]:
     return bool(missing), bool(without > stated - counts.sum() / 2 * np.log(AS_WELL))
 
 
-def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
+def _late(middle: MiddleRows) -> Reading:
     """Shift the columns that fit much better at a lag, of either sign, than at any delay that the model describes.
 
     Acceleration shows the lag: without it friction, stops and the controller look like one.
@@ -218,9 +211,20 @@ def _late(middle: MiddleRows) -> tuple[tuple[Finding, ...], Signals]:
     return tuple(findings), signals
 
 
-def _exchanged(middle: MiddleRows, stated: Fit) -> Signals:
-    """Exchange columns pair by pair, as long as that leaves much less of all joints."""
-    n, signals, best = len(middle.fit.gains), middle.rows[..., SIGNALS], stated
+def _exchanged(middle: MiddleRows) -> Reading:
+    """Exchange columns: each joint has the one that its own equations explain best, or pairs leave much less of all."""
+    from scipy.optimize import linear_sum_assignment
+
+    n, signals, logged = len(middle.fit.gains), middle.rows[..., SIGNALS], np.diag(middle.shares)
+    joints, best_order = linear_sum_assignment(np.log(np.maximum(middle.shares, TINY)))
+    altered, assigned = np.flatnonzero(best_order != joints), middle.shares[joints, best_order]
+    if len(altered) and np.all((assigned < ALTERED * logged)[altered]):
+        looks = _looks(middle.fit, True, altered.tolist(), logged[altered], assigned[altered])
+        return (looks,), {j: signals[best_order[j]] for j in altered.tolist()}
+    try:
+        stated = best = middle.fitted({})
+    except GtauError:
+        return (), {}
     order, before = list(range(n)), unexplained_shares(stated)[:n]
     # what a joint's own equations leave of a column, all of them together leave at least
     fits = (before > MISFIT_TRIED)[:, None] & (middle.shares < np.minimum(ALTERED * before, MISFIT)[:, None])
@@ -238,13 +242,18 @@ def _exchanged(middle: MiddleRows, stated: Fit) -> Signals:
             tried.append((residual_ratio(fit, best), exchanged, fit))
         ratio, exchanged, fit = min(tried, key=lambda other: other[0], default=(1.0, order, best))
         if ratio > LEFT:
-            return {j: signals[k] for j, k in enumerate(order) if j != k}
+            break
         order, best = exchanged, fit
+    altered, after = np.flatnonzero(np.array(order) != range(n)), unexplained_shares(best)
+    if not len(altered) or np.any((after[:n] > np.minimum(ALTERED * before, MISFIT))[altered]):
+        return (), {}
+    looks = _looks(middle.fit, True, altered.tolist(), before[altered], after[altered])
+    return (looks,), {j: signals[order[j]] for j in altered.tolist()}
 
 
-def _magnitudes(middle: MiddleRows) -> Signals:
+def _magnitudes(middle: MiddleRows) -> Reading:
     """Give columns without negative values the signs with which the equations explain most of them."""
-    signals, problem = dict[int, np.ndarray](), middle.fit.problem
+    signals, shares, problem = dict[int, np.ndarray](), list[tuple[float, float]](), middle.fit.problem
     for j, joint in enumerate(problem.joints):
         kept, basis, signal = middle.keep[j], middle.bases[j], middle.rows[j, :, SIGNALS].copy()
         effort = signal[kept, 0]
@@ -252,9 +261,12 @@ def _magnitudes(middle: MiddleRows) -> Signals:
             signal[kept] *= _signs(basis, effort)[:, None]
             parameters = least_squares(middle.rows[j, kept, :SIGNAL], signal[kept, 0])
             signal *= np.sign(parameters[problem.unknowns.places.get(Parameter("fs", joint), 0)])  # friction brakes
-            if left(basis, signal[kept], 0.0)[0] < ALTERED * middle.shares[j, j]:
+            logged, share = float(middle.shares[j, j]), left(basis, signal[kept], 0.0)[0]
+            if share < ALTERED * logged:
                 signals[j] = signal
-    return signals
+                shares.append((logged, share))
+    looks = [_looks(middle.fit, False, list(signals), *np.transpose(shares))] if signals else []
+    return tuple(looks), signals
 
 
 def _signs(basis: np.ndarray, effort: np.ndarray) -> np.ndarray:
