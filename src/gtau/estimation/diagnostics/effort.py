@@ -43,7 +43,7 @@ HARDLY_NEGATIVE = 0.05  # most negative value over the largest of a column of ma
 LATE_CURRENTS, SWAPPED_CHANNELS, MAGNITUDES = "currents logged late", "swapped channels", "magnitudes"
 REACH = 0.3  # s: lags beyond are other runs, or clocks that were never set
 RANK = 1e-8  # of the largest singular value: directions below it are left out
-STARTS = 3  # eigenvectors from which signs are chosen
+STARTS = 10  # eigenvectors from which signs are chosen
 TINY = 1e-9  # share of a torque or a delay that is rounding
 
 Signals = Mapping[int, np.ndarray]
