@@ -131,3 +131,19 @@ def test_ur10e_at_rest_and_one_joint_at_a_time(shared: Path) -> None:
     run = read_run(shared / "ur10e" / "jointwise" / "ur-20_01_22-joint_2.csv", UR10E)
     prepared = prepare(run, choose_preparation([run])).samples()
     assert prepared.usable.any(axis=0).tolist() == [False, True, False, False, False, False]
+
+
+def test_rows_end_where_noise_takes_over_within_twice_the_bandwidth() -> None:
+    """Twelve bits at 50 Hz: accelerations beyond some 6 Hz are noise, and rows up to 10 Hz bias what they hold."""
+    time = np.arange(1500) / 50
+    parts = ((0.6, 0.2), (0.2, 1.35), (0.05, 2.15), (0.03, 3.45))
+    sines = [size * np.sin(2 * np.pi * f * time + f) for size, f in parts]
+    step = 2 * np.pi / 4096
+    coarse, fine = (
+        Run("r", ("a",), time, np.round(np.sum(sines, axis=0)[:, None] / step) * step, np.sin(9 * time)[:, None])
+        for step in (step, step / 256)
+    )
+    factors = [choose_preparation([run]).decimator.factor for run in (coarse, fine)]
+    assert factors[0] > factors[1]
+    chosen = choose_preparation([coarse])
+    assert 1.2 * chosen.bandwidth < chosen.decimator.cutoff(50.0) < 2 * chosen.bandwidth

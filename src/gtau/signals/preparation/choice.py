@@ -47,8 +47,9 @@ def choose_preparation(
     The bandwidth is the largest of all joints in all runs, whose rates may differ. The position filter follows from it
     and from where noise takes over, see :func:`gtau.signals.preparation.filters.cutoff_frequency`. The decimation
     leaves five rows in a period of the bandwidth, or more where it would lose more than 15 % of the samples around
-    reversals and rests. ``judge`` may lower bandwidth and filter where nothing is given. Raises GtauError where no
-    joint moves in a run, or the logs cannot hold motion of a given frequency.
+    reversals and rests, but rows end where noise takes over within twice the bandwidth. ``judge`` may lower bandwidth
+    and filter where nothing is given. Raises GtauError where no joint moves in a run, or the logs cannot hold motion of
+    a given frequency.
     """
     settings = runs[0].log.settings
     slowest, updates = min(run.rate for run in runs), min(run.updates for run in runs)
@@ -88,6 +89,11 @@ def _decimated(
         factor = decimation_factor(rate, bandwidth)
     elif factor is None:
         factor = _affordable(runs, run_spectra, preparation, decimation_factor(rate, bandwidth, LARGEST_FACTOR))
+        # Accelerations beyond the signal are noise. On six joints with 12 bits at 50 Hz (signal of 6 Hz, bandwidth 3.4
+        # Hz) rows up to 10 Hz give gains of which one is 2.5 % off the others, z 6; rows up to 6.7 Hz 0.3 %.
+        end = max(spectrum.end for joints in run_spectra for spectrum in joints if spectrum.moves)
+        if end < 2 * bandwidth and runs[0].log.settings.bandwidth is None:
+            factor = max(factor, decimation_factor(rate, end / 2))
     decimator = Decimator(factor, kind)
     cutoff = preparation.cutoff
     if cutoff is not None and "position_filter" not in preparation.given and factor > 1:
