@@ -9,17 +9,20 @@ rigid axis at the bandwidth.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from math import inf
+from dataclasses import dataclass, fields
+from math import inf, nan
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from gtau.documents.files import write_table
 from gtau.documents.validation import Keys, Positive
+from gtau.estimation.electrical import CONVENTIONS
+from gtau.signals.channel import SIDE_SIGNALS, SideValues
 from gtau.signals.run import Run
+from gtau.simulation.motors import Motors, Supply, rounded
 from gtau.simulation.plant import PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory, log_column
 
@@ -77,6 +80,12 @@ class JointHardware(Keys):
     ``gain``, N m/A or N per A. A ripple of amplitude ``ripple`` (N m or N) repeats every ``ripple_period`` (rad or m).
     Positions are delayed by ``delay`` s and rounded to ``position_quantum``, rad or m. Logged currents have white noise
     of the rms ``current_noise``, A, and are rounded to ``current_quantum``, A.
+
+    On a supply, the motor has the ``resistance`` (ohm), which grows by ``warming`` of itself along a run,
+    ``inductance`` (H) and ``convention`` of experiment files; its torque constant differs from its back-EMF constant by
+    a number drawn with the relative standard deviation ``commutation``. The bridge loses ``dead_time`` of the supply
+    voltage; logged duties are rounded to ``duty_quantum``. A drive with ``proportional_gain`` (1/rad or 1/m) is a
+    servo: its duty is this gain times goal less position, none within its ``dead_band`` (rad or m).
     """
 
     gain: Annotated[FiniteFloat, AfterValidator(_not_zero)]
@@ -87,11 +96,26 @@ class JointHardware(Keys):
     delay: Annotated[FiniteFloat, Field(ge=0, le=0.1)] = 0.0
     current_noise: NotNegative = 0.0
     current_quantum: NotNegative = 0.0
+    resistance: Positive | None = None
+    inductance: NotNegative = 0.0
+    warming: NotNegative = 0.0
+    convention: Literal["dc", "amplitude", "power"] = "dc"
+    commutation: Annotated[FiniteFloat, Field(ge=0, le=0.2)] = 0.0
+    dead_time: Annotated[FiniteFloat, Field(ge=0, lt=0.5)] = 0.0
+    duty_quantum: NotNegative = 0.0
+    proportional_gain: Positive | None = None
+    dead_band: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> JointHardware:
+        if self.proportional_gain is not None and self.current_limit is not None:
+            raise ValueError("a servo ('proportional_gain') is limited by its voltage; remove 'current_limit'")
+        return self
 
 
 @dataclass(frozen=True, eq=False)
 class Hardware:
-    """Drives and sensors of all actuated joints, every field an array (n,)."""
+    """Drives and sensors of all actuated joints, every field an array (n,), and their motors, if on a supply."""
 
     gain: np.ndarray
     current_limit: np.ndarray
@@ -101,6 +125,7 @@ class Hardware:
     delay: np.ndarray
     current_noise: np.ndarray
     current_quantum: np.ndarray
+    motors: Motors | None = None
 
     def force(self, current: np.ndarray, q: np.ndarray, phase: np.ndarray) -> np.ndarray:
         """Compute forces (n,) from currents (n,) at positions ``q`` (n,), with the ripple's ``phase`` (n,), rad."""
@@ -116,16 +141,20 @@ class Hardware:
         return rounded(past - back * speed + back**2 / (2 * period) * (speed - before), self.position_quantum)
 
 
-def hardware(joints: Sequence[str], drives: Mapping[str, JointHardware]) -> Hardware:
-    """Stack the drives and sensors of ``joints``, in this order."""
-    rows = [{"current_limit": inf} | drives[joint].model_dump(exclude_none=True) for joint in joints]
-    return Hardware(**{name: np.array([row[name] for row in rows]) for name in JointHardware.model_fields})
-
-
-def rounded(values: np.ndarray, quantum: np.ndarray) -> np.ndarray:
-    """Round values to multiples of a quantum; a quantum of zero leaves them unchanged."""
-    step = np.where(quantum > 0, quantum, 1.0)
-    return np.where(quantum > 0, np.round(values / step) * step, values)
+def hardware(
+    joints: Sequence[str], drives: Mapping[str, JointHardware], supply: Supply | None = None, seed: int = 0
+) -> Hardware:
+    """Stack the drives and sensors of ``joints``, in this order; the ``seed`` draws constants of motors on a supply."""
+    missing = {"current_limit": inf, "resistance": nan, "proportional_gain": nan}
+    rows = [missing | drives[joint].model_dump(exclude_none=True) for joint in joints]
+    columns = {name: np.array([row[name] for row in rows]) for name in JointHardware.model_fields}
+    motors = None
+    if supply is not None:
+        drawn = np.random.default_rng([seed, len(joints)]).standard_normal(len(joints))
+        c = np.array([CONVENTIONS[name] for name in columns["convention"]])
+        emf = columns["gain"] / (1 + columns["commutation"] * drawn) / c
+        motors = Motors(supply, emf, **{field.name: columns[field.name] for field in fields(Motors)[2:]})
+    return Hardware(**{field.name: columns[field.name] for field in fields(Hardware)[:-1]}, motors=motors)
 
 
 class Engine(Protocol):
@@ -168,7 +197,9 @@ def close_loop(
     phase = rng.uniform(0.0, 2 * np.pi, (1, n))[0]
     state = engine.start(reference.q[0])
     history = [state] * (2 + int(np.ceil(hardware.delay.max() / period)))
-    position, current, error = (np.empty((samples, n)) for _ in range(3))
+    position, current, error, duty = (np.empty((samples, n)) for _ in range(4))
+    motors, voltage = hardware.motors, np.empty(samples)
+    supplied = nan if motors is None else motors.supply.voltage
     slope, integral = np.zeros(n), np.zeros(n)
     behind = controller.weight * reference.q[0] - hardware.measured(history, period)
     for k in range(samples):
@@ -179,6 +210,10 @@ def close_loop(
         pushed = kp * e + ki * (integral + period * e) + kd * slope
         wanted = (controller.inertia[k] @ pushed + controller.feedforward[k]) / controller.gains
         current[k] = np.clip(wanted, -hardware.current_limit, hardware.current_limit)
+        if motors is not None:
+            voltage[k] = supplied
+            current[k], duty[k] = motors.currents(current[k], e, state.qd, supplied, k / samples)
+            supplied = motors.sagging(current[k], duty[k])
         integral = integral + period * np.where(current[k] == wanted, e, 0.0)  # no windup at the limit
         position[k], error[k] = measured, reference.q[k] - state.q
         state = engine.advance(state, hardware.force(current[k], state.q, phase), period)
@@ -186,16 +221,26 @@ def close_loop(
         if k % 1000 == 0:
             progress(k, samples)
     progress(samples, samples)
-    logged = rounded(current + hardware.current_noise * rng.standard_normal(current.shape), hardware.current_quantum)
-    run = Run(name, joints, reference.time, np.round(position, DIGITS), np.round(logged, DIGITS))
+    noise = hardware.current_noise * rng.standard_normal(current.shape)
+    logged, side = rounded(current + noise, hardware.current_quantum), dict[str, SideValues]()
+    if motors is not None:
+        beside = motors.logged(period, current, duty, voltage, reference.q)
+        beside["supply_current"] = rounded(beside["supply_current"] + noise, hardware.current_quantum)
+        units = {signal.key: signal.units[0] for signal in SIDE_SIGNALS}
+        for key, values in beside.items():
+            columns = dict(zip(joints, np.round(values, DIGITS).T, strict=True))
+            side[key] = SideValues(reference.time, columns, units[key])
+    run = Run(name, joints, reference.time, np.round(position, DIGITS), np.round(logged, DIGITS), **side)
     return Simulated(run, error)
 
 
 def write_log(run: Run, path: str | Path) -> None:
-    """Write a run as CSV, atomically; columns are ``t``, and ``q`` and ``v`` followed by the joint's name."""
+    """Write a run as CSV, atomically: ``t``; ``q``, ``v`` and ``duty_``, or another signal, before the joint's name."""
     import polars as pl
 
     columns = {"t": np.round(run.time, DIGITS)}
     columns |= {log_column("q", joint): run.position[:, j] for j, joint in enumerate(run.joints)}
     columns |= {log_column("v", joint): run.command[:, j] for j, joint in enumerate(run.joints)}
+    for key, values in run.side.items():
+        columns |= {log_column(f"{key}_", joint): values.by_joint[joint] for joint in run.joints}
     write_table(pl.DataFrame(columns), path)

@@ -26,8 +26,10 @@ from gtau.robots.geometry import refuse_floating
 from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, Robot
+from gtau.signals.channel import SideValues
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import CarriedPayload, Payload
+from gtau.signals.run import Run
 from gtau.simulation.closed_loop import (
     BANDWIDTH,
     Engine,
@@ -41,6 +43,7 @@ from gtau.simulation.closed_loop import (
     write_log,
 )
 from gtau.simulation.joint_friction import STATED, WIDTH, JointFriction, identified_friction
+from gtau.simulation.motors import Logged, Supply
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
 from gtau.simulation.trajectories import (
@@ -99,8 +102,9 @@ class FrictionEntry(Keys):
 class Simulation(Keys):
     """Content of a simulation file, whose paths are relative to the file.
 
-    The robot has the ``parameters`` and the friction of ``curves``, or an identified ``model``. ``control`` lists
-    trajectories for the comparison of control laws, without logs.
+    The robot has the ``parameters`` and the friction of ``curves``, or an identified ``model``. Motors on a ``supply``
+    have voltages, which bound their currents; side signals of them are in the ``logs``, of ``log_rate`` (Hz).
+    ``control`` lists trajectories for the comparison of control laws, without logs.
     """
 
     robot: RobotName
@@ -109,8 +113,11 @@ class Simulation(Keys):
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
     curves: dict[str, FrictionEntry] = Field(default_factory=dict)
     drives: dict[str, JointHardware] = Field(min_length=1)
+    supply: Supply | None = None
+    logs: tuple[Logged, ...] = ()
     friction_width: Friction = Friction()
     rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
+    log_rate: Positive | None = None
     bandwidth: Positive = Field(default_factory=lambda fields: min(BANDWIDTH, fields.get("rate", 1000.0) / 5))
     seed: Annotated[int, Field(ge=0)] = 0
     prior_gains: PerJoint = Field(default_factory=dict)
@@ -145,6 +152,25 @@ class Simulation(Keys):
                 "'model' states all parameters and friction; remove 'parameters' and 'curves', or the model"
             )
         return self
+
+    @model_validator(mode="after")
+    def _electrical(self) -> Simulation:
+        servos = [joint for joint, drive in self.drives.items() if drive.proportional_gain is not None]
+        if self.supply is None and (self.logs or servos):
+            what = f"'{self.logs[0]}' is logged" if self.logs else f"'{servos[0]}' is a servo"
+            raise ValueError(f"{what} without a supply; add 'supply: {{voltage: ...}}'")
+        if lacking := [joint for joint, drive in self.drives.items() if self.supply and drive.resistance is None]:
+            raise ValueError(f"the motor of '{lacking[0]}' has no 'resistance', which a supply needs; add its ohms")
+        if "supply_current" in self.logs and not {"duty", "goal"} & set(self.logs):
+            raise ValueError("'supply_current' is logged without 'duty' or 'goal', and is no motor's; add one")
+        if self.every != round(self.every) or self.every < 1:
+            raise ValueError(f"a log_rate of {self.log_rate:g} Hz is no part of the rate, {self.rate:g} Hz")
+        return self
+
+    @property
+    def every(self) -> float:
+        """Samples of the controller for one in the log."""
+        return self.rate / (self.log_rate or self.rate)
 
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:
@@ -213,7 +239,7 @@ def apparatus(
             chi[name] = chi.get(name, 0.0) + value
     plant = Plant(model, chi, friction)
     engine = plant if simulation.engine == "gtau" else MujocoPlant(model, chi, friction)
-    return engine, plant, hardware(model.actuated, simulation.drives)
+    return engine, plant, hardware(model.actuated, simulation.drives, simulation.supply, simulation.seed)
 
 
 def make_run(
@@ -237,7 +263,13 @@ def make_run(
     controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
     simulated = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
-    return replace(simulated, run=replace(simulated.run, payload=described.payload))
+    run, every = simulated.run, round(simulation.every)
+    time, side = run.time[::every], dict[str, SideValues]()
+    for key in simulation.logs:
+        columns = {joint: values[::every] for joint, values in run.side[key].by_joint.items()}
+        side[key] = SideValues(time, columns, run.side[key].unit)
+    run = Run(run.name, run.joints, time, run.position[::every], run.command[::every], **side)
+    return replace(simulated, run=replace(run, payload=described.payload))
 
 
 @takes(out=PATH, progress=FUNCTION)
@@ -302,10 +334,17 @@ def simulate(
 def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
     """Compose the experiment file of a simulation from the contents of its logs and the prior gains."""
     file, joints = Path(simulation.robot), robot.actuated
-    position, current = ({joint: log_column(letter, joint) for joint in joints} for letter in "qv")
+    letters = {"position": "q", "current": "v"} | {key: f"{key}_" for key in simulation.logs}
+    if "supply_current" in simulation.logs:  # in place of the motor's
+        del letters["current"]
+    signals = {key: {joint: log_column(letter, joint) for joint in joints} for key, letter in letters.items()}
+    servos = {joint: simulation.drives[joint].proportional_gain for joint in joints if "goal" in simulation.logs}
+    electrical = {"convention", "commutation"}
+    drives = {joint: simulation.drives[joint].model_dump(include=electrical) for joint in joints if simulation.logs}
     document: dict[str, Any] = {
         "robot": relpath(file, out) if file.is_file() else simulation.robot,
-        "signals": {"time": "t", "position": position, "current": current},
+        "signals": {"time": "t", **signals, **({"proportional_gain": servos} if servos else {})},
+        "drives": {joint: {key: value for key, value in drive.items() if value} for joint, drive in drives.items()},
         "prior_gains": {joint: simulation.prior_gains[joint] for joint in joints if simulation.prior_gains},
         "runs": [_listed(run) for run in simulation.runs],
         "validation": [_listed(run) for run in simulation.validation],
