@@ -7,8 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
-from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+from five_bar_logs import CHI, GAINS, JOINTS, STEEL, Plant
 from motor_logs import Motors
 
 from gtau import identify, load_robot, read_run
@@ -221,6 +222,27 @@ def test_voltages_that_say_nothing_of_a_motor_are_not_used() -> None:
     assert result.accepted
     assert len([note for note in result.notes if note.kind == "voltage"]) == 2
     assert not result.motors
+
+
+def test_a_duty_in_place_of_the_current_gives_no_gain(tmp_path: Path) -> None:
+    """With a payload its gain is g U / R, and the viscous friction contains the back-EMF; a note says so."""
+    runs = []
+    for seed, mass in ((1, None), (2, 1.2)):
+        one = replace(MOTORS, noise=0.0).logged(Plant().run("log", 16.0, STEEL if mass else None, seed), "duty")
+        pl.DataFrame(table(one)).write_csv(log := tmp_path / f"{seed}.csv")
+        described = signals(current={joint: f"duty {joint}" for joint in JOINTS})
+        runs.append(read_run(log, described, {"name": "steel", "mass": mass} if mass else None))
+    result = identify(load_robot("five-bar"), runs)
+    for joint, gain in zip(JOINTS, GAINS, strict=True):
+        low, high = result.drive_gains[joint].interval()
+        assert low < gain * MOTORS.supply / MOTORS.resistance < high
+        assert result.drive_gains[joint].half_width < 1.0  # %
+    back_emf = GAINS[0] ** 2 / MOTORS.resistance
+    assert result.parameters["fv_left"].value == pytest.approx(CHI["fv_left"] + back_emf, rel=0.05)
+    notes = [note.what for note in result.notes if note.kind == "voltage"]
+    assert len(notes) == 2
+    assert "'left' is a voltage or duty: its gain is the torque constant over the resistance" in notes[0]
+    assert "viscous friction contains the back-EMF" in notes[0]
 
 
 def test_consistent_parameters_rest_on_voltages_too() -> None:

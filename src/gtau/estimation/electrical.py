@@ -25,8 +25,10 @@ from gtau.estimation.regression.problem import Estimates, MotorEquation
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding, Grade, percent
 from gtau.robots.parameter import Parameter, unit_of
+from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.preparation.filters import Decimator, position_filter
 from gtau.signals.preparation.prepared_run import PreparedRun, valid_samples
+from gtau.signals.reading.column_names import has_word
 from gtau.signals.reading.statements import Drive
 
 CONVENTIONS = {"dc": 1.0, "power": 1.0, "amplitude": 1.5}
@@ -44,6 +46,7 @@ SHAPE = 0.1
 # Least share of the variance of the voltage, or another equation holds. Simulated motors with dead time, warming, sag,
 # 12 bit and 50 Hz: above 0.99; an SO-101, whose register holds unsigned currents of the supply: 0.74 to 0.92.
 EXPLAINED = 0.95
+NO_CURRENT = frozenset[str]().union(*(kind.words for kind in SIDE_SIGNALS if kind.key in ("voltage", "duty")))
 LOST = 0.3  # relative standard deviation of ke, from which it is no reference
 # plausible sizes: of dead time, offset and idle current over the rms voltage, R and ke over themselves, of lags in s
 DEAD, OFFSET, IDLE, WARMER, WEAKER, SATURATED, LAG = 0.05, 0.02, 0.05, 0.1, 0.01, 0.05, 0.002
@@ -63,6 +66,10 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             decimator = dataset.preparation.at(prepared.run.rate).decimator
             if (part := _rows(prepared, decimator, joint, drive)) is not None:
                 rows.append(part)
+        signals = dataset.runs[0].log.signals
+        if signals is not None and has_word(signals.command.get(joint, ""), NO_CURRENT):
+            text = f"the current of '{joint}' is a voltage or duty: its gain is the torque constant over the resistance"
+            note(joint, f"{text}, and its viscous friction contains the back-EMF", "log the current, too")
         logged = (run.side[key] for run in dataset.runs for key in ("voltage", "duty") if key in run.side)
         if not any(joint in values.by_joint for values in logged):
             continue
