@@ -10,9 +10,10 @@ import pytest
 import yaml
 from models_to_export import model_of
 
-from gtau.estimation.results.estimate import Estimate
+from gtau.estimation.results.estimate import Estimate, Named
 from gtau.export.exported import export_model
 from gtau.result import Result
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Limits, Pose, Robot
 
 MJLAB = {  # fields of BuiltinMotorActuatorCfg and ActuatorCfg, mjlab.actuator
@@ -119,3 +120,20 @@ def test_keys_are_the_fields_that_the_programs_document(result: Result, tmp_path
     assert set(actuator) <= ISAACLAB
     assert set(actuator["armature"]) == {"c"}
     assert actuator["viscous_friction"]["b"] == pytest.approx(result.consistency.standard["fv_b"])
+
+
+def test_motors_with_voltages_have_resistance_and_back_emf(result: Result, tmp_path: Path) -> None:
+    """MuJoCo keeps them as numbers; Isaac Lab's DC motor stalls at g / R and idles at 1 / ke for each volt."""
+    motors = {"R_a": Estimate("R_a", 0.5, 0.01, "ohm"), "ke_a": Estimate("ke_a", 2.0, 0.02, "V s/rad")}
+    known = result.replaced(motors=Named({Parameter("R", "a"): motors["R_a"], Parameter("ke", "a"): motors["ke_a"]}))
+    whole, _ = export_model(known, "mujoco-actuators", tmp_path / "mujoco").files
+    model = mujoco.MjModel.from_xml_path(str(whole))
+    assert [model.numeric(name).data[0] for name in ("resistance a", "back_emf a")] == [0.5, 2.0]
+    document = yaml.safe_load(export_model(known, "isaaclab", tmp_path / "isaac").files[0].read_text())
+    gain = abs(result.consistency.gains["a"][0])
+    per_volt = document["dc_motor_per_volt"]
+    assert per_volt == {"saturation_effort": {"a": pytest.approx(gain / 0.5)}, "velocity_limit": {"a": 0.5}}
+    assert document["measured"]["a"]["resistance"]["value"] == 0.5
+    assert "resistance" not in document["measured"]["b"]
+    without = yaml.safe_load(export_model(result, "isaaclab", tmp_path / "without").files[0].read_text())
+    assert "dc_motor_per_volt" not in without

@@ -21,7 +21,9 @@ from propelling_models import LOGGED, held, propelling, states
 from robots_for_tests import ROBOTS, home, random_samples, slider_crank, trajectory, tree
 from scipy.integrate import solve_ivp
 
+from gtau.estimation.results.estimate import Estimate, Named
 from gtau.export.generated import export_c as export
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Mdh, Robot
 from gtau.simulation.closed_loop import JointHardware, Reference, close_loop, hardware
 from gtau.simulation.plant import Plant, PlantState
@@ -95,6 +97,18 @@ def test_payloads_stand_in_the_code(tmp_path: Path) -> None:
     array = (ctypes.c_double * c.n_p).in_dll(c.library, "tree_parameters_with_tool_2")
     np.testing.assert_array_equal(np.array(array), c.model.payloads["tool 2"])
     assert not np.array_equal(np.array(array), c.model.values)
+
+
+@needs_gcc
+def test_motors_with_voltages_stand_in_the_code(tmp_path: Path) -> None:
+    result = model_of(ROBOTS[1])
+    first, *_ = result.robot.actuated
+    known = {Parameter(kind, first): Estimate(f"{kind}_{first}", value, 0.1, "") for kind, value in
+             (("R", 0.5), ("ke", 2.0))}  # fmt: skip
+    c = Compiled(result.replaced(motors=Named(known)), tmp_path)
+    for name, value in (("resistances", 0.5), ("back_emfs", 2.0)):
+        array = (ctypes.c_double * c.n).in_dll(c.library, f"tree_{name}")
+        assert list(array) == [value] + [0.0] * (c.n - 1)
 
 
 @needs_gcc

@@ -5,7 +5,7 @@ beside the bodies as MJCF and URDF:
 
 - of ``mjlab.actuator.BuiltinMotorActuatorCfg`` and its base ``ActuatorCfg`` (mjlab of 2026,
   https://mujocolab.github.io/mjlab/source/actuators.html). A field left out keeps the value of the body's XML;
-- of ``isaaclab.actuators.DelayedPDActuatorCfg`` and its base ``ActuatorBaseCfg``
+- of ``isaaclab.actuators.DelayedPDActuatorCfg``, of ``DCMotorCfg`` and their base ``ActuatorBaseCfg``
   (https://isaac-sim.github.io/IsaacLab/main/source/api/lab/isaaclab.actuators.html). ``dynamic_friction`` and
   ``viscous_friction`` came with Isaac Lab 2.2; Isaac Sim before 5.0 takes ``friction`` as a coefficient, not a torque.
 """
@@ -60,6 +60,9 @@ Actuators of '{robot}', identified from logs. Not run in Isaac Lab.
   DelayedPDActuatorCfg(stiffness=..., damping=..., **actuator)
 Delays are in physics steps of 'timestep' (s), the same for all joints. Both frictions are the Coulomb friction.
 A joint missing under 'armature' has one that is not identifiable apart from its link: see 'measured'."""
+DC_MOTOR_HEAD = """
+'dc_motor_per_volt', times the supply voltage, are fields of a DCMotorCfg in its place, without delays: the stall torque
+g / R and the speed without load 1 / ke, which is 3/2 as fast with amplitude-invariant voltages of the q axis."""
 
 OPEN_HEAD = """
 The bodies are an OPEN TREE, without the loops of the robot, so this is another robot. 'serial_equivalent' is the
@@ -71,7 +74,8 @@ a tree of the motors alone. Such a tree has no weight and moves like the robot n
 class Actuator:
     """Motor and joint, SI units at the joint.
 
-    ``gain`` and ``delay`` lead from the command to the torque; ``chosen`` are parameters of the exported bodies by kind
+    ``gain`` and ``delay`` lead from the command to the torque; ``electrical`` are the resistance ``R`` and back-EMF
+    constant ``ke`` of a motor whose voltages were logged; ``chosen`` are parameters of the exported bodies by kind
     (ia, fv, fs, f3, off). ``armature`` is None where it is not identifiable apart from the inertia of links: it is part
     of the base parameter ``regrouped``.
     """
@@ -80,6 +84,7 @@ class Actuator:
     limits: Limits
     gain: Estimate
     delay: Estimate
+    electrical: dict[str, Estimate]
     chosen: dict[str, float]
     armature: Estimate | None
     regrouped: str
@@ -102,6 +107,8 @@ class Actuator:
             "frictionloss": chosen["fs"],
             "offset": chosen["off"],
         }
+        entry |= {key: _described(self.electrical[kind], self.electrical[kind].unit)
+                  for key, kind in (("resistance", "R"), ("back_emf", "ke")) if kind in self.electrical}  # fmt: skip
         more = {"damping_cubic": chosen["f3"], "effort": self.limits.effort, "velocity": self.limits.velocity}
         return entry | {key: value for key, value in more.items() if value}
 
@@ -126,7 +133,9 @@ def _actuators(model: ConsistentModel) -> list[Actuator]:
             if estimate.value is not None:
                 armature = replace(estimate, value=chosen["ia"])
         regrouped = names[0] if names else ""
-        actuators.append(Actuator(joint, limits, gain, delay, chosen, armature, regrouped))
+        known = {kind: Parameter(kind, joint) for kind in ("R", "ke") if Parameter(kind, joint) in result.motors}
+        electrical = {kind: result.motors[name] for kind, name in known.items()}
+        actuators.append(Actuator(joint, limits, gain, delay, electrical, chosen, armature, regrouped))
     return actuators
 
 
@@ -169,6 +178,9 @@ def export_isaaclab(result: IdentifiedModel, out: Path) -> Exported:
     actuator["max_delay"] = max(entry["delay_max_lag"] for entry in entries.values())
     document: dict[str, Any] = {"timestep": TIMESTEP, "actuator": actuator}
     head = ISAACLAB_HEAD.format(robot=result.robot.name)
+    if per_volt := _per_volt(motors):
+        document["dc_motor_per_volt"] = per_volt
+        head += DC_MOTOR_HEAD
     if result.robot.closures:
         document["serial_equivalent"] = serial_equivalent(model)
         head += OPEN_HEAD
@@ -176,6 +188,18 @@ def export_isaaclab(result: IdentifiedModel, out: Path) -> Exported:
     lost = what_is_lost(result.robot, "Isaac Lab", name)
     notes = [lost] * bool(lost) + [note for note in bodies.notes if note != bodies.lost]
     return Exported((*files, *bodies.files), (*notes, *_notes(motors, "Isaac Lab")), bodies.figures, lost)
+
+
+def _per_volt(motors: Sequence[Actuator]) -> dict[str, dict[str, float]]:
+    """Compute the stall torque and the speed without load by joint, both for a volt of supply; empty without voltages.
+
+    They are the fields of Isaac Lab whose line ``effort <= saturation_effort (1 - speed / velocity_limit)`` is a DC
+    motor's.
+    """
+    known = [motor for motor in motors if motor.electrical]
+    stall = {motor.joint: abs(motor.gain.value or 0.0) / (motor.electrical["R"].value or np.nan) for motor in known}
+    fastest = {motor.joint: 1 / abs(motor.electrical["ke"].value or np.nan) for motor in known}
+    return {"saturation_effort": stall, "velocity_limit": fastest} if known else {}
 
 
 def _fields(motor: Actuator) -> dict[str, Any]:
@@ -245,6 +269,12 @@ def _body_texts(
     elements = SubElement(drives, "actuator")
     for motor in motors:
         SubElement(elements, "general", _general(motor, STEP * _delays(mujoco)))
+    numbers = SubElement(drives, "custom") if any(motor.electrical for motor in motors) else drives
+    for motor in motors:
+        for kind, label in (("R", "resistance"), ("ke", "back_emf")):
+            if kind in motor.electrical:
+                value = digits(motor.electrical[kind].value or 0.0)
+                SubElement(numbers, "numeric", {"name": f"{label} {motor.joint}", "data": value})
     included = f"{identifier(model.result.robot.name)}_actuators.xml"
     root.insert(0, Element("include", {"file": included}))
     texts |= {"whole": xml_text(root), "actuators": xml_text(drives)}

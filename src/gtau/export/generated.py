@@ -152,7 +152,9 @@ def _fields_of_c(model: Identified) -> dict[str, Any]:
     velocities = np.array([joint.limits.velocity or 10.0 for joint in joints])
     efforts = np.array([joint.limits.effort or 0.0 for joint in joints])
     length = 1.0 if loops is None else loops.layout.length
+    motors = {str(name): estimate.value for name, estimate in model.result.motors.items()}
     return {
+        "electrical": {kind: [motors.get(f"{kind}_{joint}", 0.0) for joint in model.joints] for kind in ("R", "ke")},
         "robot": in_c(robot.name),
         "runs": in_c(textwrap.shorten(", ".join(model.result.runs), 60, placeholder=" ...")),
         "parameters": [(value, _comment(k, model)) for k, value in enumerate(model.values.tolist())],
