@@ -43,9 +43,9 @@ FLOOR = 5e-4  # of ke and R, whose noise biases them by less
 # Share of a bridge's lost voltage that counts as R i, as the shape of its change of sign is assumed: R of two simulated
 # motors is off by 8 and 14 % of it where the voltage is lost in proportion below 0.4 % of the stall current.
 SHAPE = 0.1
-# Least share of the variance of the voltage, or another equation holds. Simulated motors with dead time, warming, sag,
-# 12 bit and 50 Hz: above 0.99; an SO-101, whose register holds unsigned currents of the supply: 0.74 to 0.92.
-EXPLAINED = 0.95
+# Least share of the variance of the voltage, or another equation holds. Simulated motors (benchmarks/electrical.py):
+# above 0.999; an SO-101, whose register holds unsigned currents of the supply: 0.82 to 0.95, with one gain 30 % low.
+EXPLAINED = 0.97
 NO_CURRENT = frozenset[str]().union(*(kind.words for kind in SIDE_SIGNALS if kind.key in ("voltage", "duty")))
 LOST = 0.3  # relative standard deviation of ke, from which it is no reference
 # plausible sizes: of dead time, offset and idle current over the rms voltage, R and ke over themselves, of lags in s
@@ -163,7 +163,7 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> M
     if stated is not None:  # ke is in proportion to it
         both = (drive.uncertainty or RESISTANCE) * np.array([ke, stated])
         R, covariance = stated, np.diag([covariance[0, 0], 0.0]) + np.outer(both, both)
-    all_columns = np.column_stack([A, sharp])
+    all_columns = np.column_stack([A, sharp, x[:, None] * along_runs])
     rest = y - all_columns @ np.linalg.lstsq(all_columns, y, rcond=None)[0]
     explained = 1 - float(np.var(rest) / max(np.var(y), 1e-300))
     commutation, known = drive.commutation or COMMUTATION, drive.commutation is not None
