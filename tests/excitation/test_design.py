@@ -384,3 +384,20 @@ def test_what_a_limit_is_called_does_not_change_what_is_reached() -> None:
     usage = ConstraintUsage("condition", "conditioning in run 2", 100.0, "", np.array([0.5, 1.5]), lambda: np.zeros(0))
     assert usage.reached == pytest.approx(150.0)
     assert replace(usage, logarithmic=True).reached == pytest.approx(1000.0)
+
+
+def test_voltages_give_gains_without_a_payload(tmp_path: Path) -> None:
+    """The information of each gain is limited by its commutation; a design without either reference is refused."""
+    unloaded = "robot: five-bar\nrate: 200\nperiod: 5\nharmonics: 3\nruns: [{payload: none}]\n"
+    with pytest.raises(GtauError, match="or 'drives' whose voltages are logged"):
+        read_design(write(tmp_path, unloaded))
+    drives = "drives: {left: {convention: amplitude, commutation: 0.01}, right: {commutation: 0.02}}\n"
+    task, _ = read_design(write(tmp_path, unloaded + drives))
+    x = random_start(task, np.random.default_rng(0), 0.9)
+    left, right = forecast(task, x).gains
+    joined = 100 / np.hypot(1 / 0.01, 1 / 0.02)  # both motors move the same links
+    assert joined < left.relative < 1.0
+    assert joined < right.relative < 2.0
+    stray = unloaded + "drives: {elbow: {commutation: 0.01}}\n"
+    with pytest.raises(GtauError, match="drives names 'elbow', which is no actuated joint"):
+        read_design(write(tmp_path, stray))

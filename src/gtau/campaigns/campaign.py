@@ -297,17 +297,18 @@ def _best_candidate(
     """Simulate candidates for the next motion; return the best one, and the decision with what they would reach."""
     offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
     offered += beside_the_axis(designed, result)
+    drives = designed.task.prior.drives
 
     def simulated_width(candidate: Candidate) -> float:
         progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
-        return expected_width(candidate, result, seed)
+        return expected_width(candidate, result, seed, drives)
 
     chosen, widths = best(offered, simulated_width)
     *usual, beside = (float(entry["half_width"] or np.inf) for entry in widths)
     if any(offered[-1].beside) and beside <= WORTH * min(usual):
         advice = f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{beside:.3g} %"
         decision = replace(decision, notes=(advice, *decision.notes))
-    return chosen.design, refuse_to_go_on(result, decision, widths, expected_width(None, result, 0))
+    return chosen.design, refuse_to_go_on(result, decision, widths, expected_width(None, result, 0, drives))
 
 
 def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: Progress) -> tuple[Design, Rehearsal]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from gtau.campaigns.rehearsal import CSV
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import Examination, estimates_of
 from gtau.estimation.effects.estimate import estimate_effects
+from gtau.estimation.electrical import with_voltages
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
@@ -29,7 +30,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import INERTIAL
 from gtau.signals.reading.logs import read_log
-from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Drive, Payload
 from gtau.signals.run import Run
 from gtau.uses.prediction import torques
 
@@ -62,8 +63,9 @@ def candidates(design: Design) -> Iterator[Candidate]:
         yield from _within(f"at {100 * part:g} % of the speed", design, replace(task, series=slower), x)
     yield from _within("twice as long", design, replace(task, repetitions=2 * task.repetitions), x)
     masses = [payload.mass for payload in task.payloads if payload is not None and payload.mass]
-    heavier = task.with_payload_mass(HEAVIER * max(masses))
-    yield from _within(f"with a payload of {HEAVIER * max(masses):g} kg", design, heavier, x, at_hand=False)
+    if masses:
+        heavier = task.with_payload_mass(HEAVIER * max(masses))
+        yield from _within(f"with a payload of {HEAVIER * max(masses):g} kg", design, heavier, x, at_hand=False)
 
 
 def beside_the_axis(design: Design, result: IdentifiedModel) -> Iterator[Candidate]:
@@ -73,8 +75,8 @@ def beside_the_axis(design: Design, result: IdentifiedModel) -> Iterator[Candida
     driven = worst == last or any({worst, last} <= coupling.terms.keys() for coupling in robot.couplings)
     turns = any(joint.name == last and joint.turns for joint in robot.joints)
     loads = [load for load in design.task.payloads if load is not None]
-    heaviest = max(loads, key=lambda load: load.mass or 0.0)
-    if not driven or not turns or not heaviest.mass:
+    heaviest = max(loads, key=lambda load: load.mass or 0.0, default=None)
+    if not driven or not turns or heaviest is None or not heaviest.mass:
         return
     moments, axis = result.payload(heaviest.name), np.array(robot.joint(last).axis)
     center = np.array([moments.get(kind, 0.0) for kind in FIRST_MOMENTS]) / heaviest.mass
@@ -107,16 +109,19 @@ def widths(result: IdentifiedModel) -> dict[str, float]:
     }
 
 
-def expected_width(candidate: Candidate | None, result: IdentifiedModel, seed: int) -> float:
+def expected_width(
+    candidate: Candidate | None, result: IdentifiedModel, seed: int, drives: Mapping[str, Drive]
+) -> float:
     """Predict the widest half-interval of a gain, per cent, once the candidate is played as well; infinite if it fails.
 
-    All candidates have the same noise.
+    All candidates have the same noise; ``drives`` are those of the design file.
     """
     estimator = estimator_of("ml")
     try:
         runs = () if candidate is None else _simulated(candidate, result, seed)
         with single_threaded_blas():
             dataset = reduce_runs(result.robot, [*result.data, *runs], model=result.idm)
+            dataset = with_voltages(dataset, drives)  # of the logs alone, as no motion adds to what limits them
             fit = estimator.fit(select_friction(dataset, estimator.solver(None), silent), None, silent)
             estimates = estimates_of(fit, Examination(mixed=estimate_effects(fit)), correlated=True, moved=True)
     except GtauError:

@@ -90,7 +90,9 @@ def write_experiment(path: Path, file: DesignFile, rounds: Sequence[Round]) -> P
             runs.append({"log": log, **stated})
     robot = Path(file.robot)
     source = relpath(robot, path.parent) if robot.is_file() else file.robot
-    write_atomically(path, yaml_text({"robot": source, "signals": dict(signals), "runs": runs}))
+    drives = {joint: drive.model_dump(exclude_unset=True) for joint, drive in file.drives.items()}
+    document = {"robot": source, "signals": dict(signals), **({"drives": drives} if drives else {}), "runs": runs}
+    write_atomically(path, yaml_text(document))
     return path
 
 

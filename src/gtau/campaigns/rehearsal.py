@@ -97,13 +97,16 @@ def _under_control(
     """Play the motion in the simulator; return the largest tracking errors and torques by joint."""
     task = design.task
     loads = [payload for payload in task.payloads if payload is not None]
-    heaviest = max(loads, key=lambda payload: payload.mass or 0.0)
+    heaviest = max(loads, key=lambda payload: payload.mass or 0.0, default=None)
     ((time, joints),) = sampled_motions(task, design.x)
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         write_table(trajectory_table(task, time, joints), out / CSV)
-        run = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}, "payload": _known(heaviest, task.prior)}
-        truth = {"model": str(model)} if model else {"parameters": _stated(design, heaviest.mass or 1.0)}
+        run: dict[str, Any] = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}}
+        if heaviest is not None:
+            run["payload"] = _known(heaviest, task.prior)
+        mass = heaviest.mass if heaviest is not None else None
+        truth = {"model": str(model)} if model else {"parameters": _stated(design, mass or 1.0)}
         drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
         rate = max(task.rate, 500.0)
         simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **truth}

@@ -245,10 +245,10 @@ CONVERSIONS = {
 """Conversions of files of other programs, by their endings."""
 _KEYS = (
     (EXPERIMENT, {"signals"}),
-    (SIMULATION, {"drives"}),
     (FLEET, {"experiments", "folders"}),
     (ROBOT, {"joints", "closed_loop", "name_mot"}),
     (DESIGN, {"period", "harmonics", "repetitions", "prior", "limits", "space"}),
+    (SIMULATION, {"drives"}),
 )
 """Keys that only one kind of YAML file has; the first match counts."""
 

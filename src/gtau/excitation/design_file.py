@@ -25,7 +25,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import refuse_floating
 from gtau.robots.robot import TRANSLATIONS, Limits, Pose, Robot
 from gtau.signals.reading.experiment import RobotName
-from gtau.signals.reading.statements import FIRST_MOMENTS, CarriedPayload, Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, CarriedPayload, Drive, Payload
 
 Interval = tuple[FiniteFloat, FiniteFloat]
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
@@ -95,7 +95,7 @@ class LimitsEntry(Keys):
 
 
 class DesignFile(Keys):
-    """Content of a design file."""
+    """Content of a design file; the voltages of ``drives`` will be logged, and give their gains."""
 
     robot: RobotName
     rate: Positive
@@ -109,6 +109,7 @@ class DesignFile(Keys):
     motions: Literal["one", "each run"] = "one"
     limits: LimitsEntry = LimitsEntry()
     prior: DesignPrior = DesignPrior()
+    drives: dict[str, Drive] = Field(default_factory=dict)
 
     @property
     def payloads(self) -> tuple[Payload | None, ...]:
@@ -117,11 +118,13 @@ class DesignFile(Keys):
 
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
+        if self.drives:
+            return self
         names = {payload and payload.name for payload in self.payloads}
         if len(names) < 2 or not any(payload and payload.mass for payload in self.payloads):
             raise ValueError(
                 "the drive gains need a run with a payload of known mass and one with another load or none; "
-                "add it to 'runs'"
+                "add it to 'runs', or 'drives' whose voltages are logged"
             )
         return self
 
@@ -157,7 +160,7 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     model = InverseDynamics(robot)
     base = base_parameters(model)
     assumed: dict[str, str] = {}
-    prior = prior_of(file.prior, model, base, file.payloads, assumed)
+    prior = replace(prior_of(file.prior, model, base, file.payloads, assumed), drives=file.drives)
     if "gains" in assumed and file.limits.current:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
     limits, shapes = _limits(file.limits, robot), file.limits.shapes
@@ -226,7 +229,7 @@ def _torques(model: InverseDynamics, file: DesignFile, prior: PriorModel, assume
 def _require_actuated(file: DesignFile, robot: Robot) -> None:
     """Refuse limits, rest and prior knowledge for names that are no actuated joints."""
     limits, prior = ("position", "velocity", "acceleration", "jerk", "current"), ("gains", "noise")
-    named = {f"limits.{key}": getattr(file.limits, key) for key in limits} | {"rest": file.rest}
+    named = {f"limits.{key}": getattr(file.limits, key) for key in limits} | {"rest": file.rest, "drives": file.drives}
     named |= {f"prior.{key}": getattr(file.prior, key) for key in prior}
     for key, joint in ((key, joint) for key, values in named.items() for joint in values):
         if joint not in robot.actuated:

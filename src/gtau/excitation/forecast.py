@@ -17,7 +17,7 @@ from gtau.estimation.regression.factors import modelled, reduce_run, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.excitation.constraints import ConstraintUsage, tool_speed, whole_run
 from gtau.excitation.design import Design, check
-from gtau.excitation.information import root_covariance
+from gtau.excitation.information import from_voltages, root_covariance
 from gtau.excitation.nlp import information
 from gtau.excitation.task import PER_HARMONIC, DesignProblem, Grid, along, close, design_grid, evaluate
 from gtau.model.program import single_threaded_blas
@@ -96,7 +96,8 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     theta = task.prior.values(problem.parameters, task.model.robot, task.payloads, prior)
     # a row is a mean over the filter, which divides the variance of white noise by the factor
     sigma = task.prior.sigma / np.sqrt(preparation.decimator.factor)
-    covariance = ml_covariance(problem, theta, task.prior.gains, sigma, shifted)
+    known = from_voltages(problem.unknowns, task.prior)
+    covariance = ml_covariance(problem, theta, task.prior.gains, sigma, shifted, known)
     std = np.sqrt(np.diag(covariance)).tolist()
     joints, names = task.model.actuated, problem.parameters
     relative = std[problem.unknowns.gains]
@@ -118,19 +119,22 @@ def _heavier(payloads: Sequence[Payload | None], name: str) -> list[Payload | No
 
 
 def ml_covariance(
-    problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray, shifted: Sequence[Problem] = ()
-) -> np.ndarray:
+    problem: Problem, theta: np.ndarray, gains: np.ndarray, sigma: np.ndarray, shifted: Sequence[Problem],
+    known: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """Compute the maximum-likelihood covariance of (theta, log g, d) for the noise ``sigma`` (n,) of a row, A.
 
-    A ``shifted`` problem has one stated constant increased by its standard deviation.
+    A ``shifted`` problem has one stated constant increased by its standard deviation; ``known`` (m, k) factors further
+    information.
     """
     values = np.concatenate([theta, gains, np.zeros(len(gains))])
     J = jacobian(problem.blocks, values, problem, free_gains=True) / sigma[:, None, None]
     J[..., problem.unknowns.gains] /= -gains  # from 1 / g to log g
     rows, torque = J.reshape(-1, J.shape[-1]), modelled(problem.blocks, theta)
     changes = [(modelled(p.blocks, theta) - torque) / (gains * sigma)[:, None] for p in shifted]
-    size = np.linalg.norm(rows, axis=0)
-    half = np.linalg.pinv(triangle(rows / size), rcond=1e-12) / size[:, None]
+    every = np.concatenate([rows, known])
+    size = np.linalg.norm(every, axis=0)
+    half = np.linalg.pinv(triangle(every / size), rcond=1e-12) / size[:, None]
     moved = half @ (half.T @ (rows.T @ np.reshape(changes, (len(changes), len(rows))).T))
     return np.asarray(half @ half.T + moved @ moved.T)
 

@@ -22,7 +22,7 @@ from gtau.model.singularities import random_motion
 from gtau.robots.geometry import massless, places_on
 from gtau.robots.parameter import Parameter, RigidBody, inertial_parameters, payload_label
 from gtau.robots.robot import INERTIAL, Robot
-from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS, Drive, Payload
 
 FRICTION = 0.1  # guessed Coulomb friction, and viscous friction at the speed limit, over the rms torque
 MODERATE = 0.15  # guessed rms torque over the effort limit
@@ -87,7 +87,8 @@ class PriorModel:
     """Base parameters ``chi`` (n_b,), gains, and standard deviations ``sigma`` (n,) of a current sample, A.
 
     Torque limits use the base parameters ``cautious`` (n_b,). ``centers`` maps payloads to their centres (3,), m.
-    ``covariance`` holds the unknowns of an earlier result and their covariance.
+    ``covariance`` holds the unknowns of an earlier result and their covariance; ``drives`` are those whose voltages
+    will be logged, which give their gains.
     """
 
     chi: np.ndarray
@@ -96,6 +97,7 @@ class PriorModel:
     cautious: np.ndarray
     centers: Mapping[str, np.ndarray] = field(default_factory=dict)
     covariance: tuple[tuple[Parameter, ...], np.ndarray] | None = None
+    drives: Mapping[str, Drive] = field(default_factory=dict)
 
     @property
     def gains(self) -> np.ndarray:
@@ -272,7 +274,7 @@ def _parameters(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Take stated base parameters (n_b,) or guess them, and the base parameters for torque limits."""
     if not entry.parameters:
-        carried = max(payload.mass or 1.0 for payload in payloads if payload is not None)
+        carried = max((payload.mass or 1.0 for payload in payloads if payload is not None), default=1.0)
         rough, mass = rough_parameters(model, base, carried)
         links = f"every {'other ' if stated_bodies(model) else ''}link a rod of {mass:.3g} kg"
         stated = "the inertias of the robot's file, " if stated_bodies(model) else ""
