@@ -145,15 +145,21 @@ def play_round(
     sys.exit(end != "completed")
 
 
-def write_log(motion: Motion, run: str, time: np.ndarray, q: np.ndarray, current: np.ndarray) -> str:
-    """Write a run's log, but not of a dry run: ``t``, ``q_<joint>``, ``i_<joint>``; return its path in the folder."""
+def write_log(
+    motion: Motion, run: str, time: np.ndarray, q: np.ndarray, current: np.ndarray, **beside: np.ndarray
+) -> str:
+    """Write a run's log, but not of a dry run: ``t``, ``q_<joint>``, ``i_<joint>``; return its path in the folder.
+
+    Signals ``beside`` them, such as ``duty``, are further columns: ``duty_<joint>``.
+    """
     path = motion.folder / "logs" / f"{run}.csv"
     if motion.speed == 1.0:
         path.parent.mkdir(exist_ok=True)
-        header = ",".join(["t", *(f"q_{name}" for name in motion.joints), *(f"i_{name}" for name in motion.joints)])
-        beside = path.with_suffix(".part")
-        np.savetxt(beside, np.column_stack([time, q, current]), "%.9g", ",", header=header, comments="")
-        os.replace(beside, path)
+        kinds = {"q": q, "i": current, **beside}
+        header = ",".join(["t", *(f"{kind}_{name}" for kind in kinds for name in motion.joints)])
+        part = path.with_suffix(".part")
+        np.savetxt(part, np.column_stack([time, *kinds.values()]), "%.9g", ",", header=header, comments="")
+        os.replace(part, path)
     return f"logs/{run}.csv"
 
 

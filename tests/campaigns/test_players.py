@@ -263,3 +263,34 @@ def test_the_payload_in_mujoco_has_the_centre_of_its_file(tmp_path: Path) -> Non
     added = loaded.body("payload payload")
     assert loaded.body_mass.sum() - bare.body_mass.sum() == pytest.approx(1.0)
     assert added.pos + added.ipos == pytest.approx(load["center"])
+
+
+@pytest.mark.parametrize("servo", ["", ", proportional_gain: 0.3, dead_band: 0.001"])
+def test_motors_in_mujoco_have_voltages(motion: contract.Motion, tmp_path: Path, servo: str) -> None:
+    """``u = R i + ke qd``, with a supply that sags; a servo's duty is its gain times goal less position."""
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="a" axis="0 0 1" damping="0.5"/>'
+        '<geom type="capsule" size="0.03" fromto="0 0 0 0.3 0 0"/><body pos="0.3 0 0"><joint name="b" axis="0 0 1" '
+        'damping="0.5"/><geom type="capsule" size="0.03" fromto="0 0 0 0.3 0 0"/></body></body></worldbody></mujoco>'
+    )
+    drive = f"{{gain: 2.5, resistance: 0.6, convention: amplitude, dead_time: 0.0{servo}}}"
+    drives = f"{{a: {drive}, b: {drive}}}"
+    (tmp_path / "mujoco.yaml").write_text(
+        f"{{model: arm.xml, bandwidth: 8, supply: {{voltage: 24, resistance: 0.1}}, drives: {drives}}}"
+    )
+    for joint in motion.file["joints"]:
+        joint["tracking_tolerance"] = 1.0  # of a slow loop at 50 Hz
+    machine = play_mujoco.Machine(tmp_path / "mujoco.yaml", ["a", "b"], None)
+    (time, q, i), beside, end = machine.play(motion, np.random.default_rng(0), 0.0)
+    assert end == "completed"
+    duty, volts = beside["duty"], beside["supply_voltage"]
+    qd = np.gradient(q, time, axis=0)
+    u = 0.6 * i + 2.5 / 1.5 * qd
+    assert np.max(np.abs((u - duty * volts)[5:-5])) < 0.05 * np.max(np.abs(u))
+    assert volts[1:] == pytest.approx(24 - 0.1 * np.sum(duty * i, axis=1)[:-1, None] * np.ones(2))
+    if servo:
+        goal = np.array([motion.at(t - play_mujoco.AHEAD)[0] for t in time])
+        pushed = np.sign(goal - q) * np.maximum(np.abs(goal - q) - 0.001, 0)
+        assert duty == pytest.approx(np.clip(0.3 * pushed, -1, 1), abs=1e-9)
+    log = tmp_path / play_mujoco.write_log(motion, "run1", time, q, i, **beside)
+    assert log.read_text().splitlines()[0] == "t,q_a,q_b,i_a,i_b,duty_a,duty_b,supply_voltage_a,supply_voltage_b"
