@@ -1,6 +1,6 @@
 """Drive gains from voltages alone: errors, verdicts, and how many 95 % intervals hold the truth.
 
-    python benchmarks/electrical.py [--arms N] [--csv docs/evidence/coverage/voltages.csv]
+    python benchmarks/electrical.py [--arms N] [--csv docs/evidence/scale/voltages.csv]
 
 Simulated arms with servos as an SO-101 has them (12 bits of duty and position, 50 Hz, a 7.4 V supply), a UR10e and a
 five-bar with field-oriented drives. All have a bridge with dead time, windings that warm up by 15 %, a supply that

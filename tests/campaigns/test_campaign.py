@@ -637,6 +637,24 @@ def test_a_campaign_ends_with_gains_whose_intervals_hold(
 
 
 @pytest.mark.slow
+def test_a_campaign_takes_gains_from_voltages_without_a_payload(tmp_path: Path) -> None:
+    """Its first motion is fast enough for the back-EMF; the players' logs hold duties and supply voltages."""
+    motor = {"resistance": 0.5, "dead_time": 0.01, "warming": 0.1, "duty_quantum": 1 / 2048}
+    gains = write_robot("five-bar", tmp_path, 1.0, 1, drives=motor, supply={"voltage": 48, "resistance": 0.05})
+    (tmp_path / "design.yaml").write_text(
+        "{robot: five-bar, rate: 250, period: 5, harmonics: 3, repetitions: 2, runs: [{payload: none}], "
+        "limits: {shapes: none, floor: none}, drives: {left: {commutation: 0.005}, right: {commutation: 0.005}}}"
+    )
+    campaign(tmp_path, accuracy=3.0)
+    assert play(tmp_path / "01").returncode == 0
+    state = campaign(tmp_path)
+    for joint, true in gains.items():
+        known = state.decision["gains"][joint]
+        assert known["half_width"] <= 3
+        assert abs(known["value"] / true - 1) < 1.5 * known["half_width"] / 100
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("killed", "moments"), [("first call", 10), ("player", 10), ("call after a round", 20)])
 def test_killed_at_any_moment_a_command_is_made_up_for_by_the_next(killed: str, moments: int, copied: Path) -> None:
     """Killed at moments spread over a whole call, and called again, it ends where one that was not killed does."""
