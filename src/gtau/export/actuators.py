@@ -37,6 +37,7 @@ from gtau.robots.robot import Limits
 from gtau.simulation.mujoco_plant import STEP
 
 TIMESTEP = 0.005  # s: of physics in the files, in which delays are counted
+ELECTRICAL = {"resistance": "R", "back_emf": "ke"}  # of motors whose voltages were logged
 DRIVE_ATTRIBUTES = ("armature", "damping", "frictionloss")
 """Attributes of a joint of MJCF that belong to its drive."""
 ISAACLAB = {
@@ -74,8 +75,8 @@ a tree of the motors alone. Such a tree has no weight and moves like the robot n
 class Actuator:
     """Motor and joint, SI units at the joint.
 
-    ``gain`` and ``delay`` lead from the command to the torque; ``electrical`` are the resistance ``R`` and back-EMF
-    constant ``ke`` of a motor whose voltages were logged; ``chosen`` are parameters of the exported bodies by kind
+    ``gain`` and ``delay`` lead from the command to the torque; ``electrical`` are known if voltages were logged;
+    ``chosen`` are parameters of the exported bodies by kind
     (ia, fv, fs, f3, off). ``armature`` is None where it is not identifiable apart from the inertia of links: it is part
     of the base parameter ``regrouped``.
     """
@@ -107,8 +108,7 @@ class Actuator:
             "frictionloss": chosen["fs"],
             "offset": chosen["off"],
         }
-        entry |= {key: _described(self.electrical[kind], self.electrical[kind].unit)
-                  for key, kind in (("resistance", "R"), ("back_emf", "ke")) if kind in self.electrical}  # fmt: skip
+        entry |= {key: _described(estimate, estimate.unit) for key, estimate in self.electrical.items()}
         more = {"damping_cubic": chosen["f3"], "effort": self.limits.effort, "velocity": self.limits.velocity}
         return entry | {key: value for key, value in more.items() if value}
 
@@ -133,8 +133,8 @@ def _actuators(model: ConsistentModel) -> list[Actuator]:
             if estimate.value is not None:
                 armature = replace(estimate, value=chosen["ia"])
         regrouped = names[0] if names else ""
-        known = {kind: Parameter(kind, joint) for kind in ("R", "ke") if Parameter(kind, joint) in result.motors}
-        electrical = {kind: result.motors[name] for kind, name in known.items()}
+        names_of_motor = {key: Parameter(kind, joint) for key, kind in ELECTRICAL.items()}
+        electrical = {key: result.motors[name] for key, name in names_of_motor.items() if name in result.motors}
         actuators.append(Actuator(joint, limits, gain, delay, electrical, chosen, armature, regrouped))
     return actuators
 
@@ -191,15 +191,12 @@ def export_isaaclab(result: IdentifiedModel, out: Path) -> Exported:
 
 
 def _per_volt(motors: Sequence[Actuator]) -> dict[str, dict[str, float]]:
-    """Compute the stall torque and the speed without load by joint, both for a volt of supply; empty without voltages.
-
-    They are the fields of Isaac Lab whose line ``effort <= saturation_effort (1 - speed / velocity_limit)`` is a DC
-    motor's.
-    """
-    known = [motor for motor in motors if motor.electrical]
-    stall = {motor.joint: abs(motor.gain.value or 0.0) / (motor.electrical["R"].value or np.nan) for motor in known}
-    fastest = {motor.joint: 1 / abs(motor.electrical["ke"].value or np.nan) for motor in known}
-    return {"saturation_effort": stall, "velocity_limit": fastest} if known else {}
+    """Compute the stall torque and the speed without load by joint, for a volt of supply; empty without voltages."""
+    stall, fastest = dict[str, float](), dict[str, float]()
+    for motor in (motor for motor in motors if motor.electrical):
+        resistance, back_emf = (abs(motor.electrical[key].value or np.nan) for key in ELECTRICAL)
+        stall[motor.joint], fastest[motor.joint] = abs(motor.gain.value or 0.0) / resistance, 1 / back_emf
+    return {"saturation_effort": stall, "velocity_limit": fastest} if stall else {}
 
 
 def _fields(motor: Actuator) -> dict[str, Any]:
@@ -271,10 +268,8 @@ def _body_texts(
         SubElement(elements, "general", _general(motor, STEP * _delays(mujoco)))
     numbers = SubElement(drives, "custom") if any(motor.electrical for motor in motors) else drives
     for motor in motors:
-        for kind, label in (("R", "resistance"), ("ke", "back_emf")):
-            if kind in motor.electrical:
-                value = digits(motor.electrical[kind].value or 0.0)
-                SubElement(numbers, "numeric", {"name": f"{label} {motor.joint}", "data": value})
+        for key, estimate in motor.electrical.items():
+            SubElement(numbers, "numeric", {"name": f"{key} {motor.joint}", "data": digits(estimate.value or 0.0)})
     included = f"{identifier(model.result.robot.name)}_actuators.xml"
     root.insert(0, Element("include", {"file": included}))
     texts |= {"whole": xml_text(root), "actuators": xml_text(drives)}

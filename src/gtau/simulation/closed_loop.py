@@ -21,7 +21,7 @@ from gtau.documents.files import write_table
 from gtau.documents.validation import Keys, Positive
 from gtau.estimation.electrical import CONVENTIONS
 from gtau.signals.channel import SIDE_SIGNALS, SideValues
-from gtau.signals.run import Run
+from gtau.signals.run import Log, Run
 from gtau.simulation.motors import Motors, Supply, rounded
 from gtau.simulation.plant import PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory, log_column
@@ -152,8 +152,7 @@ def hardware(
     if supply is not None:
         drawn = np.random.default_rng([seed, len(joints)]).standard_normal(len(joints))
         c = np.array([CONVENTIONS[name] for name in columns["convention"]])
-        emf = columns["gain"] / (1 + columns["commutation"] * drawn) / c
-        motors = Motors(supply, emf, **{field.name: columns[field.name] for field in fields(Motors)[2:]})
+        motors = Motors(supply, columns["gain"] / (1 + columns["commutation"] * drawn) / c, columns)
     return Hardware(**{field.name: columns[field.name] for field in fields(Hardware)[:-1]}, motors=motors)
 
 
@@ -230,7 +229,7 @@ def close_loop(
         for key, values in beside.items():
             columns = dict(zip(joints, np.round(values, DIGITS).T, strict=True))
             side[key] = SideValues(reference.time, columns, units[key])
-    run = Run(name, joints, reference.time, np.round(position, DIGITS), np.round(logged, DIGITS), **side)
+    run = Run(name, joints, reference.time, np.round(position, DIGITS), np.round(logged, DIGITS), log=Log(side=side))
     return Simulated(run, error)
 
 

@@ -6,6 +6,7 @@ loses a share of the supply voltage, with the sign of the current, to its dead t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -27,21 +28,15 @@ class Supply(Keys):
 
 @dataclass(frozen=True, eq=False)
 class Motors:
-    """Motors of all actuated joints, every field an array (n,) but ``supply``.
+    """Motors of all actuated joints on a supply: back-EMF constants ``emf`` (n,) over c, V s/rad or V s/m.
 
-    ``emf`` are their back-EMF constants over c, V s/rad or V s/m; NaN as ``proportional_gain`` where a drive is no
-    servo but holds a current. All others are those of :class:`gtau.simulation.closed_loop.JointHardware`.
+    ``drives`` are the keys of :class:`gtau.simulation.closed_loop.JointHardware`, each an array (n,); without
+    ``proportional_gain`` (NaN) a drive is no servo, but holds a current.
     """
 
     supply: Supply
     emf: np.ndarray
-    resistance: np.ndarray
-    inductance: np.ndarray
-    warming: np.ndarray
-    dead_time: np.ndarray
-    duty_quantum: np.ndarray
-    proportional_gain: np.ndarray
-    dead_band: np.ndarray
+    drives: Mapping[str, np.ndarray]
 
     def currents(
         self, wanted: np.ndarray, error: np.ndarray, qd: np.ndarray, voltage: float, done: float
@@ -51,14 +46,15 @@ class Motors:
         ``wanted`` are the currents of a controller, which the voltage limits; a servo has the duty of its gain times
         the ``error``, goal less measured position, 1 at most, and no duty within its dead band.
         """
-        resistance = self.resistance * (1 + self.warming * (1 - np.exp(-2 * done)))
-        emf, lost = self.emf * qd, self.dead_time * voltage
-        push = self.proportional_gain * np.sign(error) * np.maximum(np.abs(error) - self.dead_band, 0.0)
+        drives, emf = self.drives, self.emf * qd
+        resistance = drives["resistance"] * (1 + drives["warming"] * (1 - np.exp(-2 * done)))
+        lost, gain = drives["dead_time"] * voltage, drives["proportional_gain"]
+        push = gain * np.sign(error) * np.maximum(np.abs(error) - drives["dead_band"], 0.0)
         duty = np.clip(push, -1.0, 1.0)
         free = duty * voltage - emf
         driven = np.sign(free) * np.maximum(np.abs(free) - lost, 0.0) / resistance
         held = np.clip(wanted, (lost - voltage - emf) / resistance, (voltage - lost - emf) / resistance)
-        servo = np.isfinite(self.proportional_gain)
+        servo = np.isfinite(gain)
         current = np.where(servo, driven, held)
         bridge = lost * np.clip(current * resistance / (SMALL * voltage), -1.0, 1.0)
         return current, np.where(servo, duty, (resistance * current + emf + bridge) / voltage)
@@ -71,9 +67,10 @@ class Motors:
         self, period: float, current: np.ndarray, duty: np.ndarray, voltage: np.ndarray, goal: np.ndarray
     ) -> dict[Logged, np.ndarray]:
         """Make all side signals (N, n) from currents, duties and goals (N, n), and supply voltages (N,)."""
-        inductive = np.where(np.isfinite(self.proportional_gain), 0.0, self.inductance)  # of servos, currents would lag
+        servos = np.isfinite(self.drives["proportional_gain"])  # their currents would lag
+        inductive = np.where(servos, 0.0, self.drives["inductance"])
         change = inductive * np.gradient(current, period, axis=0) / voltage[:, None]
-        measured = rounded(duty + change, self.duty_quantum)
+        measured = rounded(duty + change, self.drives["duty_quantum"])
         return {
             "voltage": measured * voltage[:, None],
             "duty": measured,

@@ -29,7 +29,7 @@ from gtau.robots.robot import DAMPING, Robot
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import CarriedPayload, Payload
-from gtau.signals.run import Run
+from gtau.signals.run import Log, Run
 from gtau.simulation.closed_loop import (
     BANDWIDTH,
     Engine,
@@ -268,8 +268,9 @@ def make_run(
     for key in simulation.logs:
         columns = {joint: values[::every] for joint, values in run.side[key].by_joint.items()}
         side[key] = SideValues(time, columns, run.side[key].unit)
-    run = Run(run.name, run.joints, time, run.position[::every], run.command[::every], **side)
-    return replace(simulated, run=replace(run, payload=described.payload))
+    arrays = time, run.position[::every], run.command[::every]
+    run = Run(run.name, run.joints, *arrays, payload=described.payload, log=Log(side=side))
+    return replace(simulated, run=run)
 
 
 @takes(out=PATH, progress=FUNCTION)
