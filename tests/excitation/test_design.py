@@ -398,6 +398,8 @@ def test_voltages_give_gains_without_a_payload(tmp_path: Path) -> None:
     joined = 100 / np.hypot(1 / 0.01, 1 / 0.02)  # both motors move the same links
     assert joined < left.relative < 1.0
     assert joined < right.relative < 2.0
+    _, assumed = read_design(write(tmp_path, unloaded + "drives: {left: {convention: dc}}\n"))
+    assert "1.5 % between torque and back-EMF constant of left; state 'commutation'" in assumed["voltages"]
     stray = unloaded + "drives: {elbow: {commutation: 0.01}}\n"
     with pytest.raises(GtauError, match="drives names 'elbow', which is no actuated joint"):
         read_design(write(tmp_path, stray))

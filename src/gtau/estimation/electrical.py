@@ -108,7 +108,7 @@ def _rows(prepared: PreparedRun, decimator: Decimator, joint: str, drive: Drive 
     if (u is None and (duty is None or resistance is None)) or not prepared.moves[j]:
         return None
     signals = run.log.signals
-    supplied = signals is not None and signals.supplied and duty is not None
+    supplied = duty is not None and "supply_current" in logged and (signals is None or signals.supplied)
     w = duty if supplied and duty is not None else np.ones_like(i)
     y, x = (u, i) if u is not None else ((resistance or 0.0) * i, duty)
     sharp, gradual = (np.tanh(i / (width * float(np.std(i)) or 1.0)) for width in WIDTHS)

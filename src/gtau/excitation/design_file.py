@@ -14,6 +14,7 @@ from gtau.documents.files import DESIGN, refuse_other_kind
 from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.estimation.electrical import COMMUTATION
 from gtau.excitation.clearance import Shape, capsule, hull
 from gtau.excitation.guards import guard, speed_of_tool
 from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
@@ -138,7 +139,7 @@ TURNING = 0.3  # rad, reach of a platform's rotations
 def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     """Read a design file; return the design problem, and sentences on what the file leaves to assume.
 
-    The keys of the sentences are ``parameters``, ``massless``, ``gains`` and ``noise``. Raises GtauError.
+    The keys of the sentences are ``parameters``, ``massless``, ``gains``, ``noise`` and ``voltages``. Raises GtauError.
 
     Examples
     --------
@@ -161,6 +162,9 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     base = base_parameters(model)
     assumed: dict[str, str] = {}
     prior = replace(prior_of(file.prior, model, base, file.payloads, assumed), drives=file.drives)
+    if unstated := [joint for joint, drive in file.drives.items() if drive.commutation is None]:
+        constants = f"{100 * COMMUTATION:g} % between torque and back-EMF constant of {', '.join(unstated)}"
+        assumed["voltages"] = f"voltages: {constants}; state 'commutation' under 'drives'"
     if "gains" in assumed and file.limits.current:
         raise GtauError("limits.current needs the drive gains; add prior.gains or prior.model, or limit torques.")
     limits, shapes = _limits(file.limits, robot), file.limits.shapes
