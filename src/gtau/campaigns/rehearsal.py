@@ -102,11 +102,10 @@ def _under_control(
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         write_table(trajectory_table(task, time, joints), out / CSV)
-        run: dict[str, Any] = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}}
-        if heaviest is not None:
-            run["payload"] = _known(heaviest, task.prior)
-        mass = heaviest.mass if heaviest is not None else None
-        truth = {"model": str(model)} if model else {"parameters": _stated(design, mass or 1.0)}
+        load = {} if heaviest is None else {"payload": _known(heaviest, task.prior)}
+        run = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}, **load}
+        mass = (heaviest and heaviest.mass) or 1.0
+        truth = {"model": str(model)} if model else {"parameters": _stated(design, mass)}
         drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
         rate = max(task.rate, 500.0)
         simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **truth}

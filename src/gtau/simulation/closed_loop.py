@@ -148,11 +148,10 @@ def hardware(
     missing = {"current_limit": inf, "resistance": nan, "proportional_gain": nan}
     rows = [missing | drives[joint].model_dump(exclude_none=True) for joint in joints]
     columns = {name: np.array([row[name] for row in rows]) for name in JointHardware.model_fields}
-    motors = None
-    if supply is not None:
-        drawn = np.random.default_rng([seed, len(joints)]).standard_normal(len(joints))
-        c = np.array([CONVENTIONS[name] for name in columns["convention"]])
-        motors = Motors(supply, columns["gain"] / (1 + columns["commutation"] * drawn) / c, columns)
+    drawn = np.random.default_rng([seed, len(joints)]).standard_normal(len(joints))
+    c = np.array([CONVENTIONS[name] for name in columns["convention"]])
+    emf = columns["gain"] / (1 + columns["commutation"] * drawn) / c
+    motors = None if supply is None else Motors(supply, emf, columns)
     return Hardware(**{field.name: columns[field.name] for field in fields(Hardware)[:-1]}, motors=motors)
 
 
@@ -240,6 +239,6 @@ def write_log(run: Run, path: str | Path) -> None:
     columns = {"t": np.round(run.time, DIGITS)}
     columns |= {log_column("q", joint): run.position[:, j] for j, joint in enumerate(run.joints)}
     columns |= {log_column("v", joint): run.command[:, j] for j, joint in enumerate(run.joints)}
-    for key, values in run.side.items():
-        columns |= {log_column(f"{key}_", joint): values.by_joint[joint] for joint in run.joints}
+    for key, side in run.side.items():
+        columns |= {log_column(f"{key}_", joint): values for joint, values in side.by_joint.items()}
     write_table(pl.DataFrame(columns), path)

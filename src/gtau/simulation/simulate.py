@@ -163,14 +163,14 @@ class Simulation(Keys):
             raise ValueError(f"the motor of '{lacking[0]}' has no 'resistance', which a supply needs; add its ohms")
         if "supply_current" in self.logs and not {"duty", "goal"} & set(self.logs):
             raise ValueError("'supply_current' is logged without 'duty' or 'goal', and is no motor's; add one")
-        if self.every != round(self.every) or self.every < 1:
+        if self.every != self.rate / (self.log_rate or self.rate):
             raise ValueError(f"a log_rate of {self.log_rate:g} Hz is no part of the rate, {self.rate:g} Hz")
         return self
 
     @property
-    def every(self) -> float:
+    def every(self) -> int:
         """Samples of the controller for one in the log."""
-        return self.rate / (self.log_rate or self.rate)
+        return round(self.rate / (self.log_rate or self.rate))
 
     @model_validator(mode="after")
     def _names_once(self) -> Simulation:
@@ -263,14 +263,13 @@ def make_run(
     controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
     simulated = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
-    run, every = simulated.run, round(simulation.every)
-    time, side = run.time[::every], dict[str, SideValues]()
+    run, logged = simulated.run, slice(None, None, simulation.every)
+    time, side = run.time[logged], dict[str, SideValues]()
     for key in simulation.logs:
-        columns = {joint: values[::every] for joint, values in run.side[key].by_joint.items()}
+        columns = {joint: values[logged] for joint, values in run.side[key].by_joint.items()}
         side[key] = SideValues(time, columns, run.side[key].unit)
-    arrays = time, run.position[::every], run.command[::every]
-    run = Run(run.name, run.joints, *arrays, payload=described.payload, log=Log(side=side))
-    return replace(simulated, run=run)
+    run = Run(run.name, run.joints, time, run.position[logged], run.command[logged], log=Log(side=side))
+    return replace(simulated, run=replace(run, payload=described.payload))
 
 
 @takes(out=PATH, progress=FUNCTION)
