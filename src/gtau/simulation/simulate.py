@@ -161,8 +161,6 @@ class Simulation(Keys):
             raise ValueError(f"{what} without a supply; add 'supply: {{voltage: ...}}'")
         if lacking := [joint for joint, drive in self.drives.items() if self.supply and drive.resistance is None]:
             raise ValueError(f"the motor of '{lacking[0]}' has no 'resistance', which a supply needs; add its ohms")
-        if "supply_current" in self.logs and not {"duty", "goal"} & set(self.logs):
-            raise ValueError("'supply_current' is logged without 'duty' or 'goal', and is no motor's; add one")
         if self.every != self.rate / (self.log_rate or self.rate):
             raise ValueError(f"a log_rate of {self.log_rate:g} Hz is no part of the rate, {self.rate:g} Hz")
         return self
