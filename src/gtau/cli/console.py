@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _begun: list[float] = []  # start of the command, s
 _held: list[Callable[[], None]] = []  # functions that release the folders held by the command
 METHODS = "|".join(NAMES)
-EVERY = 15.0  # s between lines where stderr is no terminal
+EVERY = float(os.environ.get("GTAU_PROGRESS_EVERY", 15.0))  # s between lines where stderr is no terminal
 
 
 def progress_bar() -> AbstractContextManager[Progress]:
