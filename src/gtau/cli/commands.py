@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gtau import __version__
+from gtau.cli.doors import app as app_command
 from gtau.cli.identification import campaign, compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
@@ -71,6 +72,9 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
         use: "Compute external joint torques along a log.",
         watch: "Watch a robot: is it still the one that was identified?",
         export: "Export a model for other programs.",
+    },
+    "Serve": {
+        app_command: "Open a page in the browser that does all this.",
     },
 }
 

@@ -147,7 +147,7 @@ def refusing(command: Callable[..., None]) -> Callable[..., None]:
         except GtauError as error:
             if interrupted():
                 raise KeyboardInterrupt from None
-            raise refused(str(error), bool(options["json_"])) from None
+            raise refused(str(error), bool(options.get("json_"))) from None
         except KeyboardInterrupt as interruption:
             report_ending(str(interruption))
             raise typer.Exit(exit_code()) from None

@@ -56,7 +56,8 @@ class Command:
             limit=LONGEST,
             start_new_session=True,  # Ctrl-C in the terminal of the page ends the page, which ends the command
         )
-        assert self.process.stdout is not None and self.process.stderr is not None
+        assert self.process.stdout is not None
+        assert self.process.stderr is not None
         said, output = [], asyncio.ensure_future(self.process.stdout.read())
         async for line in self.process.stderr:
             text = line.decode(errors="replace").rstrip()

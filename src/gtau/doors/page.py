@@ -1,0 +1,435 @@
+"""The page of a project: robot, logs, identification, and what follows, each in a card."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from nicegui import events, run, ui
+
+from gtau.doors.command import Answer, Command, within
+from gtau.doors.project import BY_JOINT, COMMANDS, Project, RunEntry, settings_in
+from gtau.doors.scene import Drawing, along, at_home, load
+from gtau.errors import GtauError
+from gtau.extensions import names
+from gtau.robots.readers.read import catalog_names
+
+LOGS = (".csv", ".txt", ".parquet", ".mat", ".npz", ".h5", ".mcap", ".db3", ".bag", ".feather")
+ROBOTS = (".urdf", ".xacro", ".xml", ".yaml", ".par", ".csv")
+LARGEST = 4 << 30  # bytes of a file
+REJECTED = "The file is larger than 4 GiB, or of another kind; copy it into the project's folder, and reload the page."
+COLOURS = {"error": "negative", "warning": "warning", "information": "info"}
+STYLE = """
+body { --gap: 0.75rem } .card { width: 100%; max-width: 72rem; margin: 0 auto }
+.q-btn { text-transform: none } iframe.report { width: 100%; height: 80vh; border: 1px solid #8884 }
+.soft { opacity: 0.75 } .figures { border-collapse: collapse } .figures td { padding: 0.1rem 0.8rem 0.1rem 0 }
+@media (max-width: 600px) { .nicegui-content { padding: 0.5rem } }
+"""
+
+
+class View:
+    """The page of one browser; all of them show the same project."""
+
+    def __init__(self, project: Project) -> None:
+        self.project = project
+        self.seen: object = None
+        self.opened = set[str]()  # logs whose columns are shown
+        self.uploading = False  # then the page is not drawn again, which would end it
+        self.sections = [ui.refreshable(section) for section in (self.robot, self.logs, self.identify, self.then)]
+
+    def changed(self) -> None:
+        """Draw the page again where the project has changed since."""
+        running = self.project.running
+        self.stage.set_text(running.stage if running else "")
+        version = self.project.version
+        if version != self.seen and not self.uploading:
+            self.seen = version
+            for section in self.sections:
+                section.refresh()
+
+    async def command(self, name: str, *arguments: str) -> Answer | None:
+        """Run a command, one at a time in a project; its answer stays with the project."""
+        project = self.project
+        if project.running is not None:
+            ui.notify(f"{project.running.arguments[0]} runs; wait for its end, or cancel it.", type="warning")
+            return None
+        project.running = Command(arguments, project.folder)
+        try:
+            answer = await project.running.run()
+        finally:
+            project.running = None
+        project.answers[name] = answer
+        return answer
+
+    def button(self, label: str, work: Callable[[], Awaitable[Any] | None], **more: Any) -> ui.button:
+        """Add a button whose refusals are shown."""
+
+        async def clicked() -> None:
+            with refusals():
+                if (made := work()) is not None:
+                    await made
+            self.changed()
+
+        return ui.button(label, on_click=clicked, **more).props("no-caps outline")
+
+    def upload(self, label: str, endings: Sequence[str], then: Callable[[str], Any], place: str = "") -> None:
+        """Add a place for files, which are written to the project's folder, or a ``place`` in it."""
+
+        async def received(event: events.MultiUploadEventArguments) -> None:
+            with refusals():
+                for file in event.files:
+                    path = within(self.project.folder, f"{place}/{file.name}".lstrip("/"))
+                    if path.exists():
+                        raise GtauError(f"{path.name} is in the folder already; rename one of the two.")
+                    unfinished = path.with_name(f".{path.name}.part")
+                    await file.save(unfinished)
+                    unfinished.replace(path)
+                    then(path.name)
+            self.uploading = False
+            self.changed()
+
+        def rejected() -> None:
+            self.uploading = False
+            refused(REJECTED)
+
+        box = ui.upload(label=label, multiple=True, auto_upload=True, max_file_size=LARGEST).classes("w-full")
+        box.props(f'accept="{",".join(endings)}" flat bordered batch')
+        box.on_begin_upload(lambda: setattr(self, "uploading", True))
+        box.on_multi_upload(received)
+        box.on_rejected(rejected)
+
+    # Robot
+
+    def robot(self) -> None:
+        """Choose a robot, and look at it."""
+        with card("1  Robot"), refusals():
+            robot = self.project.robot() or self.project.chosen
+            with ui.row().classes("items-end w-full"):
+                catalog = {name: name for name in catalog_names()}
+                files = {name: name for name in self.project.robot_files()}
+                options = files | catalog | ({robot: robot} if robot else {})
+                choice = ui.select(options, label="Robot", value=robot, with_input=True).classes("w-64")
+                choice.on_value_change(lambda event: self.choose(str(event.value)))
+            self.upload("Drop a robot file: URDF, xacro, MJCF, robot file", ROBOTS, self.choose)
+            if robot is not None:
+                loaded = load(robot, self.project.folder)
+                drawing_of(at_home(loaded))
+                driven = ", ".join(loaded.actuated)
+                ui.label(f"{loaded.name}: {len(loaded.actuated)} driven joints ({driven})").classes("soft")
+                for note in loaded.file.notes:
+                    ui.label(note).classes("soft")
+
+    def choose(self, robot: str) -> None:
+        """Choose a robot by its name or file; refused where it cannot be read."""
+        with refusals():
+            load(robot, self.project.folder)
+            self.project.chosen = robot
+            if self.project.text:
+                self.project.change(lambda content: content.__setitem__("robot", robot))
+        self.changed()
+
+    # Logs
+
+    def logs(self) -> None:
+        """Show the logs with the roles of their columns, payloads and findings."""
+        project = self.project
+        with card("2  Logs"), refusals():
+            self.upload("Drop logs: CSV, Parquet, MAT, bag", LOGS, lambda name: None)
+            waiting = project.logs_in_folder()
+            if waiting and not project.text:
+                ui.label(f"Logs: {', '.join(waiting)}")
+                self.button("Draft the experiment from these logs", lambda: self.draft(waiting))
+            for log in waiting if project.text else ():
+                with ui.row().classes("items-center"):
+                    ui.label(log)
+                    self.button("Use it", partial(project.add_run, log))
+                    self.button("Weigh its load", partial(self.weigh, log))
+            if not project.text:
+                return
+            if (drafted := project.answers.get("init")) is not None and drafted.refusal:
+                refused(f"{drafted.refusal} Or choose the roles of the columns below.")
+            findings = self.findings("check")
+            for point in project.points():
+                with ui.row().classes("items-center"):
+                    ui.icon("help_outline")
+                    ui.label(f"To confirm: {point}")
+                    self.button("It is right", partial(project.confirm, point))
+            with ui.row().classes("items-end"):
+                for key in ("position", *COMMANDS):
+                    if project.content.get("signals", {}).get(key):
+                        field = ui.input(f"Unit of {key}", value=project.unit(key), placeholder="SI").classes("w-40")
+                        field.on("change", partial(self.edit, partial(project.set_unit, key), field))
+            for entry in project.runs():
+                self.log(entry, [finding for finding in findings if about(finding, entry)])
+            others = [finding for finding in findings if not any(about(finding, entry) for entry in project.runs())]
+            self.show_findings(others)
+            self.button("Check the logs", lambda: self.command("check", "check", project.file.name, "--out", "check"))
+            refusal_of(project.answers.get("check"))
+
+    def edit(self, change: Callable[[Any], None], field: Any, *event: Any) -> None:
+        """Write the value of a field to the experiment file."""
+        with refusals():
+            change(field.value)
+        self.changed()
+
+    async def draft(self, logs: list[str]) -> None:
+        """Draft the experiment file, or a skeleton where columns are not recognised."""
+        project = self.project
+        if not project.chosen:
+            raise GtauError("no robot is chosen; choose it above first.")
+        answer = await self.command("init", "init", *logs, "--robot", project.chosen, "--yes")
+        if answer is not None and answer.refusal:
+            project.write_skeleton(project.chosen, logs)
+
+    def log(self, entry: RunEntry, findings: list[dict[str, Any]]) -> None:
+        """Show a log: its payload, use, findings, and columns."""
+        project = self.project
+        with ui.column().classes("w-full gap-1"):
+            with ui.row().classes("items-end"):
+                ui.label(entry.log).classes("text-bold")
+                mass = ui.number("Payload, kg", value=entry.mass or 0, min=0, step=0.1).classes("w-32")
+                mass.on("change", partial(self.edit, partial(project.set_mass, entry.log), mass))
+                box = ui.checkbox("for validation", value=entry.validation)
+                box.on_value_change(partial(self.edit, partial(project.set_validation, entry.log)))
+                self.button("Remove", partial(project.remove_run, entry.log))
+            self.show_findings(findings)
+            shown = ui.expansion("Columns", icon="show_chart", value=entry.log in self.opened).classes("w-full")
+            show = partial(self.columns, entry.log, shown)
+            shown.on_value_change(show)
+            if entry.log in self.opened:
+                ui.timer(0.0, show, once=True)
+
+    async def columns(self, log: str, place: ui.expansion) -> None:
+        """Draw each column beside its role."""
+        if not place.value:
+            self.opened.discard(log)
+            return
+        self.opened.add(log)
+        place.clear()
+        with place, refusals():
+            traces = await run.io_bound(self.project.traces, log)
+            robot, roles = self.project.robot(), self.project.roles()
+            joints = list(load(robot, self.project.folder).actuated) if robot else self.project.joints()
+            options = ["", "time", *(f"{key} {joint}" for key in BY_JOINT for joint in joints)]
+            for column, values in sorted(traces.items(), key=lambda item: item[0] not in roles):
+                with ui.row().classes("items-center w-full"):
+                    role = roles.get(column, "")
+                    chosen = options if role in options else [*options, role]
+                    field = ui.select(chosen, label=column, value=role, with_input=True).classes("w-56")
+                    field.on_value_change(partial(self.edit, partial(self.project.set_role, joints, column)))
+                    trace(values.tolist())
+
+    def findings(self, name: str) -> list[dict[str, Any]]:
+        """List the findings of a command's last answer."""
+        answer = self.project.answers.get(name)
+        return [] if answer is None or answer.refusal or not answer.document else answer.document.get("findings", [])
+
+    def show_findings(self, findings: list[dict[str, Any]]) -> None:
+        """Show findings, each with a button where its advice is a setting."""
+        for finding in findings:
+            with ui.row().classes("items-center w-full"):
+                ui.badge(finding["grade"], color=COLOURS.get(finding["grade"], "grey"))
+                ui.label(finding["what"]).classes("grow")
+                for setting in settings_in(finding["action"] or ""):
+                    self.button(f"Set {setting}", partial(self.project.apply, setting))
+
+    # Identify
+
+    def identify(self) -> None:
+        """Identify, and show the report."""
+        project = self.project
+        with card("3  Identify"), refusals():
+            if not project.text:
+                ui.label("First choose a robot and drop logs.").classes("soft")
+                return
+            consistent = ui.checkbox("also find physically consistent parameters, which simulators need")
+
+            def arguments() -> list[str]:
+                return ["identify", project.file.name, "--out", "result", *["--consistent"] * consistent.value]
+
+            self.button("Identify", lambda: self.command("identify", *arguments()))
+            refusal_of(project.answers.get("identify"))
+            report(project, "result")
+
+    # Then
+
+    def then(self) -> None:
+        """Weigh, validate, export, and design the next motion."""
+        project = self.project
+        with card("4  Then"), refusals():
+            if not (project.folder / "result" / "model.json").exists():
+                ui.label("After an identification: weigh, validate, export, or design the next motion.").classes("soft")
+                return
+            with ui.row().classes("items-end"):
+                log = ui.select(project.logs_in_folder(), label="Log of an unknown load").classes("w-56")
+                self.button("Weigh it", lambda: self.weigh(log.value))
+                self.button("Validate", lambda: self.model("validate", project.file.name, "--out", "validate"))
+            with ui.row().classes("items-end"):
+                kind = ui.select(names("gtau.exports", "gtau.export"), label="Export", value="c").classes("w-56")
+                self.button("Export", lambda: self.model("export", "--to", kind.value, "--out", f"export/{kind.value}"))
+            with ui.row().classes("items-end"):
+                mass = ui.number("Payload of the next motion, kg", value=1.0, min=0.01).classes("w-56")
+                self.button("Design the next motion", lambda: self.campaign(mass.value))
+            for name in ("payload", "validate", "export", "campaign"):
+                if (answer := project.answers.get(name)) is not None:
+                    self.answered(name, answer)
+
+    async def model(self, name: str, *arguments: str) -> None:
+        """Run a command on the model."""
+        await self.command(name, name, "result/model.json", *arguments)
+
+    async def weigh(self, log: str | None) -> None:
+        """Weigh the load of a log."""
+        if not log:
+            raise GtauError("no log is chosen; drop the log of the load above, then choose it here.")
+        await self.model("payload", self.project.write_weighing(log), "--out", "payload")
+
+    async def campaign(self, mass: float) -> None:
+        """Take the next round of a campaign."""
+        new = [] if (self.project.folder / "campaign" / "design.yaml").exists() else ["--payload", f"{mass:g}"]
+        robot = ["--robot", str(self.project.robot())] if new else []
+        await self.command("campaign", "campaign", "campaign", *robot, *new)
+
+    def answered(self, name: str, answer: Answer) -> None:
+        """Show the answer of a command."""
+        project = self.project
+        ui.label(name).classes("text-bold")
+        refusal_of(answer)
+        if answer.refusal:
+            return
+        if name == "payload":
+            weighed(answer.document)
+        if name == "export":
+            for file in answer.document["files"]:
+                ui.link(file, f"/files/{file}", new_tab=True)
+            for note in answer.document["notes"]:
+                ui.label(note).classes("soft")
+        elif name == "campaign":
+            ui.label(answer.document["say"])
+            for motion in sorted((project.folder / "campaign").glob("*/motion.csv"))[-1:]:
+                place = motion.relative_to(project.folder)
+                ui.link(str(place), f"/files/{place}", new_tab=True)
+                self.button("Show the motion", partial(self.animate, motion))
+                self.upload("Drop the logs of this motion, played", LOGS, lambda name: None, str(place.parent))
+        report(project, name)
+
+    async def animate(self, motion: Path) -> None:
+        """Show a motion before it is played."""
+        frames = await run.io_bound(along, load(str(self.project.robot()), self.project.folder), motion)
+        with ui.dialog() as dialog, ui.card():
+            scene, at = drawing_of(frames[0]), [0]
+
+            def step() -> None:
+                at[0] = (at[0] + 1) % len(frames)
+                scene.clear()
+                draw_in(scene, frames[at[0]])
+
+            clock = ui.timer(0.1, step)
+            ui.button("Close", on_click=dialog.close).props("no-caps")
+        dialog.on("hide", clock.cancel)
+        dialog.open()
+
+
+def draw(project: Project) -> None:
+    """Draw the page of a project."""
+    view = View(project)
+    ui.add_css(STYLE)
+    with ui.header().classes("items-center"):
+        ui.label(f"gtau  {project.folder.name}").classes("text-h6")
+        ui.space()
+        view.stage = ui.label("").props("aria-live=polite")
+        cancel = ui.button("Cancel", on_click=lambda: project.running and project.running.cancel(), color="white")
+        cancel.props("no-caps outline").bind_visibility_from(project, "running", backward=bool)
+        spinner = ui.spinner(color="white")
+        spinner.bind_visibility_from(project, "running", backward=bool)
+    for section in view.sections:
+        section()
+    view.seen = project.version
+    ui.timer(0.5, view.changed)
+
+
+@contextmanager
+def card(title: str) -> Iterator[None]:
+    """Draw a card with a heading."""
+    with ui.card().classes("card"):
+        ui.html(f"<h2 class='text-h6'>{title}</h2>", sanitize=False)
+        yield
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """Show a refusal where it happens."""
+    try:
+        yield
+    except GtauError as error:
+        refused(str(error))
+
+
+def refused(sentence: str) -> None:
+    """Show a sentence of refusal."""
+    ui.label(sentence).classes("text-negative").props("role=alert")
+
+
+def refusal_of(answer: Answer | None) -> None:
+    """Show with which sentence a command refused, if it did."""
+    if answer is not None and answer.refusal:
+        refused(answer.refusal)
+
+
+def report(project: Project, name: str) -> None:
+    """Show the report that a command wrote."""
+    path = project.folder / name / "report.html"
+    if path.exists():
+        address = f"/files/{name}/report.html?{path.stat().st_mtime:.0f}"
+        ui.link("Open the report alone", address, new_tab=True)
+        ui.element("iframe").classes("report").props(f'src="{address}" title="report of {name}"')
+
+
+def weighed(document: Any) -> None:
+    """Show the masses of weighed payloads."""
+    for payload in document["payloads"]:
+        mass = payload["parameters"]["m"]
+        half = (mass["interval"][1] - mass["interval"][0]) / 2
+        ui.label(f"{payload['name']}: {mass['value']:.4g} kg ± {half:.2g} kg ({payload['outcome']})").classes("text-h6")
+
+
+def about(finding: dict[str, Any], entry: RunEntry) -> bool:
+    """Decide whether a finding is about a log."""
+    return bool(finding["source"]) and finding["source"] in entry.log
+
+
+def trace(values: list[float]) -> None:
+    """Draw a column over its samples, to be zoomed by the wheel."""
+    options = {
+        "xAxis": {"type": "category", "show": False, "data": list(range(len(values)))},
+        "yAxis": {"type": "value", "scale": True, "axisLabel": {"fontSize": 9}, "splitNumber": 2},
+        "grid": {"left": 52, "right": 8, "top": 6, "bottom": 6},
+        "dataZoom": [{"type": "inside"}],
+        "animation": False,
+        "series": [{"type": "line", "data": [None if value != value else value for value in values], "symbol": "none"}],
+    }
+    ui.echart(options).classes("grow").style("height: 90px; min-width: 200px")
+
+
+def drawing_of(drawing: Drawing) -> ui.scene:
+    """Draw a robot that can be turned."""
+    size = max(float(abs(line).max()) for line in drawing[0])
+    with ui.scene(width=340, height=260, grid=(round(4 * size + 1), 10), background_color="#dde3ea") as scene:
+        draw_in(scene, drawing)
+    scene.move_camera(x=0.9 * size, y=-1.5 * size, z=0.9 * size, look_at_z=0.4 * size, duration=0)
+    return scene
+
+
+def draw_in(scene: ui.scene, drawing: Drawing) -> None:
+    """Draw lines and driven joints into a scene."""
+    lines, joints = drawing
+    size = max(float(abs(line).max()) for line in lines)
+    with scene:
+        for start, end in (line.tolist() for line in lines):
+            scene.line(start, end).material("#1f4e79")
+        for name, place in joints.items():
+            scene.sphere(0.02 * size).move(*place.tolist()).material("#c0392b")
+            scene.text(name).move(*place.tolist())

@@ -1,0 +1,321 @@
+"""A project of the page: a folder of robot files and logs, whose experiment file is the only state.
+
+What the page changes in the file can be changed by hand as well; comments stay where they are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from gtau.documents.files import LOG, ROBOT, kind_of, write_atomically
+from gtau.documents.yaml_document import yaml_text
+from gtau.doors.command import Answer, Command, within
+from gtau.errors import GtauError
+from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
+from gtau.signals.reading.experiment import Experiment
+from gtau.signals.reading.logs import find_columns, is_log_folder, reader_of
+from gtau.signals.reading.statements import masses_in_name
+
+EXPERIMENT = "experiment.yaml"
+COMMANDS = ("current", "torque")
+BY_JOINT = ("position", *COMMANDS, *(kind.calibration for kind in LINK_SIDE), *(signal.key for signal in SIDE_SIGNALS))
+CHECK = re.compile(r"^(.*?)[ \t]*# CHECK:?[ \t]*(.*)$", re.MULTILINE)
+SETTING = re.compile(r"'([a-z_]+: \{[^'{}]+\})'")  # as advice writes a line of the experiment file
+POINTS = 2000  # of a trace that is drawn
+
+
+@dataclass(frozen=True)
+class RunEntry:
+    """A run of the experiment file: its log as written there, the payload's mass (kg), and what it is used for."""
+
+    log: str
+    mass: float | None
+    unknown: bool
+    validation: bool
+
+
+@dataclass
+class Project:
+    """A folder, the robot chosen before there is an experiment file, the command that runs, and the last answers."""
+
+    folder: Path
+    chosen: str | None = None
+    running: Command | None = None
+    answers: dict[str, Answer] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock, repr=False)
+    _traces: dict[tuple[Path, float], dict[str, np.ndarray]] = field(default_factory=dict, repr=False)
+
+    @property
+    def file(self) -> Path:
+        """The experiment file."""
+        return self.folder / EXPERIMENT
+
+    @property
+    def text(self) -> str:
+        """Text of the experiment file, empty where there is none."""
+        with suppress(OSError):
+            return self.file.read_text(encoding="utf-8")
+        return ""
+
+    @property
+    def version(self) -> object:
+        """What pages show: it differs where another page, command or hand has changed it."""
+        return self.text, self.chosen, sorted(path.name for path in self.folder.iterdir()), tuple(self.answers.items())
+
+    @property
+    def content(self) -> Any:
+        """Content of the experiment file, empty where there is none; raises GtauError where it is not valid YAML."""
+        from ruamel.yaml import YAML, YAMLError
+
+        try:
+            return YAML().load(self.text) or {}
+        except YAMLError as error:
+            line = getattr(getattr(error, "problem_mark", None), "line", None)
+            place = "" if line is None else f", line {line + 1}"
+            raise GtauError(f"{EXPERIMENT}{place}: this is not valid YAML; correct it in an editor.") from None
+
+    def change(self, edit: Callable[[Any], None]) -> None:
+        """Change the content of the experiment file, and write it atomically; raises GtauError."""
+        from ruamel.yaml import YAML
+
+        with self._lock:
+            content, written = self.content, StringIO()
+            edit(content)
+            yaml = YAML()
+            yaml.width = 10_000
+            yaml.dump(content, written)
+            write_atomically(self.file, written.getvalue())
+            self.answers = {name: answer for name, answer in self.answers.items() if not answer.refusal}
+
+    def points(self) -> list[str]:
+        """List the lines of a draft that a user is to confirm, with what to confirm."""
+        return [f"{match[1].strip()}: {match[2]}" for match in CHECK.finditer(self.text)]
+
+    def confirm(self, point: str) -> None:
+        """Remove the mark of a point that the user has confirmed."""
+        with self._lock:
+            text = CHECK.sub(
+                lambda match: match[1] if f"{match[1].strip()}: {match[2]}" == point else match[0], self.text
+            )
+            write_atomically(self.file, text)
+
+    def robot(self) -> str | None:
+        """Name or path of the robot, None where none is chosen."""
+        robot = self.content.get("robot")
+        return robot.get("file") if isinstance(robot, Mapping) else robot
+
+    def robot_files(self) -> list[str]:
+        """List the files of the folder that are robot files."""
+        return [path.name for path in sorted(self.folder.iterdir()) if path.is_file() and kind_of(path) == ROBOT]
+
+    def logs_in_folder(self) -> list[str]:
+        """List the files of the folder that are logs."""
+        names = [path.name for path in sorted(self.folder.iterdir()) if not path.name.startswith(".") and _is_log(path)]
+        used = {Path(run.log).name for run in self.runs()}
+        return [name for name in names if name not in used]
+
+    def runs(self) -> list[RunEntry]:
+        """List the runs of the experiment file, those for validation last."""
+        return [entry for _, _, entry in self._entries(self.content)]
+
+    def _entries(self, content: Any) -> Iterator[tuple[str, Any, RunEntry]]:
+        for key in ("runs", "validation"):
+            for run in content.get(key) or ():
+                log, payload = run.get("log", ""), run.get("payload") or {}
+                name = " + ".join(map(str, log)) if isinstance(log, list) else str(log)
+                mass = payload.get("mass")
+                entry = RunEntry(
+                    name, None if mass is None else float(mass), bool(payload) and mass is None, key != "runs"
+                )
+                yield key, run, entry
+
+    def _entry(self, content: Any, log: str) -> tuple[str, Any, RunEntry]:
+        for key, run, entry in self._entries(content):
+            if entry.log == log:
+                return key, run, entry
+        raise GtauError(f"{log} is no longer a run of {EXPERIMENT}; another page or a hand has changed it.")
+
+    def add_run(self, log: str) -> None:
+        """Add a log as a run, with the payload that its name states."""
+
+        def edit(content: Any) -> None:
+            masses = masses_in_name(Path(log).name)
+            payload = {"payload": _payload(masses[0])} if masses and masses[0] > 0 else {}
+            content.setdefault("runs", []).append({"log": log, **payload})
+
+        self.change(edit)
+
+    def set_mass(self, log: str, mass: float | None) -> None:
+        """State the payload's mass in a run, kg; 0 or None for no payload."""
+
+        def edit(content: Any) -> None:
+            _, run, _ = self._entry(content, log)
+            if mass:
+                run.setdefault("payload", {}).update(_payload(mass))
+            else:
+                run.pop("payload", None)
+
+        if mass is not None and not 0 <= mass < np.inf:
+            raise GtauError(f"the payload of {log} is {mass:g} kg; write 0 or a positive mass.")
+        self.change(edit)
+
+    def set_validation(self, log: str, validation: bool) -> None:
+        """Use a run for validation, or for the identification."""
+
+        def edit(content: Any) -> None:
+            key, run, _ = self._entry(content, log)
+            content[key].remove(run)
+            if not content[key] and key == "validation":
+                del content[key]
+            content.setdefault("validation" if validation else "runs", []).append(run)
+
+        self.change(edit)
+
+    def remove_run(self, log: str) -> None:
+        """Take a run out of the experiment; its log stays in the folder."""
+
+        def edit(content: Any) -> None:
+            key, run, _ = self._entry(content, log)
+            content[key].remove(run)
+
+        self.change(edit)
+
+    def joints(self) -> list[str]:
+        """Joints of the signals."""
+        signals = self.content.get("signals") or {}
+        return [str(joint) for joint in signals.get("position") or {}]
+
+    def roles(self) -> dict[str, str]:
+        """Map columns to their roles, such as ``time`` and ``position elbow``."""
+        signals, roles = self.content.get("signals") or {}, {}
+        for key, value in signals.items():
+            if key in BY_JOINT and isinstance(value, Mapping):
+                roles |= {str(column): f"{key} {joint}" for joint, column in value.items()}
+            elif key in ("time", *BY_JOINT) and isinstance(value, str):
+                roles[value] = key
+        return roles
+
+    def set_role(self, joints: Sequence[str], column: str, role: str | None) -> None:
+        """Give a column a role; the column that had it before has none. An empty role takes the column's away."""
+        key, _, joint = (role or "").partition(" ")
+
+        def edit(content: Any) -> None:
+            signals = content.setdefault("signals", {})
+            for other in [name for name in signals if name in ("time", *BY_JOINT)]:
+                if isinstance(signals[other], Mapping):
+                    for name in [name for name, used in signals[other].items() if str(used) == column]:
+                        del signals[other][name]
+                    if not signals[other] and other not in ("position", *COMMANDS):
+                        del signals[other]
+                elif str(signals[other]) == column:
+                    del signals[other]
+            if not key:
+                return
+            if not joint:
+                signals[key] = column
+                return
+            for other in set(COMMANDS) - {key} if key in COMMANDS else ():
+                signals.pop(other, None)  # a robot's commands are either currents or torques
+            columns = signals.setdefault(key, {})
+            known = next((name for name in columns if str(name) == joint), joint)
+            columns[known] = column
+            order = {name: columns[name] for name in sorted(columns, key=lambda name: _place(joints, str(name)))}
+            for name, value in order.items():
+                del columns[name]
+                columns[name] = value
+
+        self.change(edit)
+
+    def unit(self, key: str) -> str:
+        """Return the unit stated for a signal, empty for SI."""
+        unit = (self.content.get("units") or {}).get(key, "")
+        return unit if isinstance(unit, str) else yaml_text(dict(unit), flow=True).strip()
+
+    def set_unit(self, key: str, unit: str) -> None:
+        """State the unit of a signal, such as ``deg``; empty for SI."""
+        from ruamel.yaml import YAML
+
+        def edit(content: Any) -> None:
+            units = content.setdefault("units", {})
+            units.pop(key, None)
+            if unit:
+                units[key] = YAML(typ="safe").load(unit) if unit.startswith("{") else unit
+            if not units:
+                del content["units"]
+
+        self.change(edit)
+
+    def apply(self, setting: str) -> None:
+        """Write a setting that an advice names, such as ``preparation: {delay: 0.01}``."""
+        from ruamel.yaml import YAML
+
+        key, value = next(iter(YAML(typ="safe").load(setting).items()))
+
+        def edit(content: Any) -> None:
+            content[key] = {**(content.get(key) or {}), **value}
+
+        self.change(edit)
+
+    def write_skeleton(self, robot: str, logs: list[str]) -> None:
+        """Write an experiment file whose columns are still to be chosen."""
+        runs = [{"log": log} for log in logs]
+        write_atomically(self.file, yaml_text({"robot": robot, "signals": {"time": "t"}, "runs": runs}))
+
+    def write_weighing(self, log: str) -> str:
+        """Write ``weigh.yaml``: the runs without payload, and a log with an unknown one; return its name."""
+        content = self.content
+        empty = [dict(run) for key, run, entry in self._entries(content) if not (entry.mass or entry.unknown)]
+        runs = [*empty, {"log": log, "payload": {"name": "unknown"}}]
+        kept = {key: content[key] for key in ("robot", "signals", "units", "preparation") if key in content}
+        write_atomically(self.folder / "weigh.yaml", yaml_text(_plain({**kept, "runs": runs})))
+        return "weigh.yaml"
+
+    def traces(self, log: str) -> dict[str, np.ndarray]:
+        """Read some points of every column of a log, (POINTS,) at most; raises GtauError where it cannot be read."""
+        path = within(self.folder, log)
+        at = path, path.stat().st_mtime
+        if at not in self._traces:
+            table = find_columns(path)
+            parts = [values[:: max(1, len(values) // POINTS)] for values, _ in table.blocks()]
+            values = np.concatenate(parts) if parts else np.zeros((0, len(table.columns)))
+            values = values[:: -(-len(values) // POINTS) or 1]
+            self._traces[at] = dict(zip(table.columns, values.T, strict=True))
+        return self._traces[at]
+
+
+def settings_in(advice: str) -> list[str]:
+    """List the settings of an experiment file that an advice writes out."""
+    settings = [match[1] for match in SETTING.finditer(advice)]
+    return [setting for setting in settings if setting.partition(":")[0] in Experiment.model_fields]
+
+
+def _is_log(path: Path) -> bool:
+    if path.is_dir():
+        return is_log_folder(path) and not (path / "report.html").exists()  # what a command wrote
+    return reader_of(path.suffix.lower()) is not None or kind_of(path) == LOG
+
+
+def _payload(mass: float) -> dict[str, Any]:
+    return {"name": f"load_{mass:g}kg".replace(".", "p"), "mass": mass}
+
+
+def _place(joints: Sequence[str], joint: str) -> int:
+    return joints.index(joint) if joint in joints else len(joints)
+
+
+def _plain(data: Any) -> Any:
+    """Copy data of a YAML file as plain dictionaries, lists, texts and numbers."""
+    if isinstance(data, Mapping):
+        return {str(key): _plain(value) for key, value in data.items()}
+    if isinstance(data, (list, tuple)):
+        return [_plain(value) for value in data]
+    return type(data).__mro__[-2](data) if isinstance(data, (str, float, int)) and not isinstance(data, bool) else data
