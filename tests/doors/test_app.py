@@ -266,8 +266,8 @@ def test_a_log_of_300_mb_and_the_same_name_twice(project, chromium):
 
 
 def test_without_the_extra_one_sentence_says_what_to_install(tmp_path):
-    program = "import sys; sys.modules['nicegui'] = None; sys.argv = ['gtau', 'app', sys.argv[1]]; import gtau.cli; gtau.cli.main()"
-    run = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True)
+    program = "import sys; sys.modules['nicegui'] = None; from gtau.cli import main; main()"
+    run = subprocess.run([sys.executable, "-c", program, "app", str(tmp_path)], capture_output=True, text=True)
     assert run.returncode == 2
     assert "gtau[app]" in run.stderr
 

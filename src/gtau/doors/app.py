@@ -86,11 +86,7 @@ def serve(folder: Path, port: int, show: bool) -> None:
     def page() -> None:
         draw(project)
 
-    @app.on_shutdown
-    def end() -> None:
-        if project.running is not None:
-            project.running.cancel()
-
+    app.on_shutdown(project.cancel)
     address = f"http://{HOST}:{port}/?token={token}"
     print(f"gtau: the page of {project.folder} is at {address} (Ctrl-C ends it)", flush=True)
     try:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nicegui import events, run, ui
+from nicegui import events, ui
 
 from gtau.doors.command import Answer, Command, within
 from gtau.doors.project import BY_JOINT, COMMANDS, Project, RunEntry, settings_in
-from gtau.doors.scene import Drawing, along, at_home, load
+from gtau.doors.scene import Drawing, along, at_home
 from gtau.errors import GtauError
 from gtau.extensions import names
 from gtau.robots.readers.read import catalog_names
@@ -23,9 +24,8 @@ LARGEST = 4 << 30  # bytes of a file
 REJECTED = "The file is larger than 4 GiB, or of another kind; copy it into the project's folder, and reload the page."
 COLOURS = {"error": "negative", "warning": "warning", "information": "info"}
 STYLE = """
-body { --gap: 0.75rem } .card { width: 100%; max-width: 72rem; margin: 0 auto }
-.q-btn { text-transform: none } iframe.report { width: 100%; height: 80vh; border: 1px solid #8884 }
-.soft { opacity: 0.75 } .figures { border-collapse: collapse } .figures td { padding: 0.1rem 0.8rem 0.1rem 0 }
+.card { width: 100%; max-width: 72rem; margin: 0 auto }
+iframe.report { width: 100%; height: 80vh; border: 1px solid #8884 } .soft { opacity: 0.75 }
 @media (max-width: 600px) { .nicegui-content { padding: 0.5rem } }
 """
 
@@ -35,8 +35,11 @@ class View:
 
     def __init__(self, project: Project) -> None:
         self.project = project
+        self.stage: ui.label
         self.seen: object = None
         self.opened = set[str]()  # logs whose columns are shown
+        self.section = ""  # the one that is being drawn
+        self.refusals: dict[str, str] = {}  # by section
         self.uploading = False  # then the page is not drawn again, which would end it
         self.sections = [ui.refreshable(section) for section in (self.robot, self.logs, self.identify, self.then)]
 
@@ -49,6 +52,30 @@ class View:
             self.seen = version
             for section in self.sections:
                 section.refresh()
+
+    @contextmanager
+    def card(self, title: str) -> Iterator[None]:
+        """Draw a card with a heading, and what was refused in it."""
+        self.section = title
+        with ui.card().classes("card"):
+            ui.html(f"<h2 class='text-h6'>{title}</h2>", sanitize=False)
+            try:
+                yield
+            except GtauError as error:
+                refused(str(error))
+            if title in self.refusals:
+                refused(self.refusals[title])
+
+    @contextmanager
+    def trying(self, section: str) -> Iterator[None]:
+        """Do what a user asks in a section, and show there with which sentence it is refused."""
+        self.refusals.pop(section, None)
+        try:
+            yield
+        except GtauError as error:
+            self.refusals[section] = str(error)
+            self.seen = None
+        self.changed()
 
     async def command(self, name: str, *arguments: str) -> Answer | None:
         """Run a command, one at a time in a project; its answer stays with the project."""
@@ -66,20 +93,22 @@ class View:
 
     def button(self, label: str, work: Callable[[], Awaitable[Any] | None], **more: Any) -> ui.button:
         """Add a button whose refusals are shown."""
+        section = self.section
 
         async def clicked() -> None:
-            with refusals():
+            with self.trying(section):
                 if (made := work()) is not None:
                     await made
-            self.changed()
 
         return ui.button(label, on_click=clicked, **more).props("no-caps outline")
 
     def upload(self, label: str, endings: Sequence[str], then: Callable[[str], Any], place: str = "") -> None:
         """Add a place for files, which are written to the project's folder, or a ``place`` in it."""
+        section = self.section
 
         async def received(event: events.MultiUploadEventArguments) -> None:
-            with refusals():
+            self.uploading = False
+            with self.trying(section):
                 for file in event.files:
                     path = within(self.project.folder, f"{place}/{file.name}".lstrip("/"))
                     if path.exists():
@@ -88,12 +117,11 @@ class View:
                     await file.save(unfinished)
                     unfinished.replace(path)
                     then(path.name)
-            self.uploading = False
-            self.changed()
 
         def rejected() -> None:
             self.uploading = False
-            refused(REJECTED)
+            with self.trying(section):
+                raise GtauError(REJECTED)
 
         box = ui.upload(label=label, multiple=True, auto_upload=True, max_file_size=LARGEST).classes("w-full")
         box.props(f'accept="{",".join(endings)}" flat bordered batch')
@@ -105,38 +133,29 @@ class View:
 
     def robot(self) -> None:
         """Choose a robot, and look at it."""
-        with card("1  Robot"), refusals():
+        with self.card("1  Robot"):
             robot = self.project.robot() or self.project.chosen
             with ui.row().classes("items-end w-full"):
                 catalog = {name: name for name in catalog_names()}
                 files = {name: name for name in self.project.robot_files()}
                 options = files | catalog | ({robot: robot} if robot else {})
                 choice = ui.select(options, label="Robot", value=robot, with_input=True).classes("w-64")
-                choice.on_value_change(lambda event: self.choose(str(event.value)))
-            self.upload("Drop a robot file: URDF, xacro, MJCF, robot file", ROBOTS, self.choose)
+                choice.on_value_change(partial(self.edit, self.project.choose))
+            self.upload("Drop a robot file: URDF, xacro, MJCF, robot file", ROBOTS, self.project.choose)
             if robot is not None:
-                loaded = load(robot, self.project.folder)
+                loaded = self.project.loaded(robot)
                 drawing_of(at_home(loaded))
                 driven = ", ".join(loaded.actuated)
                 ui.label(f"{loaded.name}: {len(loaded.actuated)} driven joints ({driven})").classes("soft")
                 for note in loaded.file.notes:
                     ui.label(note).classes("soft")
 
-    def choose(self, robot: str) -> None:
-        """Choose a robot by its name or file; refused where it cannot be read."""
-        with refusals():
-            load(robot, self.project.folder)
-            self.project.chosen = robot
-            if self.project.text:
-                self.project.change(lambda content: content.__setitem__("robot", robot))
-        self.changed()
-
     # Logs
 
     def logs(self) -> None:
         """Show the logs with the roles of their columns, payloads and findings."""
         project = self.project
-        with card("2  Logs"), refusals():
+        with self.card("2  Logs"):
             self.upload("Drop logs: CSV, Parquet, MAT, bag", LOGS, lambda name: None)
             waiting = project.logs_in_folder()
             if waiting and not project.text:
@@ -171,9 +190,8 @@ class View:
 
     def edit(self, change: Callable[[Any], None], field: Any, *event: Any) -> None:
         """Write the value of a field to the experiment file."""
-        with refusals():
+        with self.trying("2  Logs"):
             change(field.value)
-        self.changed()
 
     async def draft(self, logs: list[str]) -> None:
         """Draft the experiment file, or a skeleton where columns are not recognised."""
@@ -209,10 +227,10 @@ class View:
             return
         self.opened.add(log)
         place.clear()
-        with place, refusals():
-            traces = await run.io_bound(self.project.traces, log)
+        with place:
+            traces = await asyncio.to_thread(self.project.traces, log)
             robot, roles = self.project.robot(), self.project.roles()
-            joints = list(load(robot, self.project.folder).actuated) if robot else self.project.joints()
+            joints = list(self.project.loaded(robot).actuated) if robot else self.project.joints()
             options = ["", "time", *(f"{key} {joint}" for key in BY_JOINT for joint in joints)]
             for column, values in sorted(traces.items(), key=lambda item: item[0] not in roles):
                 with ui.row().classes("items-center w-full"):
@@ -241,7 +259,7 @@ class View:
     def identify(self) -> None:
         """Identify, and show the report."""
         project = self.project
-        with card("3  Identify"), refusals():
+        with self.card("3  Identify"):
             if not project.text:
                 ui.label("First choose a robot and drop logs.").classes("soft")
                 return
@@ -259,7 +277,7 @@ class View:
     def then(self) -> None:
         """Weigh, validate, export, and design the next motion."""
         project = self.project
-        with card("4  Then"), refusals():
+        with self.card("4  Then"):
             if not (project.folder / "result" / "model.json").exists():
                 ui.label("After an identification: weigh, validate, export, or design the next motion.").classes("soft")
                 return
@@ -318,7 +336,7 @@ class View:
 
     async def animate(self, motion: Path) -> None:
         """Show a motion before it is played."""
-        frames = await run.io_bound(along, load(str(self.project.robot()), self.project.folder), motion)
+        frames = await asyncio.to_thread(along, self.project.loaded(str(self.project.robot())), motion)
         with ui.dialog() as dialog, ui.card():
             scene, at = drawing_of(frames[0]), [0]
 
@@ -341,7 +359,7 @@ def draw(project: Project) -> None:
         ui.label(f"gtau  {project.folder.name}").classes("text-h6")
         ui.space()
         view.stage = ui.label("").props("aria-live=polite")
-        cancel = ui.button("Cancel", on_click=lambda: project.running and project.running.cancel(), color="white")
+        cancel = ui.button("Cancel", on_click=project.cancel, color="white")
         cancel.props("no-caps outline").bind_visibility_from(project, "running", backward=bool)
         spinner = ui.spinner(color="white")
         spinner.bind_visibility_from(project, "running", backward=bool)
@@ -349,23 +367,6 @@ def draw(project: Project) -> None:
         section()
     view.seen = project.version
     ui.timer(0.5, view.changed)
-
-
-@contextmanager
-def card(title: str) -> Iterator[None]:
-    """Draw a card with a heading."""
-    with ui.card().classes("card"):
-        ui.html(f"<h2 class='text-h6'>{title}</h2>", sanitize=False)
-        yield
-
-
-@contextmanager
-def refusals() -> Iterator[None]:
-    """Show a refusal where it happens."""
-    try:
-        yield
-    except GtauError as error:
-        refused(str(error))
 
 
 def refused(sentence: str) -> None:

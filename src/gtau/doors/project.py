@@ -20,6 +20,8 @@ from gtau.documents.files import LOG, ROBOT, kind_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
 from gtau.doors.command import Answer, Command, within
 from gtau.errors import GtauError
+from gtau.model.home import load_robot
+from gtau.robots.robot import Robot
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.logs import find_columns, is_log_folder, reader_of
@@ -52,6 +54,7 @@ class Project:
     running: Command | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
     _lock: Lock = field(default_factory=Lock, repr=False)
+    _robots: dict[tuple[str, float], Robot] = field(default_factory=dict, repr=False)
     _traces: dict[tuple[Path, float], dict[str, np.ndarray]] = field(default_factory=dict, repr=False)
 
     @property
@@ -71,10 +74,16 @@ class Project:
         """What pages show: it differs where another page, command or hand has changed it."""
         return self.text, self.chosen, sorted(path.name for path in self.folder.iterdir()), tuple(self.answers.items())
 
+    def cancel(self) -> None:
+        """End the command that runs."""
+        if self.running is not None:
+            self.running.cancel()
+
     @property
     def content(self) -> Any:
         """Content of the experiment file, empty where there is none; raises GtauError where it is not valid YAML."""
-        from ruamel.yaml import YAML, YAMLError
+        from ruamel.yaml import YAML
+        from ruamel.yaml.error import YAMLError
 
         try:
             return YAML().load(self.text) or {}
@@ -113,6 +122,21 @@ class Project:
         robot = self.content.get("robot")
         return robot.get("file") if isinstance(robot, Mapping) else robot
 
+    def loaded(self, robot: str) -> Robot:
+        """Load a robot of the catalog, or of a file in the folder; raises GtauError."""
+        path = self.folder / robot
+        at = robot, path.stat().st_mtime if path.exists() else 0.0
+        if at not in self._robots:
+            self._robots[at] = load_robot(str(path) if path.exists() else robot)
+        return self._robots[at]
+
+    def choose(self, robot: str) -> None:
+        """Choose a robot by its name or file; raises GtauError where it cannot be read."""
+        self.loaded(robot)
+        self.chosen = robot
+        if self.text:
+            self.change(lambda content: content.__setitem__("robot", robot))
+
     def robot_files(self) -> list[str]:
         """List the files of the folder that are robot files."""
         return [path.name for path in sorted(self.folder.iterdir()) if path.is_file() and kind_of(path) == ROBOT]
@@ -138,11 +162,17 @@ class Project:
                 )
                 yield key, run, entry
 
-    def _entry(self, content: Any, log: str) -> tuple[str, Any, RunEntry]:
-        for key, run, entry in self._entries(content):
-            if entry.log == log:
-                return key, run, entry
-        raise GtauError(f"{log} is no longer a run of {EXPERIMENT}; another page or a hand has changed it.")
+    def _change_run(self, log: str, edit: Callable[[Any, str, Any], None]) -> None:
+        """Change the run of a log, given the content of the file, and the key that lists the run."""
+
+        def change(content: Any) -> None:
+            for key, run, entry in self._entries(content):
+                if entry.log == log:
+                    edit(content, key, run)
+                    return
+            raise GtauError(f"{log} is no longer a run of {EXPERIMENT}; another page or a hand has changed it.")
+
+        self.change(change)
 
     def add_run(self, log: str) -> None:
         """Add a log as a run, with the payload that its name states."""
@@ -156,38 +186,31 @@ class Project:
 
     def set_mass(self, log: str, mass: float | None) -> None:
         """State the payload's mass in a run, kg; 0 or None for no payload."""
+        if mass is not None and not 0 <= mass < np.inf:
+            raise GtauError(f"the payload of {log} is {mass:g} kg; write 0 or a positive mass.")
 
-        def edit(content: Any) -> None:
-            _, run, _ = self._entry(content, log)
+        def edit(content: Any, key: str, run: Any) -> None:
             if mass:
                 run.setdefault("payload", {}).update(_payload(mass))
             else:
                 run.pop("payload", None)
 
-        if mass is not None and not 0 <= mass < np.inf:
-            raise GtauError(f"the payload of {log} is {mass:g} kg; write 0 or a positive mass.")
-        self.change(edit)
+        self._change_run(log, edit)
 
     def set_validation(self, log: str, validation: bool) -> None:
         """Use a run for validation, or for the identification."""
 
-        def edit(content: Any) -> None:
-            key, run, _ = self._entry(content, log)
+        def edit(content: Any, key: str, run: Any) -> None:
             content[key].remove(run)
             if not content[key] and key == "validation":
                 del content[key]
             content.setdefault("validation" if validation else "runs", []).append(run)
 
-        self.change(edit)
+        self._change_run(log, edit)
 
     def remove_run(self, log: str) -> None:
         """Take a run out of the experiment; its log stays in the folder."""
-
-        def edit(content: Any) -> None:
-            key, run, _ = self._entry(content, log)
-            content[key].remove(run)
-
-        self.change(edit)
+        self._change_run(log, lambda content, key, run: content[key].remove(run))
 
     def joints(self) -> list[str]:
         """Joints of the signals."""
@@ -196,7 +219,8 @@ class Project:
 
     def roles(self) -> dict[str, str]:
         """Map columns to their roles, such as ``time`` and ``position elbow``."""
-        signals, roles = self.content.get("signals") or {}, {}
+        signals: Mapping[str, Any] = self.content.get("signals") or {}
+        roles: dict[str, str] = {}
         for key, value in signals.items():
             if key in BY_JOINT and isinstance(value, Mapping):
                 roles |= {str(column): f"{key} {joint}" for joint, column in value.items()}
@@ -272,11 +296,13 @@ class Project:
 
     def write_weighing(self, log: str) -> str:
         """Write ``weigh.yaml``: the runs without payload, and a log with an unknown one; return its name."""
-        content = self.content
-        empty = [dict(run) for key, run, entry in self._entries(content) if not (entry.mass or entry.unknown)]
-        runs = [*empty, {"log": log, "payload": {"name": "unknown"}}]
+        from ruamel.yaml import YAML
+
+        content = YAML(typ="safe").load(self.text)
+        empty = [run for key, run, entry in self._entries(content) if not (entry.mass or entry.unknown)]
         kept = {key: content[key] for key in ("robot", "signals", "units", "preparation") if key in content}
-        write_atomically(self.folder / "weigh.yaml", yaml_text(_plain({**kept, "runs": runs})))
+        runs = [*empty, {"log": log, "payload": {"name": "unknown"}}]
+        write_atomically(self.folder / "weigh.yaml", yaml_text({**kept, "runs": runs}))
         return "weigh.yaml"
 
     def traces(self, log: str) -> dict[str, np.ndarray]:
@@ -310,12 +336,3 @@ def _payload(mass: float) -> dict[str, Any]:
 
 def _place(joints: Sequence[str], joint: str) -> int:
     return joints.index(joint) if joint in joints else len(joints)
-
-
-def _plain(data: Any) -> Any:
-    """Copy data of a YAML file as plain dictionaries, lists, texts and numbers."""
-    if isinstance(data, Mapping):
-        return {str(key): _plain(value) for key, value in data.items()}
-    if isinstance(data, (list, tuple)):
-        return [_plain(value) for value in data]
-    return type(data).__mro__[-2](data) if isinstance(data, (str, float, int)) and not isinstance(data, bool) else data

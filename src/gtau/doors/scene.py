@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gtau.model.home import close_home, load_robot
+from gtau.model.home import close_home
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, poses
 from gtau.report.robot_figure import foot_of, link_lines, upright_rotation
@@ -36,12 +36,6 @@ def along(robot: Robot, motion: Path) -> list[Drawing]:
     still = np.zeros_like(q)
     layout = Coordinates(close_home(robot))
     return [_drawing(layout, c) for c in idm.motion(q, still, still).c.T]
-
-
-def load(source: str, folder: Path) -> Robot:
-    """Load a robot of the catalog, or of a file in the folder."""
-    path = folder / source
-    return load_robot(str(path) if path.exists() else source)
 
 
 def _drawing(layout: Coordinates, c: np.ndarray) -> Drawing:
