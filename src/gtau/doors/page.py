@@ -237,7 +237,7 @@ class View:
                     role = roles.get(column, "")
                     chosen = options if role in options else [*options, role]
                     field = ui.select(chosen, label=column, value=role, with_input=True).classes("w-56")
-                    field.on_value_change(partial(self.edit, partial(self.project.set_role, joints, column)))
+                    field.on_value_change(partial(self.edit, partial(self.project.set_role, column)))
                     trace(values.tolist())
 
     def findings(self, name: str) -> list[dict[str, Any]]:

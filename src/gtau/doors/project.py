@@ -6,7 +6,7 @@ What the page changes in the file can be changed by hand as well; comments stay 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import StringIO
@@ -228,7 +228,7 @@ class Project:
                 roles[value] = key
         return roles
 
-    def set_role(self, joints: Sequence[str], column: str, role: str | None) -> None:
+    def set_role(self, column: str, role: str | None) -> None:
         """Give a column a role; the column that had it before has none. An empty role takes the column's away."""
         key, _, joint = (role or "").partition(" ")
 
@@ -252,10 +252,6 @@ class Project:
             columns = signals.setdefault(key, {})
             known = next((name for name in columns if str(name) == joint), joint)
             columns[known] = column
-            order = {name: columns[name] for name in sorted(columns, key=lambda name: _place(joints, str(name)))}
-            for name, value in order.items():
-                del columns[name]
-                columns[name] = value
 
         self.change(edit)
 
@@ -332,7 +328,3 @@ def _is_log(path: Path) -> bool:
 
 def _payload(mass: float) -> dict[str, Any]:
     return {"name": f"load_{mass:g}kg".replace(".", "p"), "mass": mass}
-
-
-def _place(joints: Sequence[str], joint: str) -> int:
-    return joints.index(joint) if joint in joints else len(joints)
