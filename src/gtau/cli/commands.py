@@ -11,6 +11,7 @@ from typer.core import TyperCommand, TyperGroup
 
 from gtau import __version__
 from gtau.cli.doors import app as app_command
+from gtau.cli.doors import mcp
 from gtau.cli.identification import campaign, compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
@@ -75,6 +76,7 @@ COMMANDS: dict[str, dict[Callable[..., None], str]] = {
     },
     "Serve": {
         app_command: "Open a page in the browser that does all this.",
+        mcp: "Lend these commands to an agent, as tools.",
     },
 }
 

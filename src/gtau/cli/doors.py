@@ -1,4 +1,4 @@
-"""Commands that open other doors: app."""
+"""Commands that open other doors: app, mcp."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ from pathlib import Path
 from typing import Annotated
 
 from gtau.cli.console import argument, option, refusing
+from gtau.cli.identification import identify
+from gtau.cli.logs import check
+from gtau.cli.models import export, payload, validate
+from gtau.cli.robots import excite, robot
+from gtau.errors import missing_extra
 
 
 @refusing
@@ -18,3 +23,20 @@ def app(
     from gtau.doors.app import serve
 
     serve(folder, port, browser)
+
+
+@refusing
+def mcp(folder: Annotated[Path, argument("FOLDER", "Folder of the agent; default: this one.")] = Path()) -> None:
+    """Serve an agent over stdin and stdout, by the Model Context Protocol: its client starts this command.
+
+    The tools check, identify, explain, weigh, validate, design_motion, export and robot write to FOLDER alone.
+    """
+    try:
+        from gtau.doors.mcp import serve
+    except ImportError:
+        raise missing_extra("serving an agent", "mcp", "mcp") from None
+    same = {command.__name__: command for command in (check, identify, validate, export, robot)}
+    try:
+        serve(folder, same | {"weigh": payload, "design_motion": excite})
+    except* BrokenPipeError:  # the client is gone
+        pass

@@ -8,7 +8,7 @@ import os
 import re
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,10 +44,10 @@ class Command:
     stage: str = "starting"
     process: Process | None = field(default=None, repr=False)
 
-    async def run(self, told: Callable[[str], None] = lambda stage: None) -> Answer:
-        """Run it to its end; ``told`` is called with every stage."""
+    async def run(self) -> Answer:
+        """Run it to its end."""
         self.process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "gtau", *self.arguments, "--json"),
+            *(sys.executable, "-P", "-m", "gtau", *self.arguments, "--json"),  # modules in the folder are none of ours
             cwd=self.folder,
             env=os.environ | {"GTAU_PROGRESS_EVERY": EVERY, "PYTHONUNBUFFERED": "1"},
             stdin=DEVNULL,
@@ -63,7 +63,6 @@ class Command:
             text = line.decode(errors="replace").rstrip()
             if match := STAGE.match(text):
                 self.stage = match[1]
-                told(self.stage)
             elif text:
                 said.append(text.removeprefix("gtau: "))
         printed, code = await output, await self.process.wait()
@@ -84,7 +83,8 @@ class Command:
 
 def within(folder: Path, name: str) -> Path:
     """Return the path of a ``name`` in a project's folder; raises GtauError if it leads out of it."""
-    path = (folder / name).resolve()
-    if not path.is_relative_to(folder.resolve()):
-        raise GtauError(f"{name} is outside of the project's folder; give a file in it.")
-    return path
+    with suppress(OSError, RuntimeError, ValueError):  # links in a circle, a null character
+        path = (folder / name).resolve()
+        if path.is_relative_to(folder.resolve()):
+            return path
+    raise GtauError(f"{name} is outside of the project's folder; give a file in it.")
