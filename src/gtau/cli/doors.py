@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from gtau.cli.console import argument, option, refusing
 from gtau.cli.identification import identify
-from gtau.cli.logs import check
+from gtau.cli.logs import check, on_terminal
 from gtau.cli.models import export, payload, validate
 from gtau.cli.robots import excite, robot
 from gtau.errors import missing_extra
@@ -35,6 +37,8 @@ def mcp(folder: Annotated[Path, argument("FOLDER", "Folder of the agent; default
         from gtau.doors.mcp import serve
     except ImportError:
         raise missing_extra("serving an agent", "mcp", "mcp") from None
+    if on_terminal():
+        typer.echo("gtau: the client of an agent starts this command and speaks to it; Ctrl-C ends it.", err=True)
     same = {command.__name__: command for command in (check, identify, validate, export, robot)}
     try:
         serve(folder, same | {"weigh": payload, "design_motion": excite})
