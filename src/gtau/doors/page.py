@@ -338,14 +338,18 @@ class View:
         """Show a motion before it is played."""
         frames = await asyncio.to_thread(along, self.project.loaded(str(self.project.robot())), motion)
         with ui.dialog() as dialog, ui.card():
-            scene, at = drawing_of(frames[0]), [0]
+            scene, at, shown = drawing_of(frames[0]), [0], []
+            for frame in frames[1:]:
+                with scene, scene.group() as group:
+                    draw_in(scene, frame)
+                shown.append(group.visible(False))
 
             def step() -> None:
-                at[0] = (at[0] + 1) % len(frames)
-                scene.clear()
-                draw_in(scene, frames[at[0]])
+                shown[at[0]].visible(False)
+                at[0] = (at[0] + 1) % len(shown)
+                shown[at[0]].visible(True)
 
-            clock = ui.timer(0.1, step)
+            clock = ui.timer(0.15, step)
             ui.button("Close", on_click=dialog.close).props("no-caps")
         dialog.on("hide", clock.cancel)
         dialog.open()
@@ -430,7 +434,8 @@ def draw_in(scene: ui.scene, drawing: Drawing) -> None:
     size = max(float(abs(line).max()) for line in lines)
     with scene:
         for start, end in (line.tolist() for line in lines):
-            scene.line(start, end).material("#1f4e79")
+            middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
+            scene.quadratic_bezier_tube(start, middle, end, 2, 0.01 * size).material("#1f4e79")
         for name, place in joints.items():
             scene.sphere(0.02 * size).move(*place.tolist()).material("#c0392b")
-            scene.text(name).move(*place.tolist())
+            scene.text(name, 'color: #222').move(*place.tolist())

@@ -13,7 +13,7 @@ from gtau.report.robot_figure import foot_of, link_lines, upright_rotation
 from gtau.robots.geometry import Frame
 from gtau.robots.robot import GROUND, Robot
 
-FRAMES = 120  # of an animation
+FRAMES = 60  # of an animation
 
 Drawing = tuple[list[np.ndarray], dict[str, np.ndarray]]
 """Lines (2, 3) of links, and places (3,) of the driven joints by name, m, with gravity along -z."""
