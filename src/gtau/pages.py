@@ -1,14 +1,19 @@
-"""Pages of the documentation, which messages name by the command that prints them."""
+"""Pages of the documentation, which messages name by the command that prints them, and what findings mean."""
 
 from __future__ import annotations
 
+import csv
+import re
+from difflib import get_close_matches
+from math import inf
 from pathlib import Path
 
-from gtau.errors import UnknownName
+from gtau.errors import GtauError, UnknownName, quoted
 
 HOME = Path(__file__).parent
 FOLDERS = [HOME / "docs", HOME.parents[1] / "docs"]  # of an installed package, and of a checkout
 SHELVES = ("start", "do", "lookup")
+SHORTEST = 12  # characters of a message by which a text is recognised
 
 
 def page(name: str, section: str = "") -> str:
@@ -16,10 +21,13 @@ def page(name: str, section: str = "") -> str:
     return f"gtau docs {name}{section and f', {section!r}'}"
 
 
+def _folder() -> Path:
+    return next(folder for folder in FOLDERS if folder.is_dir())
+
+
 def pages() -> dict[str, Path]:
     """List the pages by name."""
-    folder = next(folder for folder in FOLDERS if folder.is_dir())
-    files = [file for shelf in SHELVES for file in sorted((folder / shelf).rglob("*.md"))]
+    files = [file for shelf in SHELVES for file in sorted((_folder() / shelf).rglob("*.md"))]
     return {file.stem: file for file in files if file.stem != "index"}
 
 
@@ -28,3 +36,28 @@ def page_text(name: str) -> str:
     if name not in (listed := pages()):
         raise UnknownName(f"there is no page '{name}'; choose from {', '.join(listed)}.")
     return listed[name].read_text(encoding="utf-8")
+
+
+def explain(finding: str) -> list[dict[str, str]]:
+    """Look up findings, by name or text, in the table of messages: grade, name, message (… differs) and what to do.
+
+    Raises GtauError where none is like it.
+    """
+    with (_folder() / "lookup" / "messages.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    named = finding.strip(" .").lower()
+    if most := max(_likeness(row, named) for row in rows):
+        return [row for row in rows if _likeness(row, named) == most]
+    words = {text.lower(): row["name"] for row in rows for text in (row["name"], row["message"])}
+    close = get_close_matches(named, words, n=1)
+    hint = f"did you mean '{words[close[0]]}'?" if close else "give its kind; an error itself says what to do."
+    raise GtauError(f"no finding is called {quoted(finding)}; {hint}")
+
+
+def _likeness(row: dict[str, str], finding: str) -> float:
+    """Count the characters of a finding's text that are the message of a row; inf by name, 0 if it is another."""
+    if finding == row["name"].lower():
+        return inf
+    said = [part.strip().lower() for part in row["message"].split("…") if part.strip()]
+    length = sum(map(len, said))
+    return length if length >= SHORTEST and re.search(".*".join(map(re.escape, said)), finding) else 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import typer
 
 from gtau.cli.console import argument, option, refusing
 from gtau.cli.identification import identify
-from gtau.cli.logs import check, on_terminal
+from gtau.cli.logs import check
 from gtau.cli.models import export, payload, validate
 from gtau.cli.robots import excite, robot
 from gtau.errors import missing_extra
@@ -37,7 +38,7 @@ def mcp(folder: Annotated[Path, argument("FOLDER", "Folder of the agent; default
         from gtau.doors.mcp import serve
     except ImportError:
         raise missing_extra("serving an agent", "mcp", "mcp") from None
-    if on_terminal():
+    if sys.stdin.isatty():
         typer.echo("gtau: the client of an agent starts this command and speaks to it; Ctrl-C ends it.", err=True)
     same = {command.__name__: command for command in (check, identify, validate, export, robot)}
     try:

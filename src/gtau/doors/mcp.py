@@ -16,15 +16,16 @@ from mcp.types import CallToolResult, TextContent, ToolAnnotations
 from pydantic import BaseModel, Field, ValidationError
 from typer.models import ArgumentInfo
 
-from gtau.documents import pages
 from gtau.doors.command import Command, within
 from gtau.errors import GtauError
 from gtau.extensions import names
+from gtau.pages import explain as rows_of
+from gtau.pages import pages
 
 USAGE = """gtau identifies drive gains and dynamic parameters of a robot from logs of positions and motor currents.
 The order is check, identify, validate or weigh, export. Files are named relative to the folder of the server; nothing
 is written outside of it. An option in a message, such as --payload LOG=KG, is a parameter of the tool. A person must
-look at a designed motion before a robot plays it. Pages are resources: gtau://docs/do/identify is the first to read."""
+look at a designed motion before a robot plays it. Pages are resources: gtau://docs/identify is the first to read."""
 LARGEST = 20_000  # characters of an entry that an agent reads: 5000 words
 GIST = ("robot", "kind", "method", "drive_gains", "payloads", "sensors", "residuals", "requirements", "notes")
 
@@ -49,8 +50,9 @@ Result = Annotated[CallToolResult, Reply]
 
 def explain(finding: Annotated[str, Field(description="Kind or text of a finding, a verdict or a cause.")]) -> Result:
     """Explain a finding of check or identify: what it means, and what to do about it."""
-    rows = pages.explain(finding)
-    return Reply(summary="\n".join(map(str, rows)), document={"findings": [vars(row) for row in rows]}).result()
+    rows = rows_of(finding)
+    lines = [f"{row['name']} ({row['grade']}): {row['message']}; what to do: {row['what to do']}." for row in rows]
+    return Reply(summary="\n".join(lines), document={"findings": rows}).result()
 
 
 def tool(folder: Path, name: str, command: Callable[..., Any]) -> Callable[..., Any]:
@@ -145,6 +147,6 @@ def serve(folder: Path, commands: Mapping[str, Callable[..., Any]]) -> None:
     server = Server("gtau", instructions=USAGE, log_level="WARNING")
     for made in (explain, *(tool(folder.resolve(), name, command) for name, command in commands.items())):
         server.add_tool(made, annotations=ToolAnnotations(open_world_hint=False))
-    for page, path in pages.pages().items():
+    for page, path in pages().items():
         server.add_resource(FileResource(uri=f"gtau://docs/{page}", name=page, path=path, mime_type="text/markdown"))
     server.run()

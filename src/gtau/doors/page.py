@@ -194,13 +194,10 @@ class View:
             change(field.value)
 
     async def draft(self, logs: list[str]) -> None:
-        """Draft the experiment file, or a skeleton where columns are not recognised."""
-        project = self.project
-        if not project.chosen:
+        """Draft the experiment file; where columns are not recognised, it lacks them."""
+        if not self.project.chosen:
             raise GtauError("no robot is chosen; choose it above first.")
-        answer = await self.command("init", "init", *logs, "--robot", project.chosen, "--yes")
-        if answer is not None and answer.refusal:
-            project.write_skeleton(project.chosen, logs)
+        await self.command("init", "init", *logs, "--robot", self.project.chosen)
 
     def log(self, entry: RunEntry, findings: list[dict[str, Any]]) -> None:
         """Show a log: its payload, use, findings, and columns."""
@@ -303,11 +300,12 @@ class View:
         """Weigh the load of a log."""
         if not log:
             raise GtauError("no log is chosen; drop the log of the load above, then choose it here.")
-        await self.model("payload", self.project.write_weighing(log), "--out", "payload")
+        empty = [entry.log for entry in self.project.runs() if not (entry.mass or entry.unknown)][:1]
+        await self.model("payload", log, *empty, *(f"--payload={other}=0" for other in empty), "--out=payload")
 
     async def campaign(self, mass: float) -> None:
         """Take the next round of a campaign."""
-        new = [] if (self.project.folder / "campaign" / "design.yaml").exists() else ["--payload", f"{mass:g}"]
+        new = [] if (self.project.folder / "campaign" / "design.yaml").exists() else ["--payload-mass", f"{mass:g}"]
         robot = ["--robot", str(self.project.robot())] if new else []
         await self.command("campaign", "campaign", "campaign", *robot, *new)
 
@@ -438,4 +436,4 @@ def draw_in(scene: ui.scene, drawing: Drawing) -> None:
             scene.quadratic_bezier_tube(start, middle, end, 2, 0.01 * size).material("#1f4e79")
         for name, place in joints.items():
             scene.sphere(0.02 * size).move(*place.tolist()).material("#c0392b")
-            scene.text(name, 'color: #222').move(*place.tolist())
+            scene.text(name, "color: #222").move(*place.tolist())

@@ -285,22 +285,6 @@ class Project:
 
         self.change(edit)
 
-    def write_skeleton(self, robot: str, logs: list[str]) -> None:
-        """Write an experiment file whose columns are still to be chosen."""
-        runs = [{"log": log} for log in logs]
-        write_atomically(self.file, yaml_text({"robot": robot, "signals": {"time": "t"}, "runs": runs}))
-
-    def write_weighing(self, log: str) -> str:
-        """Write ``weigh.yaml``: the runs without payload, and a log with an unknown one; return its name."""
-        from ruamel.yaml import YAML
-
-        content = YAML(typ="safe").load(self.text)
-        empty = [run for key, run, entry in self._entries(content) if not (entry.mass or entry.unknown)]
-        kept = {key: content[key] for key in ("robot", "signals", "units", "preparation") if key in content}
-        runs = [*empty, {"log": log, "payload": {"name": "unknown"}}]
-        write_atomically(self.folder / "weigh.yaml", yaml_text({**kept, "runs": runs}))
-        return "weigh.yaml"
-
     def traces(self, log: str) -> dict[str, np.ndarray]:
         """Read some points of every column of a log, (POINTS,) at most; raises GtauError where it cannot be read."""
         path = within(self.folder, log)
