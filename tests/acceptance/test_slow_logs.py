@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from orthoglide_logs import orthoglide
 
-from gtau.demo.run import standard_parameters
+from gtau.demo.run import SIMULATION
 from gtau.estimation.diagnostics.log_checks import lack_of_fit
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import FLATTEST, curved, delays_lost_in_noise
@@ -23,7 +23,7 @@ GAIN, MASS = 2100.0, 1.983
 
 def logs(rate: float, slowest: float, seconds: float, noise: float) -> list[Run]:
     """A free and a loaded run along the same five harmonics of ``slowest`` Hz, with white noise of the currents."""
-    rng, chi = np.random.default_rng(4), standard_parameters()
+    rng, chi = np.random.default_rng(4), SIMULATION.parameters
     t = np.arange(round(seconds * rate))[:, None] / rate
     q, qd, qdd = (np.zeros((len(t), 3)) for _ in range(3))
     draw = np.random.default_rng(0)

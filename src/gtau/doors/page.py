@@ -30,7 +30,7 @@ iframe.report { width: 100%; height: 80vh; border: 1px solid #8884 } .soft { opa
 """
 
 
-class View:
+class Cards:
     """The page of one browser; all of them show the same project."""
 
     def __init__(self, project: Project) -> None:
@@ -355,7 +355,7 @@ class View:
 
 def draw(project: Project) -> None:
     """Draw the page of a project."""
-    view = View(project)
+    view = Cards(project)
     ui.add_css(STYLE)
     with ui.header().classes("items-center"):
         ui.label(f"gtau  {project.folder.name}").classes("text-h6")

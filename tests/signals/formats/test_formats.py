@@ -281,7 +281,7 @@ DAMAGED: list[tuple[str, bytes, str]] = [
     ("log.npy", b"\x93NUMPY cut", "log.npy cannot be read as a NumPy array ("),
     ("log.jsonl", b'{"t": 1}\n{"t": ', "log.jsonl is not a readable JSON lines file ("),
     ("log.tdms", b"no such file of LabVIEW" * 9, "log.tdms cannot be read as a TDMS file ("),
-    ("log.csv.gz", gzip.compress(b"t,q,v\n1,2,3\n" * 999)[:18], "log.csv.gz cannot be unpacked ("),
+    ("log.csv.gz", gzip.compress(b"t,q,v\n1,2,3\n" * 999, mtime=0)[:18], "log.csv.gz cannot be unpacked ("),
     ("log.csv.gz", b"t,q,v\n1,2,3\n", "log.csv.gz cannot be unpacked ("),
     ("log.feather", b"ARROW1 cut", "log.feather is not a readable Feather file ("),
 ]

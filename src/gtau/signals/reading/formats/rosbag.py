@@ -12,7 +12,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from functools import lru_cache
+from functools import cache
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -149,7 +149,7 @@ def open_rosbag(path: Path) -> LogTable:
     return LogTable(path, tuple(topics), frames, notes=notes)
 
 
-@lru_cache(maxsize=16)
+@cache
 def _contents(
     path: Path, _changed: tuple[tuple[int, int], ...]
 ) -> tuple[dict[str, str], dict[str, int], dict[str, str]]:
