@@ -43,8 +43,8 @@ def test_a_description_is_refuted_with_its_size(size: float, unit: str, sized: s
     ("move", "own"), [(-0.045, "-4.5 %"), (-1.2, "-1.2e+02 %, which reverses its sign"), (-23.0, "more than 1000 %")]
 )
 def test_what_a_description_does_to_a_gain(move: float, own: str) -> None:
-    gain = SimpleNamespace(joint="left", random_half=0.1)
-    (finding,) = refuted_descriptions(fit(), [effect(1.2, "deg", move)], [gain], (), 0.03)  # type: ignore[arg-type,list-item]
+    gain = SimpleNamespace(random_half=0.1)
+    (finding,) = refuted_descriptions(fit(), [effect(1.2, "deg", move)], {"left": gain}, (), 0.03)  # type: ignore[arg-type,dict-item]
     assert finding.what.endswith(f"and move the gain by {own}")
     assert (finding.causes, finding.outcome) == (("encoder zeros",), Grade.CONTRADICTORY)
 

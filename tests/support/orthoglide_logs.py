@@ -41,7 +41,7 @@ class Plan:
         model, rng = orthoglide(), np.random.default_rng(self.seed)
         path = (point_to_point if self.moves else sines)(envelope(model.robot), SECONDS, rng)
         time = np.arange(round(SECONDS * RATE) + 1) / RATE
-        chi = SIMULATION.parameters
+        chi = dict(SIMULATION.parameters)
         chi["m_P"] += self.mass
         tau = model.torques(*path(time + DELAY), chi)
         q = path(time)[0]

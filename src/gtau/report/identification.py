@@ -57,12 +57,14 @@ def summary_page(result: IdentifiedModel) -> Page:
     files = dict.fromkeys(note.source for note in guesses)
     doubts = [*map(_in_short, reasons(result)), *map(str, _urgent(result)), *corrections(result.audit)]
     more = f"{len(doubts) - MOST} more findings, all" if len(doubts) > MOST + 1 else "All"
+    cost = "" if result.consistency is None else _growth(*result.consistency.loss.values())
     return Page(
         "",
         Section("", Text(headline(result))),
         requirements_section(result),
         gains_section(result, charts=False, reasons=False),
         Section("", masses_table(result.payloads)),
+        Section("", Text(f"Physically consistent parameters: torque residuals {cost}.")) if cost else None,
         Section("What to do", Text("", tuple(doubts[:MOST]))) if doubts else None,
         Section(f"Assumed; correct it in {', '.join(files)}", Text("", _assumed(guesses))) if guesses else None,
         Section("", Text(f"{more} parameters, fits and notes: --verbose, or report.html.")),

@@ -236,6 +236,7 @@ def diagnose(
         plain = estimates_of(fit, examined, correlated=True, shifted=False)
     return (
         *gains.wrench_contradictions(fit),
+        *gains.payloads_in_noise(fit, judged),
         *examined.findings,
         *(() if audit is None or examined.contradicting else reversed_by_file(fit, audit)),
         *gains.all_negative(fit, examined.contradicting, judged, prior_gains),

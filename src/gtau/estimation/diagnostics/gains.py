@@ -140,6 +140,16 @@ def unexplained_signals(fit: Fit, wrong: Sequence[Finding]) -> Iterator[Finding]
             yield contradiction(UNEXPLAINED, (joint,), text, wrenches_first(fit, advice))
 
 
+def payloads_in_noise(fit: Fit, judged: Judged) -> Iterator[Finding]:
+    """Find gains by total least squares that are noise: what they seem to contradict is noise too."""
+    text = "total least squares cannot separate the payload from the noise (standard deviation over "
+    text += f"{100 * LOST_GAIN:g} %)"
+    advice = "use --method ml, or a heavier payload and longer runs with less noise"
+    for joint, gain in judged.items() if "singular_ratio" in fit.solution.statistics else ():
+        if gain.std > LOST_GAIN:
+            yield Finding("payload lost in noise", (joint,), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
+
+
 def all_negative(fit: Fit, better: Effects, judged: Judged, prior_gains: Mapping[str, float]) -> Iterator[Finding]:
     """Find that all gains are negative, if no motor is known to turn against its joint: then all may."""
     names = [joint for joint in judged if joint in motors(fit)]

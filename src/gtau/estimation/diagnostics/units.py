@@ -170,12 +170,14 @@ def units_and_signs(
         known = {joint: float(gain) for joint, gain, half in gains if half < 1 and joint not in dataset.robot.base}
         yield from _unlike_priors(fit, known, prior_gains)
         yield from doubted(_gains_apart(fit, known))
+    currents = list(doubtful_currents(dataset.runs, dataset.robot.base))
+    small = [finding for finding in currents if finding.kind == SMALL_CURRENT]
     yield from doubted(doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)))
-    yield from doubted(doubtful_currents(dataset.runs, dataset.robot.base))
+    yield from doubted(finding for finding in currents if finding.kind != SMALL_CURRENT)
     yield from doubted(doubtful_gravity(dataset.robot))
     yield from doubted((list(_unlike_file(audit)) if audit else []) or _unlike_arms(fit, estimates))
     yield from _efforts_exceeded(fit, settled)
-    yield from doubted(_voltages(fit, known))
+    yield from doubted([*_voltages(fit, known), *small])
 
 
 def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, float]) -> Iterator[Finding]:
