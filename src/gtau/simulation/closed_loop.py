@@ -22,7 +22,7 @@ from gtau.documents.validation import Keys, Positive
 from gtau.estimation.electrical import CONVENTIONS
 from gtau.signals.channel import SIDE_SIGNALS, SideValues
 from gtau.signals.run import Log, Run
-from gtau.simulation.motors import Motors, Supply, rounded
+from gtau.simulation.motors import MotorDrives, Supply, rounded
 from gtau.simulation.plant import PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory, log_column
 
@@ -125,7 +125,7 @@ class Hardware:
     delay: np.ndarray
     current_noise: np.ndarray
     current_quantum: np.ndarray
-    motors: Motors | None = None
+    motors: MotorDrives | None = None
 
     def force(self, current: np.ndarray, q: np.ndarray, phase: np.ndarray) -> np.ndarray:
         """Compute forces (n,) from currents (n,) at positions ``q`` (n,), with the ripple's ``phase`` (n,), rad."""
@@ -151,7 +151,7 @@ def hardware(
     drawn = np.random.default_rng([seed, len(joints)]).standard_normal(len(joints))
     c = np.array([CONVENTIONS[name] for name in columns["convention"]])
     emf = columns["gain"] / (1 + columns["commutation"] * drawn) / c
-    motors = None if supply is None else Motors(supply, emf, columns)
+    motors = None if supply is None else MotorDrives(supply, emf, columns)
     return Hardware(**{field.name: columns[field.name] for field in fields(Hardware)[:-1]}, motors=motors)
 
 

@@ -27,7 +27,7 @@ class Supply(Keys):
 
 
 @dataclass(frozen=True, eq=False)
-class Motors:
+class MotorDrives:
     """Motors of all actuated joints on a supply: back-EMF constants ``emf`` (n,) over c, V s/rad or V s/m.
 
     ``drives`` are the keys of :class:`gtau.simulation.closed_loop.JointHardware`, each an array (n,); without
