@@ -55,6 +55,10 @@ def test_logs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = gtau.draft(["empty.csv", "loaded.csv"], "five-bar", {"loaded.csv": 1.2}, columns=columns)
     assert experiment.signals.position == {"left": "enc_J1", "right": "enc_J2"}
     assert any("columns were assigned to the joints" in guess.what for guess in experiment.guesses)
+    columns |= {"position": "enc_J2,enc_J1"}  # of the joints left and right, whatever their numbers
+    listed = gtau.draft(["empty.csv", "loaded.csv"], "five-bar", {"loaded.csv": 1.2}, columns=columns)
+    assert listed.signals.position == {"left": "enc_J2", "right": "enc_J1"}
+    assert listed.signals.current == {"left": "iq_J1", "right": "iq_J2"}
     drafted = gtau.identify(experiment)
     assert any("columns were assigned" in note.what for note in drafted.notes)
     for name in ("empty", "loaded"):

@@ -72,10 +72,13 @@ class LogOptions:
     ] = None
     position: Annotated[
         str | None,
-        option("COLUMNS", "With logs: columns or patterns ('enc_J*') of the positions, in the order of the joints."),
+        option(
+            "COLUMNS",
+            "With logs: columns (enc_J1,enc_J2) or a pattern ('enc_J*') of the positions, in the order of the joints.",
+        ),
     ] = None
-    current: Annotated[str | None, option("COLUMNS", "With logs: columns or patterns of the currents.")] = None
-    torque: Annotated[str | None, option("COLUMNS", "With logs: columns or patterns of the torques.")] = None
+    current: Annotated[str | None, option("COLUMNS", "With logs: columns or a pattern of the currents.")] = None
+    torque: Annotated[str | None, option("COLUMNS", "With logs: columns or a pattern of the torques.")] = None
     time: Annotated[str | None, option("COLUMN", "With logs: column of the time.")] = None
     kind: Annotated[
         Commands | None,

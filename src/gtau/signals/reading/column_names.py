@@ -166,6 +166,7 @@ class Group:
     columns: dict[str, str]
     reference: bool = False
     unit: str | None = None
+    in_order: bool = False  # of the joints, as stated
 
     @property
     def assumed(self) -> bool:
@@ -311,7 +312,7 @@ def _pairs(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict
     labels = [(label, label) for label in common]
     by_order = not common and len(positions.columns) == len(commands.columns)
     if by_order:
-        labels = list(zip(_ordered(positions.columns), _ordered(commands.columns), strict=True))
+        labels = list(zip(*(_ordered(group.columns, group.in_order) for group in (positions, commands)), strict=True))
     pairs = {q: (positions.columns[q], commands.columns[v]) for q, v in labels}
     if robot is None:
         named = {f"j{label or 1}" if label.isdigit() or not label else label: pair for label, pair in pairs.items()}
@@ -334,11 +335,13 @@ def _pairs(positions: Group, commands: Group, robot: Robot | None) -> tuple[dict
         )
     numbers = {joint: int(digits[-1]) for joint in joints if (digits := re.findall(r"\d+", joint))}
     how = "matched by column order"
-    if len(set(numbers.values())) == len(joints):  # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
+    if len(set(numbers.values())) == len(joints) and not positions.in_order:
+        # p4 p1 p2 p3 of the robot, 0 1 2 3 of the log
         by_number = tuple(sorted(joints, key=numbers.__getitem__))
         how = how if by_number == joints else "matched by the numbers in the joints' names"
         joints = by_number
-    return {joint: pairs[label] for joint, label in zip(joints, _ordered(pairs), strict=False)}, how, True
+    ordered = _ordered(pairs, positions.in_order)
+    return {joint: pairs[label] for joint, label in zip(joints, ordered, strict=False)}, how, True
 
 
 def renamed_labels(group: Group, joints: Sequence[str]) -> tuple[Group, dict[str, str]]:
@@ -358,8 +361,9 @@ def _chain(robot: Robot) -> tuple[str, ...]:
     return chain if sum(len(branch) == len(chain) for branch in set(chains.values())) == 1 else ()
 
 
-def _ordered(labels: Iterable[str]) -> list[str]:
-    """Sort labels by the last numbers in them if all have one of their own."""
+def _ordered(labels: Iterable[str], in_order: bool) -> list[str]:
+    """Sort labels that are not ``in_order`` by the last numbers in them if all have one of their own."""
     labels = list(labels)
     numbers = {label: int(digits[-1]) for label in labels if (digits := re.findall(r"\d+", label))}
-    return sorted(labels, key=numbers.__getitem__) if len({*numbers.values()}) == len(labels) else labels
+    numbered = not in_order and len({*numbers.values()}) == len(labels)
+    return sorted(labels, key=numbers.__getitem__) if numbered else labels

@@ -205,7 +205,11 @@ class LogContents:
         parsed = (parse_column_name(name, (), self.table.units.get(name)) for name in taken)
         units = dict(self.units) | {name.name: name.unit for name in parsed if name.unit}
         others = [group for group in self.groups if taken.isdisjoint(group.columns.values())]
-        groups = [Group(kind, patterns[kind], columns) for kind, columns in names.items() if kind != "time"]
+        groups = [
+            Group(kind, patterns[kind], columns, in_order="*" not in patterns[kind])
+            for kind, columns in names.items()
+            if kind != "time"
+        ]
         stated = set(COMMANDS if names.keys() & set(COMMANDS) else ()).union(names)
         kept = [group for group in others if group.kind not in stated]
         return replace(
