@@ -91,8 +91,12 @@ class Finding:
     shown_as: str = ""
 
     def __str__(self) -> str:
-        """Compose the sentence."""
-        return (f"{self.source}: " if self.source else "") + self.what + (f"; {self.advice}" if self.advice else "")
+        """Compose the sentence; the grade where there is nothing to say."""
+        source, advice = f"{self.source}: " * bool(self.source), f"; {self.advice}" * bool(self.advice)
+        return source + (self.what or self.grade) + advice
+
+    def __repr__(self) -> str:
+        return f"Finding({self.grade}, '{self}')"
 
     @property
     def what(self) -> str:

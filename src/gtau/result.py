@@ -305,6 +305,8 @@ def identify(
     if isinstance(source, (list, tuple)):
         if any(isinstance(run, Run) for run in source):
             raise GtauError("runs go with their robot; did you mean gtau.identify(gtau.load_robot(...), runs)?")
+        if runs is not None:
+            raise GtauError("logs are runs themselves; did you mean gtau.identify(logs, robot=...)?")
         source = draft(source, robot, payload)
     elif robot or payload:
         raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")

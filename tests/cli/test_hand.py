@@ -36,6 +36,7 @@ def test_numbers_of_an_estimate(result: gtau.Result) -> None:
     assert float(gain) == gain.value
     assert f"{gain:.3f}" == f"{gain.value:.3f}"
     assert f"{gain}" == str(gain)
+    assert (str(gain.verdict), repr(gain.verdict)) == ("good", "Finding(good, 'good')")
 
 
 def test_a_saved_result_is_loaded(result: gtau.Result, tmp_path: Path) -> None:
@@ -68,6 +69,8 @@ def test_logs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = gtau.identify(["empty.csv", "loaded.csv"], robot="five-bar", payload={"loaded.csv": 1.2})
     assert result.gains == pytest.approx(drafted.gains)
     assert result.gains == pytest.approx([2.5, 4.0], rel=0.01)
+    with pytest.raises(gtau.GtauError, match=r"did you mean gtau\.identify\(logs, robot=\.\.\.\)"):
+        gtau.identify(["empty.csv", "loaded.csv"], "five-bar")  # type: ignore[arg-type]
     assert not list(tmp_path.glob("*.yaml"))
 
 

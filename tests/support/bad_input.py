@@ -69,8 +69,9 @@ def method(name: str) -> tuple[str, ...]:
 
 SCALE = (
     "to find the drive gains, and no run has a payload of known mass; add 'payload: {name: ..., mass: ...}' to a "
-    "loaded run (--payload LOG=KG with logs), torque sensors ('joint_torque' under 'signals'), or known parameters "
-    "('priors', or 'prior_inertias' for the inertias of the robot's file), or use --method wls with prior_gains.",
+    "loaded run (--payload LOG=KG with logs), torque sensors ('joint_torque' under 'signals'), voltages ('voltage' or "
+    "'duty' there), or known parameters ('priors', or 'prior_inertias' for the inertias of the robot's file), or use "
+    "--method wls with prior_gains.",
     "to find the drive gains, and all runs carry the same payload; add a run without payload, or use --method wls "
     "with prior_gains.",
 )

@@ -244,8 +244,7 @@ class Plots:
         runs = {run.name: run for run in self.result.data}
         if not runs:
             raise GtauError(
-                "a result that was loaded from a file has no runs; give one, as in result.plot.torques(joint, "
-                "gtau.read_run(...))."
+                "a result that was loaded from a file has no runs; give one, run=gtau.read_run(log, signals)."
             )
         if name is not None and name not in runs:
             raise GtauError(f"there is no run '{name}'; choose from {', '.join(runs)}.")

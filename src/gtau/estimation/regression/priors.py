@@ -219,8 +219,8 @@ def require_scale(
         raise GtauError(
             f"method '{method}' needs a scale to find the drive gains, and no run has a payload of known mass; "
             "add 'payload: {name: ..., mass: ...}' to a loaded run (--payload LOG=KG with logs), torque sensors "
-            "('joint_torque' under 'signals'), or known parameters ('priors', or 'prior_inertias' for the inertias "
-            f"of the robot's file), {other}."
+            "('joint_torque' under 'signals'), voltages ('voltage' or 'duty' there), or known parameters ('priors', or "
+            f"'prior_inertias' for the inertias of the robot's file), {other}."
         )
     if not elsewhere and len({None if payload is None else payload.name for payload in payloads}) < 2:
         raise GtauError(
