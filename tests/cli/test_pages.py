@@ -138,7 +138,7 @@ def test_the_experiment_of_the_page_is_identified(tmp_path: Path, monkeypatch: p
 
 @pytest.mark.slow
 def test_the_simulation_of_the_page_is_identified(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (text,) = blocks(DOCS / "lookup/simulation-file.md", "yaml")
+    text, *_ = blocks(DOCS / "lookup/simulation-file.md", "yaml")
     monkeypatch.chdir(tmp_path)
     Path("simulation.yaml").write_text(text)
     run("simulate", "simulation.yaml", "--out", "simulated")

@@ -104,7 +104,7 @@ def compare(
     Examples
     --------
     >>> [row.method for row in gtau.compare("experiment.yaml").rows if row.gains is not None]
-    ['ml', 'huber', 'iv', 'didim', '2sls']
+    ['ml', 'huber', 'iv', 'didim', '2sls', 'tls']
     """
     options = options_of(prior_gains, priors, method="ml", prior_inertias=prior_inertias)
     reported = progress or silent
