@@ -170,7 +170,7 @@ class Result(IdentifiedModel):
         """Write the result as JSON, atomically: the ``model.json`` that :func:`gtau.load` and the commands read."""
         model_file.save(self, path)
 
-    def export(self, kind: str, out: str | Path, **options: Any) -> Exported:
+    def export(self, kind: str, out: str | Path = "exported", **options: Any) -> Exported:
         """Export the result to a folder, as :func:`gtau.export_model` does."""
         from gtau.export.exported import export_model
 
