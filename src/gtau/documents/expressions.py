@@ -72,7 +72,7 @@ def columns_in(text: str) -> tuple[str, ...]:
 
     Raises ValueError for other texts, with the correct form.
     """
-    tree = _parsed(text)
+    tree = _parsed(text, powers="")
     if not all(isinstance(node, _OF_COLUMNS) for node in ast.walk(tree)):
         raise ValueError(f"in '{text}' only numbers, columns, + - * / and parentheses are read")
     columns = tuple(dict.fromkeys(node.id for node in ast.walk(tree) if isinstance(node, ast.Name)))
@@ -92,13 +92,13 @@ def combined(text: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _parsed(text: str) -> ast.expr:
+def _parsed(text: str, powers: str = "; write powers with **") -> ast.expr:
     if not isinstance(text, str):
         raise ValueError("write a single number or expression")
     if len(text) > MAX_LENGTH:
         raise ValueError(f"the expression is longer than {MAX_LENGTH} characters; use constants to shorten it")
     if unusual := re.search(r"[^\w.+\-*/(), \t]", QUOTED.sub("x", text), re.ASCII):
-        hint = "; write powers with **" if unusual[0] == "^" else ""
+        hint = powers if unusual[0] == "^" else ""
         raise ValueError(f"'{text}' is not a number or expression, because of '{unusual[0]}'{hint}")
     quoted = {f"é{k}": name for k, name in enumerate(QUOTED.findall(text))}  # no name outside quotes has this letter
     names = iter(quoted)
