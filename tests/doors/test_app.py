@@ -14,6 +14,9 @@ from urllib.request import Request, urlopen
 import numpy as np
 import pytest
 
+from gtau.doors.project import Project
+from gtau.errors import GtauError
+
 pytest.importorskip("nicegui", reason="the page needs gtau[app]")
 
 LOGS = ("empty_1.csv", "empty_2.csv", "loaded_1200g.csv")
@@ -229,9 +232,15 @@ def test_a_refused_log_cancel_and_a_reload_in_mid_run(project, chromium, tutoria
     hand.sees("2 driven joints")
     hand.drop(1, nonsense)
     hand.sees("Logs: nonsense.csv")
+    binary = project.folder / "binary.csv"
+    binary.write_bytes(b"a,b\n\xff\xfe\x00,3\n")
+    hand.sees("binary.csv, nonsense.csv")
     hand.press("button", "Draft")
-    hand.sees("choose the roles of the columns")
-    (project.folder / "experiment.yaml").unlink()
+    hand.sees("binary.csv is a binary file")
+    binary.unlink()
+    hand.until(lambda: "binary.csv, " not in hand.text)
+    hand.press("button", "Draft")
+    hand.sees("nonsense.csv has 1 sample")
     (project.folder / "nonsense.csv").unlink()
 
     hand.drop(1, *(tutorial / log for log in LOGS))
@@ -263,6 +272,35 @@ def test_a_log_of_300_mb_and_the_same_name_twice(project, chromium):
     assert (project.folder / "large.csv").stat().st_size == large.stat().st_size
     hand.drop(1, large)
     hand.sees("is in the folder already", 180)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *(b"- a", b"words", b"runs: 3", b"runs: [a]", b"runs:\n  -\n", b"runs: [1", b"robot: \xff", b"signals: 3"),
+        *(b"runs: [{log: a, payload: 3}]", b"runs: [{log: a, payload: {mass: heavy}}]", b"units: [deg]"),
+        b"units: {position: 3}",
+    ],
+)
+def test_an_experiment_file_that_a_hand_has_broken_is_refused(tmp_path, content):
+    (tmp_path / "experiment.yaml").write_bytes(content)
+    project = Project(tmp_path)
+    assert project.version
+    with pytest.raises(GtauError, match=r"experiment\.yaml"):
+        project.runs()
+
+
+def test_keys_without_values_are_none(tmp_path):
+    (tmp_path / "experiment.yaml").write_text("robot: [a]\nsignals:\nunits:\nruns:\n")
+    project = Project(tmp_path)
+    project.set_unit("position", "deg")
+    project.set_role("q1", "position left")
+    project.add_run("a.csv")
+    with pytest.raises(GtauError, match="is no unit"):
+        project.set_unit("position", "{left: deg")
+    assert project.robot() == "['a']"
+    assert project.unit("position") == "deg"
+    assert [run.log for run in project.runs()] == ["a.csv"]
 
 
 def test_without_the_extra_one_sentence_says_what_to_install(tmp_path):

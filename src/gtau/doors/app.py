@@ -10,7 +10,6 @@ from typing import Any
 from urllib.parse import parse_qs
 
 from gtau.doors.command import within
-from gtau.doors.project import Project
 from gtau.errors import GtauError, missing_extra
 
 HOST = "127.0.0.1"
@@ -64,9 +63,11 @@ def serve(folder: Path, port: int, show: bool) -> None:
     try:
         from nicegui import app, ui
         from starlette.responses import FileResponse, PlainTextResponse
+
+        from gtau.doors.page import LARGEST, draw
+        from gtau.doors.project import Project
     except ImportError:
         raise missing_extra("the page", "nicegui", "app") from None
-    from gtau.doors.page import LARGEST, draw
 
     if not folder.is_dir():
         raise GtauError(f"{folder} is not a folder; make it, or give another one.")

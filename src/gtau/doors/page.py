@@ -26,6 +26,7 @@ COLOURS = {"error": "negative", "warning": "warning", "information": "info"}
 STYLE = """
 .card { width: 100%; max-width: 72rem; margin: 0 auto }
 iframe.report { width: 100%; height: 80vh; border: 1px solid #8884 } .soft { opacity: 0.75 }
+.body--dark .text-negative { --q-negative: #ff8a80 }
 @media (max-width: 600px) { .nicegui-content { padding: 0.5rem } }
 """
 
@@ -49,6 +50,8 @@ class Cards:
         self.stage.set_text(running.stage if running else "")
         version = self.project.version
         if version != self.seen and not self.uploading:
+            if self.seen is not None:  # a refusal ends with what was refused
+                self.refusals.clear()
             self.seen = version
             for section in self.sections:
                 section.refresh()
@@ -166,16 +169,16 @@ class Cards:
                     ui.label(log)
                     self.button("Use it", partial(project.add_run, log))
                     self.button("Weigh its load", partial(self.weigh, log))
+            if (drafted := project.answers.get("init")) is not None and drafted.refusal:
+                refused(drafted.refusal + " Or choose the roles of the columns below." * bool(project.text))
             if not project.text:
                 return
-            if (drafted := project.answers.get("init")) is not None and drafted.refusal:
-                refused(f"{drafted.refusal} Or choose the roles of the columns below.")
             findings = self.findings("check")
             for point in project.points():
-                with ui.row().classes("items-center"):
+                with ui.row().classes("items-center no-wrap"):
                     ui.icon("help_outline")
                     ui.label(f"To confirm: {point}")
-                    self.button("It is right", partial(project.confirm, point))
+                    self.button("It is right", partial(project.confirm, point)).classes("shrink-0")
             with ui.row().classes("items-end"):
                 for key in ("position", *COMMANDS):
                     if project.content.get("signals", {}).get(key):
@@ -225,7 +228,10 @@ class Cards:
         self.opened.add(log)
         place.clear()
         with place:
-            traces = await asyncio.to_thread(self.project.traces, log)
+            try:
+                traces = await asyncio.to_thread(self.project.traces, log)
+            except GtauError as error:
+                return refused(str(error))
             robot, roles = self.project.robot(), self.project.roles()
             joints = list(self.project.loaded(robot).actuated) if robot else self.project.joints()
             options = ["", "time", *(f"{key} {joint}" for key in BY_JOINT for joint in joints)]

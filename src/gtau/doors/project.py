@@ -15,6 +15,8 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from gtau.documents.files import LOG, ROBOT, kind_of, write_atomically
 from gtau.documents.yaml_document import yaml_text
@@ -66,7 +68,7 @@ class Project:
     def text(self) -> str:
         """Text of the experiment file, empty where there is none."""
         with suppress(OSError):
-            return self.file.read_text(encoding="utf-8")
+            return self.file.read_text(encoding="utf-8", errors="surrogateescape")  # refused as YAML
         return ""
 
     @property
@@ -82,11 +84,15 @@ class Project:
     @property
     def content(self) -> Any:
         """Content of the experiment file, empty where there is none; raises GtauError where it is not valid YAML."""
-        from ruamel.yaml import YAML
-        from ruamel.yaml.error import YAMLError
-
         try:
-            return YAML().load(self.text) or {}
+            content = YAML().load(self.text) or {}
+            for key in [key for key, value in content.items() if value is None]:  # none is the same as no key
+                del content[key]
+            dict(content.get("signals", {})), list(self._entries(content))
+            [unit if isinstance(unit, str) else dict(unit) for unit in content.get("units", {}).values()]
+            return content
+        except (AttributeError, TypeError, ValueError):
+            raise GtauError(f"{EXPERIMENT} has wrong content; 'gtau check {EXPERIMENT}' says where.") from None
         except YAMLError as error:
             line = getattr(getattr(error, "problem_mark", None), "line", None)
             place = "" if line is None else f", line {line + 1}"
@@ -94,8 +100,6 @@ class Project:
 
     def change(self, edit: Callable[[Any], None]) -> None:
         """Change the content of the experiment file, and write it atomically; raises GtauError."""
-        from ruamel.yaml import YAML
-
         with self._lock:
             content, written = self.content, StringIO()
             edit(content)
@@ -107,20 +111,21 @@ class Project:
 
     def points(self) -> list[str]:
         """List the lines of a draft that a user is to confirm, with what to confirm."""
-        return [f"{match[1].strip()}: {match[2]}" for match in CHECK.finditer(self.text)]
+        return [f"{match[1].strip(' :')}: {match[2]}" for match in CHECK.finditer(self.text)]
 
     def confirm(self, point: str) -> None:
         """Remove the mark of a point that the user has confirmed."""
         with self._lock:
             text = CHECK.sub(
-                lambda match: match[1] if f"{match[1].strip()}: {match[2]}" == point else match[0], self.text
+                lambda match: match[1] if f"{match[1].strip(' :')}: {match[2]}" == point else match[0], self.text
             )
             write_atomically(self.file, text)
 
     def robot(self) -> str | None:
         """Name or path of the robot, None where none is chosen."""
         robot = self.content.get("robot")
-        return robot.get("file") if isinstance(robot, Mapping) else robot
+        name = robot.get("file") if isinstance(robot, Mapping) else robot
+        return None if name is None else str(name)
 
     def loaded(self, robot: str) -> Robot:
         """Load a robot of the catalog, or of a file in the folder; raises GtauError."""
@@ -262,13 +267,16 @@ class Project:
 
     def set_unit(self, key: str, unit: str) -> None:
         """State the unit of a signal, such as ``deg``; empty for SI."""
-        from ruamel.yaml import YAML
+        try:
+            stated = YAML(typ="safe").load(unit) if unit.startswith("{") else unit
+        except YAMLError:
+            raise GtauError(f"{unit} is no unit; write one such as deg, or one for each joint: {{q1: deg}}.") from None
 
         def edit(content: Any) -> None:
             units = content.setdefault("units", {})
             units.pop(key, None)
             if unit:
-                units[key] = YAML(typ="safe").load(unit) if unit.startswith("{") else unit
+                units[key] = stated
             if not units:
                 del content["units"]
 
@@ -276,8 +284,6 @@ class Project:
 
     def apply(self, setting: str) -> None:
         """Write a setting that an advice names, such as ``preparation: {delay: 0.01}``."""
-        from ruamel.yaml import YAML
-
         key, value = next(iter(YAML(typ="safe").load(setting).items()))
 
         def edit(content: Any) -> None:
