@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -18,10 +18,9 @@ from gtau.errors import GtauError
 from gtau.extensions import names
 from gtau.robots.readers.read import catalog_names
 
-LOGS = (".csv", ".txt", ".parquet", ".mat", ".npz", ".h5", ".mcap", ".db3", ".bag", ".feather")
-ROBOTS = (".urdf", ".xacro", ".xml", ".yaml", ".par", ".csv")
+MODEL = "result/model.json"
 LARGEST = 4 << 30  # bytes of a file
-REJECTED = "The file is larger than 4 GiB, or of another kind; copy it into the project's folder, and reload the page."
+REJECTED = "The file is larger than 4 GiB; copy it into the project's folder, and reload the page."
 COLOURS = {"error": "negative", "warning": "warning", "information": "info"}
 STYLE = """
 .card { width: 100%; max-width: 72rem; margin: 0 auto }
@@ -80,19 +79,17 @@ class Cards:
             self.seen = None
         self.changed()
 
-    async def command(self, name: str, *arguments: str) -> Answer | None:
+    async def command(self, *arguments: str) -> None:
         """Run a command, one at a time in a project; its answer stays with the project."""
         project = self.project
         if project.running is not None:
             ui.notify(f"{project.running.arguments[0]} runs; wait for its end, or cancel it.", type="warning")
-            return None
+            return
         project.running = Command(arguments, project.folder)
         try:
-            answer = await project.running.run()
+            project.answers[arguments[0]] = await project.running.run()
         finally:
             project.running = None
-        project.answers[name] = answer
-        return answer
 
     def button(self, label: str, work: Callable[[], Awaitable[Any] | None], **more: Any) -> ui.button:
         """Add a button whose refusals are shown."""
@@ -105,7 +102,7 @@ class Cards:
 
         return ui.button(label, on_click=clicked, **more).props("no-caps outline")
 
-    def upload(self, label: str, endings: Sequence[str], then: Callable[[str], Any], place: str = "") -> None:
+    def upload(self, label: str, then: Callable[[str], Any], place: str = "") -> None:
         """Add a place for files, which are written to the project's folder, or a ``place`` in it."""
         section = self.section
 
@@ -127,7 +124,7 @@ class Cards:
                 raise GtauError(REJECTED)
 
         box = ui.upload(label=label, multiple=True, auto_upload=True, max_file_size=LARGEST).classes("w-full")
-        box.props(f'accept="{",".join(endings)}" flat bordered batch')
+        box.props("flat bordered batch")
         box.on_begin_upload(lambda: setattr(self, "uploading", True))
         box.on_multi_upload(received)
         box.on_rejected(rejected)
@@ -144,7 +141,7 @@ class Cards:
                 options = files | catalog | ({robot: robot} if robot else {})
                 choice = ui.select(options, label="Robot", value=robot, with_input=True).classes("w-64")
                 choice.on_value_change(partial(self.edit, self.project.choose))
-            self.upload("Drop a robot file: URDF, xacro, MJCF, robot file", ROBOTS, self.project.choose)
+            self.upload("Drop a robot file: URDF, xacro, MJCF, robot file", self.project.choose)
             if robot is not None:
                 loaded = self.project.loaded(robot)
                 drawing_of(at_home(loaded))
@@ -159,7 +156,7 @@ class Cards:
         """Show the logs with the roles of their columns, payloads and findings."""
         project = self.project
         with self.card("2  Logs"):
-            self.upload("Drop logs: CSV, Parquet, MAT, bag", LOGS, lambda name: None)
+            self.upload("Drop logs: CSV, Parquet, MAT, HDF5, TDMS, bag, ...", lambda name: None)
             waiting = project.logs_in_folder()
             if waiting and not project.text:
                 ui.label(f"Logs: {', '.join(waiting)}")
@@ -188,7 +185,7 @@ class Cards:
                 self.log(entry, [finding for finding in findings if about(finding, entry)])
             others = [finding for finding in findings if not any(about(finding, entry) for entry in project.runs())]
             self.show_findings(others)
-            self.button("Check the logs", lambda: self.command("check", "check", project.file.name, "--out", "check"))
+            self.button("Check the logs", lambda: self.command("check", project.file.name, "--out", "check"))
             refusal_of(project.answers.get("check"))
 
     def edit(self, change: Callable[[Any], None], field: Any, *event: Any) -> None:
@@ -200,7 +197,7 @@ class Cards:
         """Draft the experiment file; where columns are not recognised, it lacks them."""
         if not self.project.chosen:
             raise GtauError("no robot is chosen; choose it above first.")
-        await self.command("init", "init", *logs, "--robot", self.project.chosen)
+        await self.command("init", *logs, "--robot", self.project.chosen)
 
     def log(self, entry: RunEntry, findings: list[dict[str, Any]]) -> None:
         """Show a log: its payload, use, findings, and columns."""
@@ -233,7 +230,7 @@ class Cards:
             except GtauError as error:
                 return refused(str(error))
             robot, roles = self.project.robot(), self.project.roles()
-            joints = list(self.project.loaded(robot).actuated) if robot else self.project.joints()
+            joints = list(self.project.loaded(robot).actuated) if robot else []
             options = ["", "time", *(f"{key} {joint}" for key in BY_JOINT for joint in joints)]
             for column, values in sorted(traces.items(), key=lambda item: item[0] not in roles):
                 with ui.row().classes("items-center w-full"):
@@ -268,10 +265,8 @@ class Cards:
                 return
             consistent = ui.checkbox("also find physically consistent parameters, which simulators need")
 
-            def arguments() -> list[str]:
-                return ["identify", project.file.name, "--out", "result", *["--consistent"] * consistent.value]
-
-            self.button("Identify", lambda: self.command("identify", *arguments()))
+            arguments = ("identify", project.file.name, "--out=result")
+            self.button("Identify", lambda: self.command(*arguments, *["--consistent"] * consistent.value))
             refusal_of(project.answers.get("identify"))
             report(project, "result")
 
@@ -287,10 +282,10 @@ class Cards:
             with ui.row().classes("items-end"):
                 log = ui.select(project.logs_in_folder(), label="Log of an unknown load").classes("w-56")
                 self.button("Weigh it", lambda: self.weigh(log.value))
-                self.button("Validate", lambda: self.model("validate", project.file.name, "--out", "validate"))
+                self.button("Validate", lambda: self.command("validate", MODEL, project.file.name, "--out", "validate"))
             with ui.row().classes("items-end"):
                 kind = ui.select(names("gtau.exports", "gtau.export"), label="Export", value="c").classes("w-56")
-                self.button("Export", lambda: self.model("export", "--to", kind.value, "--out", f"export/{kind.value}"))
+                self.button("Export", lambda: self.command("export", MODEL, "--to", kind.value, "--out=export"))
             with ui.row().classes("items-end"):
                 mass = ui.number("Payload of the next motion, kg", value=1.0, min=0.01).classes("w-56")
                 self.button("Design the next motion", lambda: self.campaign(mass.value))
@@ -298,22 +293,18 @@ class Cards:
                 if (answer := project.answers.get(name)) is not None:
                     self.answered(name, answer)
 
-    async def model(self, name: str, *arguments: str) -> None:
-        """Run a command on the model."""
-        await self.command(name, name, "result/model.json", *arguments)
-
     async def weigh(self, log: str | None) -> None:
         """Weigh the load of a log."""
         if not log:
             raise GtauError("no log is chosen; drop the log of the load above, then choose it here.")
-        empty = [entry.log for entry in self.project.runs() if not (entry.mass or entry.unknown)][:1]
-        await self.model("payload", log, *empty, *(f"--payload={other}=0" for other in empty), "--out=payload")
+        empty = [entry.log for entry in self.project.runs() if entry.mass == 0][:1]
+        await self.command("payload", MODEL, log, *empty, *(f"--payload={other}=0" for other in empty), "--out=payload")
 
     async def campaign(self, mass: float) -> None:
         """Take the next round of a campaign."""
         new = [] if (self.project.folder / "campaign" / "design.yaml").exists() else ["--payload-mass", f"{mass:g}"]
         robot = ["--robot", str(self.project.robot())] if new else []
-        await self.command("campaign", "campaign", "campaign", *robot, *new)
+        await self.command("campaign", "campaign", *robot, *new)
 
     def answered(self, name: str, answer: Answer) -> None:
         """Show the answer of a command."""
@@ -335,7 +326,7 @@ class Cards:
                 place = motion.relative_to(project.folder)
                 ui.link(str(place), f"/files/{place}", new_tab=True)
                 self.button("Show the motion", partial(self.animate, motion))
-                self.upload("Drop the logs of this motion, played", LOGS, lambda name: None, str(place.parent))
+                self.upload("Drop the logs of this motion, played", lambda name: None, str(place.parent))
         report(project, name)
 
     async def animate(self, motion: Path) -> None:

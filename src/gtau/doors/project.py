@@ -39,11 +39,10 @@ POINTS = 2000  # of a trace that is drawn
 
 @dataclass(frozen=True)
 class RunEntry:
-    """A run of the experiment file: its log as written there, the payload's mass (kg), and what it is used for."""
+    """A run of the experiment file: its log as written there, the payload's mass (kg, 0 for none), and its use."""
 
     log: str
     mass: float | None
-    unknown: bool
     validation: bool
 
 
@@ -161,11 +160,8 @@ class Project:
             for run in content.get(key) or ():
                 log, payload = run.get("log", ""), run.get("payload") or {}
                 name = " + ".join(map(str, log)) if isinstance(log, list) else str(log)
-                mass = payload.get("mass")
-                entry = RunEntry(
-                    name, None if mass is None else float(mass), bool(payload) and mass is None, key != "runs"
-                )
-                yield key, run, entry
+                mass = float(payload.get("mass", "nan")) if payload else 0.0
+                yield key, run, RunEntry(name, None if np.isnan(mass) else mass, key != "runs")
 
     def _change_run(self, log: str, edit: Callable[[Any, str, Any], None]) -> None:
         """Change the run of a log, given the content of the file, and the key that lists the run."""
@@ -181,13 +177,9 @@ class Project:
 
     def add_run(self, log: str) -> None:
         """Add a log as a run, with the payload that its name states."""
-
-        def edit(content: Any) -> None:
-            masses = masses_in_name(Path(log).name)
-            payload = {"payload": _payload(masses[0])} if masses and masses[0] > 0 else {}
-            content.setdefault("runs", []).append({"log": log, **payload})
-
-        self.change(edit)
+        masses = masses_in_name(Path(log).name)
+        run = {"log": log} | ({"payload": _payload(masses[0])} if masses and masses[0] > 0 else {})
+        self.change(lambda content: content.setdefault("runs", []).append(run))
 
     def set_mass(self, log: str, mass: float | None) -> None:
         """State the payload's mass in a run, kg; 0 or None for no payload."""
@@ -216,11 +208,6 @@ class Project:
     def remove_run(self, log: str) -> None:
         """Take a run out of the experiment; its log stays in the folder."""
         self._change_run(log, lambda content, key, run: content[key].remove(run))
-
-    def joints(self) -> list[str]:
-        """Joints of the signals."""
-        signals = self.content.get("signals") or {}
-        return [str(joint) for joint in signals.get("position") or {}]
 
     def roles(self) -> dict[str, str]:
         """Map columns to their roles, such as ``time`` and ``position elbow``."""
