@@ -88,8 +88,7 @@ def serve(folder: Path, port: int, show: bool) -> None:
         draw(project)
 
     app.on_shutdown(project.cancel)
-    address = f"http://{HOST}:{port}/?token={token}"
-    print(f"gtau: the page of {project.folder} is at {address} (Ctrl-C ends it)", flush=True)
+    print(f"gtau: the page of {folder} is at http://{HOST}:{port}/?token={token} (Ctrl-C ends it)", flush=True)
     try:
         ui.run(
             host=HOST,

@@ -360,8 +360,7 @@ def draw(project: Project) -> None:
         view.stage = ui.label("").props("aria-live=polite")
         cancel = ui.button("Cancel", on_click=project.cancel, color="white")
         cancel.props("no-caps outline").bind_visibility_from(project, "running", backward=bool)
-        spinner = ui.spinner(color="white")
-        spinner.bind_visibility_from(project, "running", backward=bool)
+        ui.spinner(color="white").bind_visibility_from(project, "running", backward=bool)
     for section in view.sections:
         section()
     view.seen = project.version
