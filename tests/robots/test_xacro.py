@@ -77,6 +77,11 @@ def test_arguments_macros_yaml_and_conditions(tmp_path: Path) -> None:
     assert heavy.joints[0].limits.position == (-1.0, 2.0)
 
 
+def test_a_misspelt_argument_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(GtauError, match=r"declares no argument 'prefx' \(xacro:arg\); it has .*prefix"):
+        load_robot(package(tmp_path), xacro={"prefx": "l_"})
+
+
 def test_in_an_experiment_file_and_on_the_command_line(tmp_path: Path) -> None:
     """The file is outside of its package, which ``packages`` names relative to the experiment file."""
     file = package(tmp_path / "src")

@@ -141,6 +141,11 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
                 "beside the robot's 'file'), or set ROS_PACKAGE_PATH or AMENT_PREFIX_PATH."
             ) from None
 
+    def attributes(tag: Any, required: Any, optional: Any, of: Any = xacro.check_attrs) -> Any:
+        if tag.tagName == "xacro:arg":
+            declared[tag.getAttribute("name")] = None
+        return of(tag, required, optional)
+
     def read(text: str, names: Mapping[str, Any], _: Any = None) -> Any:
         functions = [names["xacro"][name] for name in OF_XACRO]
         return evaluated(text, names, functions + [names[name] for name in ("load_yaml", "abs_filename", "dotify")])
@@ -148,12 +153,14 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
     def read_in_eval(text: str, _: Any, names: Any) -> Any:
         return evaluated(text, names, [names[name] for name in OF_EVAL])
 
+    declared: dict[str, None] = {}
     shares = [f"{prefix}/share" for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     packages.reset()
     packages.look_in([*map(str, folders), *shares])
     packages.walk_up_from(path)
     with ExitStack() as stack, TemporaryDirectory(prefix="gtau-") as folder:
         stack.enter_context(patch.object(xacro, "safe_eval", read))
+        stack.enter_context(patch.object(xacro, "check_attrs", attributes))
         stack.enter_context(patch.object(xacro.substitution_args, "_eval_find", find))
         stack.enter_context(patch.object(xacro.substitution_args, "eval", read_in_eval, create=True))
         try:
@@ -169,6 +176,9 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
             raise GtauError(
                 f"{path} cannot be expanded ({reason}); correct it, or its arguments (xacro: ...)."
             ) from None
+        if unknown := [name for name in arguments if name not in declared]:
+            has = f"it has {', '.join(declared)}" if declared else "it declares none"
+            raise GtauError(f"{path} declares no argument '{unknown[0]}' (xacro:arg); {has}.")
         urdf = Path(folder) / f"{path.stem.removesuffix('.urdf')}.urdf"
         urdf.write_text(document.toxml(), encoding="utf-8")
         try:
