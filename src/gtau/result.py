@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.documents.validation import FUNCTION, MAPPING, NUMBER, PATH, TEXT, TRUTH, takes
+from gtau.documents.validation import FUNCTION, MASSES, NUMBER, PATH, TEXT, TRUTH, takes
 from gtau.errors import GtauError, UnknownName
 from gtau.estimation.experiment_runs import ACCURACY, options_of
 from gtau.estimation.results import model_file
@@ -218,7 +218,7 @@ def load(path: str | Path) -> Result:
     accuracy=NUMBER,
     progress=FUNCTION,
     robot=PATH,
-    payload=MAPPING,
+    payload=MASSES,
 )
 def identify(
     source: str | Path | Experiment | Robot | Sequence[str | Path],

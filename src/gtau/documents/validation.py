@@ -210,6 +210,7 @@ WHOLE: Accepted = ("a whole number", (Integral,))
 NAMES: Accepted = ("a list of names", (Sequence,))
 TRUTH: Accepted = ("True or False", (bool,))
 MAPPING: Accepted = ("a mapping such as a dict", (Mapping,))
+MASSES: Accepted = ("masses in kg by log, such as {'loaded.csv': 1.2}", (Mapping,))
 FUNCTION: Accepted = ("a function", (Callable,))  # type: ignore[assignment]
 
 

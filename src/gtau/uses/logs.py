@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
-from gtau.documents.validation import MAPPING, NAMES, NUMBER, PATH, TEXT, expect, takes, validate
+from gtau.documents.validation import MAPPING, MASSES, NAMES, NUMBER, PATH, TEXT, expect, takes, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.signals.reading.discovery import Draft
@@ -71,7 +71,7 @@ def _has_columns(log: Path, recording: Recording) -> bool:
     return {*signals.time_columns, *signals.position.values(), *signals.measured} <= {*find_columns(log).columns}
 
 
-@takes(logs=NAMES, robot=PATH, payload=MAPPING, preset=TEXT, columns=MAPPING)
+@takes(logs=NAMES, robot=PATH, payload=MASSES, preset=TEXT, columns=MAPPING)
 def draft(
     logs: Sequence[str | Path],
     robot: str | Path | None = None,

@@ -1,7 +1,7 @@
 """What an MJCF file may do to this machine, checked before it is read.
 
-Bounds hold for the files that it opens, the elements that it repeats and the memory that it reserves. As MuJoCo may
-still crash, hang or exhaust the memory, it loads the file in a separate process first.
+Bounds hold for the files that it opens, the elements that it repeats and the memory that it reserves. MuJoCo may still
+crash, hang or exhaust the memory, so the file is first loaded in a separate process.
 """
 
 from __future__ import annotations
