@@ -110,7 +110,7 @@ def test_the_posterior_is_generalised_least_squares(columns: list[np.ndarray]) -
     u = -Z.T @ inverse @ (e + J @ d)  # best linear unbiased prediction
     np.testing.assert_allclose(np.concatenate([*found.own_effects, found.common[FREE:]]), u, rtol=1e-7)
     variance = np.eye(len(u)) - Z.T @ (inverse - inverse @ J @ A @ J.T @ inverse) @ Z
-    np.testing.assert_allclose([*found.variance(0), *found.variance(1)], np.diag(variance)[: 2 * OWN], rtol=1e-7)
+    np.testing.assert_allclose(found.variance.ravel(), np.diag(variance)[: 2 * OWN], rtol=1e-7)
     value, spread = found.move(np.eye(1, FREE + SHARED), [np.eye(1, OWN), np.zeros((1, OWN))])
     assert value[0] == pytest.approx(d[0] + u[0])
     cross = -(A @ J.T @ inverse @ Z)[0, 0]

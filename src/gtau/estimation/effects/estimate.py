@@ -127,7 +127,7 @@ def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
                 all_sizes[0][common != 0] = size / column.plausible
             else:
                 j = result.rows.fit.system.problem.joints.index(column.joint)
-                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own_effects[j][layout.places]
+                all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own_effects[j, layout.places]
             share, moves, torque = explained(*all_sizes)
             if effect.function:
                 size, std = torque, torque * std / abs(size)
@@ -206,7 +206,7 @@ def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[Effec
     for j, joint in enumerate(fit.system.problem.joints):
         if joint not in fit.dataset.robot.motors:
             continue
-        u, std = mixed.at.own_effects[j][layout.places], np.sqrt(mixed.at.variance(j)[layout.places])
+        u, std = mixed.at.own_effects[j, layout.places], np.sqrt(mixed.at.variance[j, layout.places])
         parts, about = [part.copy() for part in nothing], ""
         if effect.in_runs:  # of the run that differs most from the mean of all
             modes = run_modes(len(fit.dataset.runs))

@@ -24,6 +24,7 @@ import numpy as np
 
 BOUNDS = (-7.0, 4.0)  # of log s: an effect from a thousandth to fifty times its plausible size
 START = -1.2  # of log s: all effects at a third of their plausible sizes
+DETERMINED = 1e-9  # share of a column that no other one explains, below which nothing determines it
 ROUNDING = 1e-9  # of the squares of a column, which products of rows without noise may lack
 PASSES, SETTLED = 5, 0.03  # of noise and effects in turn, until no standard deviation of the noise changes by more
 LARGEST_CORRELATION = 0.98  # partial autocorrelation that is believed
@@ -35,24 +36,34 @@ LAGS = ((0, 0, 0), (1, 0, 0), (1, 0, 1), (1, 1, 1), (2, 0, 0), (2, 0, 1), (2, 1,
 
 @dataclass(frozen=True, eq=False)
 class LagProducts:
-    """Sums ``products`` (10, p, p) of a channel's rows times rows before them, by ``LAGS``, and ``counts`` (3,)."""
+    """Sums ``products`` (10, r, r) of a channel's rows times rows before them, by ``LAGS``, and ``counts`` (3,).
+
+    The model's columns are the rows times a ``basis`` (r, p), or the rows themselves.
+    """
 
     products: np.ndarray
     counts: np.ndarray
+    basis: np.ndarray | None = None
 
     def __add__(self, other: LagProducts) -> LagProducts:
         """Add the rows of another part of the logs."""
         return LagProducts(self.products + other.products, self.counts + other.counts)
 
-    @property
+    @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""
-        return np.asarray(self.products[[LAGS.index((before, 0, 0)) for before in range(3)]].sum(axis=0))
+        return self.combined([float((a, b) == (0, 0)) for _, a, b in LAGS])
+
+    def combined(self, weights: Sequence[float]) -> np.ndarray:
+        """Add up the products by their ``weights`` (10,): (p, p)."""
+        total = np.tensordot(weights, self.products, 1)
+        return np.asarray(total if self.basis is None else self.basis.T @ total @ self.basis)
 
     def lagged(self, lag: int, coefficients: np.ndarray) -> tuple[float, float]:
         """Sum the products of the residuals at a ``lag``, and count them; ``coefficients`` (p,) combine the columns."""
         parts = [k for k, (before, a, b) in enumerate(LAGS) if (a, b) == (0, lag) and before >= lag]
-        total = float(coefficients @ self.products[parts].sum(axis=0) @ coefficients)
+        along = coefficients if self.basis is None else self.basis @ coefficients
+        total = float(along @ self.products[parts].sum(axis=0) @ along)
         return total / (2 if lag else 1), float(self.counts[lag:].sum())
 
 
@@ -83,8 +94,7 @@ class Noise:
             np.array([1.0, -first]) * np.sqrt(1 - second**2),
             np.array([1.0, -first * (1 - second), -second]),
         )
-        weights = [filters[before][a] * filters[before][b] for before, a, b in LAGS]
-        return np.asarray(np.tensordot(weights, rows.products, 1) / self.std**2)
+        return rows.combined([filters[before][a] * filters[before][b] / self.std**2 for before, a, b in LAGS])
 
 
 def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
@@ -118,10 +128,10 @@ class MixedModel:
     noise: tuple[Noise, ...] = ()
 
     @cached_property
-    def grams(self) -> tuple[np.ndarray, ...]:
-        """Products of each channel's rows with independent noise of unit variance."""
+    def grams(self) -> np.ndarray:
+        """Products (c, p, p) of the channels' rows with independent noise of unit variance."""
         noise = self.noise or (Noise(),) * len(self.rows)
-        return tuple(channel.whitened(rows) for channel, rows in zip(noise, self.rows, strict=True))
+        return np.array([channel.whitened(rows) for channel, rows in zip(noise, self.rows, strict=True)])
 
     @property
     def unknowns(self) -> int:
@@ -138,22 +148,20 @@ class MixedModel:
 class Posterior:
     """Estimates of d and ``u / s``, and what their covariance follows from.
 
-    ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own_effects`` (m,) are each channel's,
-    with ``variance``; they move by ``-response`` (m, k + shared) with the common ones, and ``root`` (m, m) factors how
-    they vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its slope by the log sizes.
+    ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own_effects`` (c, m) are each
+    channel's, with ``variance`` (c, m); they move by ``-response`` (c, m, k + shared) with the common ones, and ``root``
+    (c, m, m) factors how they vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its slope by
+    the log sizes.
     """
 
     common: np.ndarray
     covariance: np.ndarray
-    own_effects: tuple[np.ndarray, ...]
-    response: tuple[np.ndarray, ...]
-    root: tuple[np.ndarray, ...]
+    own_effects: np.ndarray
+    variance: np.ndarray
+    response: np.ndarray
+    root: np.ndarray
     loss: float
     slope: np.ndarray
-
-    def variance(self, channel: int) -> np.ndarray:
-        """Posterior variances (m,) of a channel's own effects, in units of their ``s``."""
-        return _variance(self.root[channel], self.response[channel], self.covariance)
 
     def move(self, common: np.ndarray, own: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Estimate quantities (f,), linear in the common (f, .) and the own effects (f, m), with covariance (f, f)."""
@@ -171,51 +179,57 @@ def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
 
     The slope by ``log s_k`` is ``m_k - |u_k / s_k|^2 - tr C_kk`` with C the posterior covariance of ``u / s``.
     """
-    from scipy.linalg import cholesky, solve_triangular
+    from scipy.linalg.lapack import dtrtri
 
     sizes, m, k = np.exp(log_s), len(model.own_groups), model.unknowns
     own_sizes, border = sizes[model.own_groups], np.concatenate([np.ones(k), sizes[model.shared_groups], [1.0]])
+    A = model.grams[:, :m, :m] * own_sizes[:, None] * own_sizes
+    A[:, range(m), range(m)] = (A[:, range(m), range(m)] + 1.0) * (1 + ROUNDING)
+    L = np.linalg.cholesky(A)
+    root = np.array([dtrtri(factor, lower=1)[0] for factor in L])
+    V = root @ (model.grams[:, :m, m:] * own_sizes[:, None] * border)
+    stacked = V.reshape(-1, len(border))
+    S = model.grams[:, m:, m:].sum(axis=0) * border[:, None] * border - stacked.T @ stacked
     count = len(border) - 1
-    S = np.zeros((count + 1, count + 1))
     at = [*range(k), count]
-    S[np.ix_(at, at)] = model.known
+    S[np.ix_(at, at)] += model.known
     S[range(k, count), range(k, count)] += 1.0
-    determinant, roots, sides = 0.0, [], []
-    for gram in model.grams:
-        A = gram[:m, :m] * own_sizes[:, None] * own_sizes
-        A[range(m), range(m)] += 1.0
-        A[range(m), range(m)] *= 1 + ROUNDING
-        L = cholesky(A, lower=True, check_finite=False)
-        V = solve_triangular(L, gram[:m, m:] * own_sizes[:, None] * border, lower=True, check_finite=False)
-        S += gram[m:, m:] * border[:, None] * border - V.T @ V
-        determinant += 2 * float(np.log(np.diag(L)).sum())
-        roots.append(L)
-        sides.append(V)
-    # directions that nothing determines stay as they are
-    values, vectors = np.linalg.eigh(S[:count, :count])
-    kept = values > 1e-9 * max(values[-1], 1e-300)
-    half = vectors[:, kept] / np.sqrt(values[kept])
+    half, determinant = _inverse_root(S[:count, :count])
+    determinant += 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
     covariance = half @ half.T
     common = -covariance @ S[:count, count]
     square = float(S[count, count] + common @ S[:count, count])
-    determinant += float(np.log(values[kept]).sum())
-    effects, responses, inverses = [], [], []
-    groups = len(log_s)
-    slope = np.bincount(model.shared_groups, 1 - common[k:] ** 2 - np.diag(covariance)[k:], minlength=groups)
-    for L, V in zip(roots, sides, strict=True):
-        inverse = solve_triangular(L, np.eye(m), lower=True, check_finite=False)
-        effects.append(-inverse.T @ (V[:, count] + V[:, :count] @ common))
-        responses.append(inverse.T @ V[:, :count])
-        inverses.append(inverse)
-        variance = _variance(inverse, responses[-1], covariance)
-        slope = slope + np.bincount(model.own_groups, 1 - effects[-1] ** 2 - variance, minlength=groups)
+    back = root.transpose(0, 2, 1)
+    effects = -(back @ (V @ np.append(common, 1.0))[..., None])[..., 0]
+    response = back @ V[..., :count]
+    variance = np.sum(root**2, axis=1) + np.sum((response @ half) ** 2, axis=2)
     prior = (sizes / model.largest) ** 2
+    groups, left = np.append(model.own_groups, model.shared_groups), 1 - effects**2 - variance
+    shared_left = 1 - common[k:] ** 2 - np.diag(covariance)[k:]
+    slope = prior + np.bincount(groups, np.append(left.sum(axis=0), shared_left), minlength=len(log_s))
     loss = 0.5 * (square + determinant + float(prior.sum()))
-    return Posterior(common, covariance, tuple(effects), tuple(responses), tuple(inverses), loss, slope + prior)
+    return Posterior(common, covariance, effects, variance, response, root, loss, slope)
 
 
-def _variance(root: np.ndarray, response: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    return np.asarray(np.sum(root**2, axis=0) + np.einsum("ij,ij->i", response @ covariance, response))
+def _inverse_root(S: np.ndarray) -> tuple[np.ndarray, float]:
+    """Factor the inverse of ``S`` (k, k) as ``H H^T``, and compute the logarithm of its determinant.
+
+    Directions that nothing determines are left out, so that they stay as they are.
+    """
+    from scipy.linalg.lapack import dtrtri
+
+    scale = 1 / np.sqrt(np.maximum(np.diag(S), 1e-300))
+    S = S * scale[:, None] * scale
+    try:
+        half = dtrtri(np.linalg.cholesky(S), lower=1)[0].T
+        kept = np.diag(half) ** -2.0
+    except np.linalg.LinAlgError:
+        kept = np.zeros(1)
+    if kept.min(initial=1.0) < DETERMINED:
+        values, vectors = np.linalg.eigh(S)
+        kept = values[values > DETERMINED]
+        half = vectors[:, values > DETERMINED] / np.sqrt(kept)
+    return scale[:, None] * half, float(np.log(kept).sum() - 2 * np.log(scale).sum())
 
 
 def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()) -> np.ndarray:

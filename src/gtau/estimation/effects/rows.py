@@ -11,7 +11,7 @@ found with the sizes of all effects; they drift from run to run as those effects
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -243,12 +243,12 @@ def linear_at(
     linear = []
     for M, part in zip(maps, rows.products, strict=True):
         common = n_own + basis.shape[1]
-        B = np.zeros((part.products.shape[1], common + n_shared + 1))
+        B = np.zeros((len(part.plain), common + n_shared + 1))
         B[:n_own, :n_own] = np.eye(n_own)
         B[inside, n_own:common] = M[:, :-1] @ basis
         B[inside, -1] = M[:, -1]
         B[inside.stop :, common:-1] = np.eye(n_shared)
-        linear.append(LagProducts(B.T @ part.products @ B, part.counts))
+        linear.append(replace(part, basis=B))
     known = np.column_stack([J_known[:, free] @ back, e_known])
     # a change of friction between runs has no effect on known parameters
     friction_groups = np.full(len(per_run), len(rows.layouts))
