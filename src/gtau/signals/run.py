@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,6 +24,7 @@ from gtau.signals.reading.statements import CHOSEN, Payload, PreparationSettings
 from gtau.signals.reading.units import Units
 from gtau.signals.repair.checks import check, parts_between_gaps
 from gtau.signals.repair.commands import motor_currents
+from gtau.signals.spectrum import second_differences
 from gtau.signals.storage import blocks, store
 
 if TYPE_CHECKING:
@@ -189,6 +191,11 @@ class Run:
     def updates(self) -> float:
         """Rate at which all signals change, Hz: lower than the sampling rate where they are held."""
         return min(self.log.updates or self.rate, self.rate)
+
+    @cached_property
+    def accelerations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Frequencies (K,), power densities (K, n) of the accelerations, and gains (K,) of a double difference."""
+        return second_differences(self.position, self.rate, self.updates)
 
     def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:
         """Return the run with its channels in the order of ``joints``, with or without those on the ``link_side``."""

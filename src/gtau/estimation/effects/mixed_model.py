@@ -149,9 +149,9 @@ class Posterior:
     """Estimates of d and ``u / s``, and what their covariance follows from.
 
     ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own_effects`` (c, m) are each
-    channel's, with ``variance`` (c, m); they move by ``-response`` (c, m, k + shared) with the common ones, and ``root``
-    (c, m, m) factors how they vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its slope by
-    the log sizes.
+    channel's, with ``variance`` (c, m); they move by ``-response`` (c, m, k + shared) with the common ones, and
+    ``root`` (c, m, m) factors how they vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its
+    slope by the log sizes.
     """
 
     common: np.ndarray

@@ -15,10 +15,9 @@ import numpy as np
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF
 from gtau.signals.reading.samples import extremes
 from gtau.signals.run import Run
-from gtau.signals.storage import block
+from gtau.signals.spectrum import second_differences
 
 SPEED_POWER = 0.999  # share of a joint's speed power below its bandwidth
-SEGMENT = 1 << 17  # maximum samples per periodogram: periodograms of a longer log are averaged
 BANDS = 6  # an octave, each a third of an octave wide
 CLOSING = 5  # bands of a gap that is filled: one between two harmonics of a motion is an octave wide, less a band
 # A valley is real where the spectrum rises from it on both sides by a factor that the mean of few exponentially
@@ -27,7 +26,6 @@ PROMINENCE = 4.0
 # Polling jitter, beats and resonances make humps above the motion's valley. On a da Vinci arm polled at 200 Hz one
 # above 40 Hz holds 0.3 % of the speed's power; the weakest harmonic of the exciting motions in the shared logs, 4 %.
 HUMP = 0.02
-TOP = 0.45  # of the rate at which signals change: highest frequency evaluated
 NOISE = 0.25  # of the sampling rate: the noise of a position is measured above
 # Least range of a motion in standard deviations of the position's noise. In the shared logs joints at rest, shaken by
 # others, have 3 to 90, moving joints 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
@@ -41,7 +39,6 @@ ROUNDING = 1e-9  # of a position, by arithmetic: a smaller range is not a motion
 # order and rounded to 1e-6 they leave up to 2e-5 (1 Hz) and 6e-6 (5 Hz, but 1e-3 at a rate of 30 Hz, which is not
 # found), and fall by 6.3e3 and more. The logs of an LWR 4 that its publishers have smoothed leave 2e-11.
 SMOOTH, STEEP = 1e-4, 4e3
-SEGMENTS = 16  # of a long log, spread over it
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +65,13 @@ class JointSpectrum:
 
 def spectra(run: Run) -> tuple[JointSpectrum, ...]:
     """Estimate spectra, end of the signal and bandwidth of every joint; a long run is read in segments."""
-    frequency, density, gain = _accelerations(run.position, run)
+    frequency, density, gain = run.accelerations
     high = frequency > NOISE * run.updates
     # The mean of an exponential distribution is its median over ln 2; the median ignores single lines.
     noise = np.sqrt(np.median(density[high] / gain[high, None] ** 2, axis=0) / np.log(2) * run.rate / 2)
     low, most = extremes(run.position)
     rounding = ROUNDING * np.maximum(np.abs(low), np.abs(most))
-    density[:, most - low <= rounding] = 0.0
+    density = np.where(most - low <= rounding, 0.0, density)
     moves = most - low > LEAST_RANGE * noise
     return tuple(
         _judge(frequency, column, gain, moving) for column, moving in zip(density.T, moves.tolist(), strict=True)
@@ -83,7 +80,7 @@ def spectra(run: Run) -> tuple[JointSpectrum, ...]:
 
 def end_of_commands(run: Run) -> float | None:
     """Find the frequency (Hz) above which no command holds anything, not even noise; None where one does."""
-    frequency, density, gain = _accelerations(run.command, run)
+    frequency, density, gain = second_differences(run.command, run.rate, run.updates)
     density = density[:, density.any(axis=0)] / gain[:, None] ** 2
     above = np.sqrt(np.cumsum(density[::-1], axis=0)[::-1] / np.maximum(density.sum(axis=0), 1e-300))
     if not above.size or above[np.searchsorted(frequency, NOISE * run.updates)].max() > SMOOTH:
@@ -129,29 +126,9 @@ def widened(run: Run, cutoffs: Sequence[float | None], noise: Sequence[float]) -
 
 def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """For each joint, list frequencies, density of the accelerations and gain of two differences, in bands."""
-    frequency, density, gain = _accelerations(run.position, run)
+    frequency, density, gain = run.accelerations
     bands = [_in_bands(frequency, column) for column in density.T]
     return [(centre, means, np.interp(centre, frequency, gain)) for centre, means in bands]
-
-
-def _accelerations(position: np.ndarray, run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute frequencies (K,) up to ``TOP``, densities of second differences (K, n), and the gains of a difference."""
-    from scipy.signal.windows import tukey
-
-    rate = run.rate
-    count = len(position) - 2
-    segments = min(-(-count // SEGMENT), SEGMENTS)
-    length = min(count, SEGMENT)
-    # The window keeps a log that begins or ends in motion from looking like a jump.
-    window = tukey(length, 0.1)[:, None]
-    power = np.zeros((length // 2 + 1, position.shape[1]))
-    for start in np.linspace(0, count - length, segments).astype(int):
-        part = block(position, start, start + length + 2)
-        power += np.abs(np.fft.rfft((part[2:] - 2 * part[1:-1] + part[:-2]) * (rate**2 * window), axis=0)) ** 2
-    frequency = np.fft.rfftfreq(length, 1 / rate)
-    used = slice(1, int(np.searchsorted(frequency, TOP * run.updates, side="right")))
-    gain = (2 * rate * np.sin(np.pi * frequency[used] / rate)) ** 2
-    return frequency[used], power[used] * (2 / (segments * rate * (window**2).sum())), gain
 
 
 def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: bool) -> JointSpectrum:
