@@ -13,6 +13,7 @@ from gtau.errors import GtauError, UnknownName, quoted
 HOME = Path(__file__).parent
 FOLDERS = [HOME / "docs", HOME.parents[1] / "docs"]  # of an installed package, and of a checkout
 SHELVES = ("start", "do", "lookup")
+MESSAGES = "messages"  # the page of all findings, a table
 SHORTEST = 12  # characters of a message by which a text is recognised
 
 
@@ -28,14 +29,31 @@ def _folder() -> Path:
 def pages() -> dict[str, Path]:
     """List the pages by name."""
     files = [file for shelf in SHELVES for file in sorted((_folder() / shelf).rglob("*.md"))]
-    return {file.stem: file for file in files if file.stem != "index"}
+    return {file.stem: file for file in files if file.stem != "index"} | {MESSAGES: _folder() / "lookup/messages.csv"}
+
+
+def titles() -> str:
+    """List the pages by name, each with its title."""
+    return "\n".join(f"{name:23} {page_text(name).splitlines()[0].removeprefix('# ')}" for name in pages())
 
 
 def page_text(name: str) -> str:
     """Read a page; raises GtauError where there is none of this name."""
     if name not in (listed := pages()):
         raise UnknownName(f"there is no page '{name}'; choose from {', '.join(listed)}.")
+    if name == MESSAGES:
+        return "\n".join(["# Messages: every finding, and what to do", "", *map(said, _messages())])
     return listed[name].read_text(encoding="utf-8")
+
+
+def said(row: dict[str, str]) -> str:
+    """Write a row of the table of messages as a sentence."""
+    return f"{row['name']} ({row['grade']}): {row['message']}; what to do: {row['what to do']}."
+
+
+def _messages() -> list[dict[str, str]]:
+    with pages()[MESSAGES].open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def explain(finding: str) -> list[dict[str, str]]:
@@ -43,9 +61,7 @@ def explain(finding: str) -> list[dict[str, str]]:
 
     Raises GtauError where none is like it.
     """
-    with (_folder() / "lookup" / "messages.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    named = finding.strip(" .").lower()
+    rows, named = _messages(), finding.strip(" .").lower()
     if most := max(_likeness(row, named) for row in rows):
         return [row for row in rows if _likeness(row, named) == most]
     words = {text.lower(): row["name"] for row in rows for text in (row["name"], row["message"])}
@@ -58,6 +74,6 @@ def _likeness(row: dict[str, str], finding: str) -> float:
     """Count the characters of a finding's text that are the message of a row; inf by name, 0 if it is another."""
     if finding == row["name"].lower():
         return inf
-    said = [part.strip().lower() for part in row["message"].split("…") if part.strip()]
-    length = sum(map(len, said))
-    return length if length >= SHORTEST and re.search(".*".join(map(re.escape, said)), finding) else 0
+    parts = [part.strip().lower() for part in row["message"].split("…") if part.strip()]
+    length = sum(map(len, parts))
+    return length if length >= SHORTEST and re.search(".*".join(map(re.escape, parts)), finding) else 0

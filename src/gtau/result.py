@@ -10,6 +10,9 @@ import numpy as np
 
 from gtau.documents.validation import FUNCTION, MASSES, NUMBER, PATH, TEXT, TRUTH, takes
 from gtau.errors import GtauError, UnknownName
+from gtau.estimation import check_logs
+from gtau.estimation.compare import EstimatorComparison
+from gtau.estimation.compare import compare as compare_estimators
 from gtau.estimation.experiment_runs import ACCURACY, options_of
 from gtau.estimation.results import model_file
 from gtau.estimation.results.estimate import Estimate, TorqueError
@@ -302,13 +305,96 @@ def identify(
         ratio=ratio,
         prior_inertias=prior_inertias,
     )
-    if isinstance(source, (list, tuple)):
-        if any(isinstance(run, Run) for run in source):
-            raise GtauError("runs go with their robot; did you mean gtau.identify(gtau.load_robot(...), runs)?")
-        if runs is not None:
-            raise GtauError("logs are runs themselves; did you mean gtau.identify(logs, robot=...)?")
-        source = draft(source, robot, payload)
-    elif robot or payload:
-        raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
-    made = uses.identify(source, runs, options, progress or silent)  # type: ignore[arg-type]  # refused there
-    return Result.of(made)
+    described = _described(source, runs, robot, payload, "identify")
+    return Result.of(uses.identify(described, runs, options, progress or silent))
+
+
+class ExperimentCheck(check_logs.ExperimentCheck):
+    """The readable logs of an experiment, their preparation, and ``notes`` on all findings.
+
+    ``preparation`` is None where none of the logs for the identification can be read, ``geometry`` where no pose is
+    logged.
+    """
+
+    def summary(self) -> str:
+        """Summarise the check as text, as ``gtau check`` prints it."""
+        from gtau.report.plots import check_text
+
+        return check_text(self)
+
+
+@takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER, robot=PATH, payload=MASSES)
+def check(
+    source: str | Path | Experiment | Robot | Sequence[str | Path],
+    runs: Sequence[Run] | None = None,
+    method: str | None = None,
+    prior_gains: Mapping[str, float] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    progress: Progress | None = None,
+    prior_inertias: float | None = None,
+    robot: str | Path | None = None,
+    payload: Mapping[str, float] | None = None,
+) -> ExperimentCheck:
+    """Check the logs of an experiment: find everything that an identification would refuse, repair or report.
+
+    It takes what :func:`gtau.identify` takes. A log that cannot be used does not keep the others from being checked.
+    ``method`` is the estimator of the identification; its default if left out.
+
+    Raises
+    ------
+    GtauError
+        Where the experiment file or the robot's file is wrong.
+
+    Examples
+    --------
+    >>> print(gtau.check(["empty_1.csv", "loaded_1200g.csv"], robot="five-bar").worst.value)
+    information
+    """
+    options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
+    described = _described(source, runs, robot, payload, "check")
+    checked = check_logs.check(described, runs, options, progress or silent)
+    guesses = described.guesses if isinstance(described, Experiment) else ()
+    return ExperimentCheck(**{**vars(checked), "notes": (*checked.notes, *guesses)})
+
+
+@takes(progress=FUNCTION, prior_inertias=NUMBER, robot=PATH, payload=MASSES)
+def compare(
+    source: str | Path | Experiment | Robot | Sequence[str | Path],
+    runs: Sequence[Run] | None = None,
+    prior_gains: Mapping[str, float] | None = None,
+    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
+    progress: Progress | None = None,
+    prior_inertias: float | None = None,
+    robot: str | Path | None = None,
+    payload: Mapping[str, float] | None = None,
+) -> EstimatorComparison:
+    """Identify with every estimator, with the arguments of :func:`gtau.identify`, and compare the results.
+
+    Raises
+    ------
+    GtauError
+        Where a file is wrong, or the runs cannot fix the scale of the gains.
+
+    Examples
+    --------
+    >>> [row.method for row in gtau.compare("experiment.yaml").rows if row.gains is not None]
+    ['ml', 'huber', 'iv', 'didim', '2sls', 'tls']
+    """
+    options = options_of(prior_gains, priors, prior_inertias=prior_inertias)
+    described = _described(source, runs, robot, payload, "compare")
+    return compare_estimators(described, runs, options, progress or silent)
+
+
+def _described(
+    source: Any, runs: Sequence[Run] | None, robot: str | Path | None, payload: Mapping[str, float] | None, call: str
+) -> Any:
+    """Draft an experiment from logs; hand on anything else, which is refused where it is read."""
+    if not isinstance(source, (list, tuple)):
+        if robot or payload:
+            raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
+        return source
+    if any(isinstance(run, Run) for run in source):
+        raise GtauError(f"runs go with their robot; did you mean gtau.{call}(gtau.load_robot(...), runs)?")
+    if runs is not None:
+        raise GtauError(f"logs are runs themselves; did you mean gtau.{call}(logs, robot=...)?")
+    return draft(source, robot, payload)

@@ -46,6 +46,7 @@ def calls() -> list[tuple[Callable, dict[str, Any], str]]:
         "read_design": {"path": "nowhere.yaml"},
         "excite": {"task": None},
         "campaign": {"folder": "nowhere"},
+        "fleet": {"experiments": ["nowhere.yaml"]},
         "draft": {"logs": ["nowhere.csv"]},
         "load": {"path": "nowhere.json"},
         "plot": {"shown": robot},

@@ -22,7 +22,7 @@ from gtau.documents.files import hold_folder, write_atomically
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
-SLOW = "import gtau.fleet.fleet, process_functions; gtau.fleet.fleet.identify_member = process_functions.slow_member"
+SLOW = "import gtau.fleets.fleet, process_functions; gtau.fleets.fleet.identify_member = process_functions.slow_member"
 USUAL = [("SIGINT", True), ("SIGKILL", False)]
 ENDINGS = [(name, group) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGKILL") for group in (False, True)]
 FINISHED = "gtau: interrupted; finished robots stay in out/models, and the same command continues with the others.\n"

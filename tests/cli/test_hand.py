@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars
@@ -14,9 +16,14 @@ from five_bar_logs import STEEL, Plant, write_experiment
 from matplotlib.figure import Figure
 from models_to_export import model_of
 from robots_for_tests import seven_r
+from typer.testing import CliRunner
 
 import gtau
+from gtau.cli.commands import app
+from gtau.demo import write_tutorial
+from gtau.excitation.design_file import EXAMPLE
 from gtau.findings import Finding, Grade
+from gtau.uses.logs import in_python
 
 SIGNALS = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
 
@@ -36,6 +43,8 @@ def test_numbers_of_an_estimate(result: gtau.Result) -> None:
     assert float(gain) == gain.value
     assert f"{gain:.3f}" == f"{gain.value:.3f}"
     assert f"{gain}" == str(gain)
+    assert (gain * 2, 2 * gain, gain / 2, 2 / gain) == (2 * gain.value, 2 * gain.value, gain.value / 2, 2 / gain.value)
+    assert (gain * np.ones(3)).tolist() == (np.ones(3) * gain).tolist() == [gain.value] * 3
     assert (str(gain.verdict), repr(gain.verdict)) == ("good", "Finding(good, 'good')")
 
 
@@ -69,9 +78,59 @@ def test_logs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     result = gtau.identify(["empty.csv", "loaded.csv"], robot="five-bar", payload={"loaded.csv": 1.2})
     assert result.gains == pytest.approx(drafted.gains)
     assert result.gains == pytest.approx([2.5, 4.0], rel=0.01)
+    stated: dict[str, Any] = {"robot": "five-bar", "payload": {"loaded.csv": 1.2}}
+    checked = gtau.check(["empty.csv", "loaded.csv"], **stated)
+    assert [log.run.name for log in checked.logs] == ["empty", "loaded"]
+    command = ["check", "empty.csv", "loaded.csv", "--robot", "five-bar", "--payload", "loaded.csv=1.2", "--out", "out"]
+    printed = " ".join(CliRunner().invoke(app, command).stdout.partition("written: ")[0].split())
+    assert in_python(printed).replace("out/experiment.yaml", "the draft") == " ".join(checked.summary().split())
+    monkeypatch.setattr("gtau.estimation.compare.NAMES", ("ml",))
+    compared = gtau.compare(["empty.csv", "loaded.csv"], **stated)
+    assert compared.rows[0].gains == pytest.approx(result.gains, rel=1e-6)
+    assert [note.what for note in compared.notes] == [
+        note.what for note in gtau.draft(["empty.csv"], "five-bar").guesses
+    ]
+    printed = CliRunner().invoke(app, ["compare", *command[1:]])
+    assert "no payload is assumed for empty.csv" in " ".join(printed.stdout.split())
+    shutil.rmtree("out")
     with pytest.raises(gtau.GtauError, match=r"did you mean gtau\.identify\(logs, robot=\.\.\.\)"):
         gtau.identify(["empty.csv", "loaded.csv"], "five-bar")  # type: ignore[arg-type]
     assert not list(tmp_path.glob("*.yaml"))
+
+
+def test_sentences_on_logs_speak_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_tutorial(tmp_path)
+    shutil.copy("loaded_1200g.csv", "1.2kg_0.5kg.csv")
+    for logs, robot, said in (
+        (["empty_1.csv"], None, r"\(robot='ROBOT'\).*gtau\.draft\(\.\.\., columns=\{'position': \.\.\.\}\)"),
+        (
+            ["empty_1.csv", "1.2kg_0.5kg.csv"],
+            "five-bar",
+            r"state it by payload=\{'1\.2kg_0\.5kg\.csv': 1\.2\} \(0 for none",
+        ),
+    ):
+        with pytest.raises(gtau.GtauError, match=said) as refused:
+            gtau.identify(logs, robot=robot)
+        assert "--" not in str(refused.value)
+    with pytest.raises(gtau.GtauError, match="the kind of the commands is 'volt'; write 'current' or 'torque'"):
+        gtau.draft(["empty_1.csv"], "five-bar", kind="volt")
+    torques = gtau.draft(["empty_1.csv"], "five-bar", kind="torque")
+    assert torques.signals.kind == "torque"
+    guesses = gtau.draft(["empty_1.csv"], "five-bar").guesses
+    assert [guess.advice for guess in guesses] == [
+        "if they are torques, state gtau.draft(..., kind='torque')",
+        "correct this by payload={'LOG': KG} (0 for none)",
+    ]
+
+
+def test_a_stated_payload_against_the_name_is_noted_once(tmp_path: Path) -> None:
+    write_tutorial(tmp_path)
+    log = tmp_path / "loaded_1200g.csv"
+    for mass, said in ((2.0, "loaded_1200g.csv 2 kg, not 1.2"), (0.0, "loaded_1200g.csv 0 kg, not 1.2"), (1.21, "")):
+        notes = [guess.text for guess in gtau.draft([log], "five-bar", {log.name: mass}).guesses]
+        against = [note for note in notes if note.startswith("payload masses are taken as stated, against the file")]
+        assert [note.rpartition(": ")[2] for note in against] == [said] * bool(said)
 
 
 def test_figures(result: gtau.Result, folder: Path) -> None:
@@ -159,6 +218,11 @@ def test_terms_agree_with_pinocchio() -> None:
     assert arm.gravity(q) == pytest.approx(pin.computeGeneralizedGravity(tree.model, tree.data, q), abs=1e-9)
 
 
+def test_the_design_file_that_a_sentence_shows_is_one(tmp_path: Path) -> None:
+    (tmp_path / "design.yaml").write_text(EXAMPLE % "five-bar")
+    assert len(gtau.read_design(tmp_path / "design.yaml")[0].payloads) == 2
+
+
 @pytest.mark.parametrize(
     ("call", "answer"),
     [
@@ -169,6 +233,11 @@ def test_terms_agree_with_pinocchio() -> None:
         ("gtau.identify([run, run])", "did you mean gtau.identify(gtau.load_robot(...), runs)?"),
         ("gtau.identify(robot, [run], payload={'a': 1.0})", "give their paths, ['empty.csv', 'loaded.csv']."),
         ("gtau.draft('a.csv')", "give ['empty.csv', 'loaded.csv']."),
+        ("gtau.check([run, run])", "did you mean gtau.check(gtau.load_robot(...), runs)?"),
+        ("gtau.read_design('five-bar')", f"such as {EXAMPLE % 'five-bar'}."),
+        ("gtau.fleet('experiment.yaml')", "give ['experiment.yaml']."),
+        ("result.plot.gains(2.4)", "give gains by joint, such as {'left': 2.4}."),
+        ("gtau.momentum_observer(result, run, 500.0)", "from 250 Hz on, half its sampling rate; write a lower one."),
         ("robot.plot()", "did you mean gtau.plot(robot)?"),
         ("run.plot()", "did you mean gtau.plot(run)?"),
         ("result.predict(run).plot()", "did you mean gtau.plot(prediction)?"),

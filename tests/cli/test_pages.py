@@ -262,9 +262,9 @@ def test_the_page_on_results_names_the_keys_that_are_written(five_bar: Path, mon
 
 
 def test_check_names_its_joints_and_what_is_to_be_weighed(five_bar: Path, tmp_path: Path) -> None:
-    from gtau.estimation.check_logs import check
     from gtau.report.check import check_page, motion_chart
     from gtau.report.render.charts import figure_of
+    from gtau.result import check
 
     checked = check(five_bar / "weighing.yaml")
     (logs,) = (each.items[0] for each in check_page(checked).sections if each.id == "logs")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError, quoted, tidy
-from gtau.pages import page_text
+from gtau.pages import page_text, titles
 from gtau.report.page import Page, Section, Text
 from gtau.report.render.terminal import plain
 from gtau.robots.readers.read import read_robot
@@ -87,5 +87,9 @@ def test_pages_that_messages_name_are_there() -> None:
     for name, section in named:
         assert re.search(rf"^#.* {section}$" if section else "^# ", page_text(name), re.MULTILINE), (name, section)
     assert not re.search(r"(?<!\")\"(?!\")[^\"\n]*docs/\w+/[\w-]+\.md", source)
+    listed = titles().splitlines()
+    assert "identify                Identify gains and parameters" in listed
+    assert all(len(line.split()) > 1 for line in listed)
+    assert "frozen encoder (contradictory): " in page_text("messages")
     with pytest.raises(GtauError, match="there is no page 'nothing'; choose from "):
         page_text("nothing")

@@ -225,6 +225,7 @@ def test_from_an_empty_page_to_a_weighed_payload(project, chromium, tutorial):
 
 @pytest.mark.slow
 def test_a_refused_log_cancel_and_a_reload_in_mid_run(project, chromium, tutorial):
+    size = {"width": 375, "height": 800, "deviceScaleFactor": 1, "mobile": False}
     nonsense = project.folder.parent / "nonsense.csv"
     nonsense.write_text("a,b\n1,2\n")
     hand = Hand(chromium, project.address)
@@ -241,11 +242,17 @@ def test_a_refused_log_cancel_and_a_reload_in_mid_run(project, chromium, tutoria
     hand.until(lambda: "binary.csv, " not in hand.text)
     hand.press("button", "Draft")
     hand.sees("nonsense.csv has 1 sample")
-    (project.folder / "nonsense.csv").unlink()
-
     hand.drop(1, *(tutorial / log for log in LOGS))
-    hand.press("button", "Draft")
+    hand.press("button", "Draft without nonsense.csv")
     hand.sees("Check the logs")
+    assert [run.log for run in Project(project.folder).runs()] == list(LOGS)
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    hand.until(lambda: chromium.execute_script("return window.innerWidth") == 375)
+    wide = "return document.scrollingElement.scrollWidth - document.scrollingElement.clientWidth"
+    hand.until(lambda: chromium.execute_script(wide) == 0)
+    (scene,) = chromium.find_elements("css selector", ".nicegui-scene canvas")
+    hand.until(lambda: scene.rect["x"] + scene.rect["width"] <= 360)
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
     hand.press("button", "Identify")
     hand.until(
         lambda: chromium.find_elements("xpath", "//button[.//text()='Cancel' and not(contains(@style, 'none'))]")

@@ -13,6 +13,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+import gtau
 from gtau.cli.commands import app
 from gtau.demo import write_tutorial
 from gtau.documents.files import hold_folder
@@ -196,6 +197,7 @@ def test_tools_and_resources_are_described(folder: Path) -> None:
     async def talk() -> tuple[Any, Any, Any]:
         async with client(folder) as agent:
             page = await agent.read_resource("gtau://docs/identify")
+            assert agent.server_info.version == gtau.__version__
             return (await agent.list_tools()).tools, (await agent.list_resources()).resources, page.contents
 
     tools, resources, [page] = asyncio.run(talk())

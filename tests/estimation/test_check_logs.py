@@ -15,13 +15,12 @@ from typer.testing import CliRunner
 import gtau
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.results.conclusions import findings
 from gtau.estimation.results.model_file import NoteEntry
 from gtau.findings import Finding, Grade, by_severity, note_document
 from gtau.report.check import expectation
 from gtau.report.evidence import findings_table
-from gtau.result import identify
+from gtau.result import check, identify
 from gtau.signals.reading.formats import repair
 
 EXPERIMENT = """

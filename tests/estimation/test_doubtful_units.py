@@ -7,11 +7,10 @@ from dataclasses import replace
 import pytest
 from five_bar_logs import STEEL, Plant
 
-from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravity, doubtful_payloads
 from gtau.findings import Grade
 from gtau.model.home import load_robot
-from gtau.result import identify
+from gtau.result import check, identify
 from gtau.robots.geometry import float_base
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run

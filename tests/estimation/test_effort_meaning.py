@@ -12,11 +12,10 @@ from five_bar_logs import CHI, JOINTS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.gravity import WITHOUT_GRAVITY
 from gtau.findings import Grade
 from gtau.model.home import load_robot
-from gtau.result import Result, identify, load
+from gtau.result import Result, check, identify, load
 from gtau.robots.robot import Robot
 from gtau.signals.reading.drafting import draft_logs, write_draft
 from gtau.signals.reading.experiment import read_experiment

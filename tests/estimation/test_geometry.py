@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from gtau import identify, load_robot
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.geometry import GeometryTest, to_document
 from gtau.estimation.diagnostics.pose_fit import geometry_test
 from gtau.findings import Grade
@@ -25,7 +24,7 @@ from gtau.model.lengths import variable_geometry
 from gtau.report.check import check_page
 from gtau.report.render.html import html
 from gtau.report.render.terminal import plain
-from gtau.result import load
+from gtau.result import check, load
 from gtau.robots.robot import GROUND, Joint, Mdh, Pose, Robot
 from gtau.signals.reading.body_columns import PoseColumns
 from gtau.signals.reading.columns import Signals

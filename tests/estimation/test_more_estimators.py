@@ -14,7 +14,7 @@ from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, pair, wr
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.estimation.compare import compare, to_document
+from gtau.estimation.compare import to_document
 from gtau.estimation.estimators.essential import prune_friction_terms
 from gtau.estimation.estimators.estimator import Gains
 from gtau.estimation.estimators.maximum_likelihood import ml
@@ -26,7 +26,7 @@ from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.model.home import load_robot
 from gtau.report.fleet import comparison_table
-from gtau.result import Result, identify
+from gtau.result import Result, compare, identify
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run

@@ -11,10 +11,9 @@ import pytest
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 from gtau.errors import GtauError
-from gtau.estimation.compare import compare
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.registry import NAMES, estimators
-from gtau.result import identify
+from gtau.result import compare, identify
 
 
 @pytest.fixture(scope="module")

@@ -10,11 +10,10 @@ import pytest
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.regression.plausibility import within_limits
 from gtau.findings import Grade
 from gtau.model.home import load_robot
-from gtau.result import identify
+from gtau.result import check, identify
 from gtau.robots.readers.read import CATALOG
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import prepare

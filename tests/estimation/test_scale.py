@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 from gtau import read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.scale import scale_shares, scale_uncertainty, sensor_scales
 from gtau.estimation.estimators import maximum_likelihood
 from gtau.estimation.estimators.essential import select_friction
@@ -33,7 +32,7 @@ from gtau.findings import Grade
 from gtau.model.base_parameters import base_parameters, seen_by_sensor
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import silent
-from gtau.result import identify, load
+from gtau.result import check, identify, load
 from gtau.robots.robot import DRIVE, Joint, Mdh, Robot
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Log, Run

@@ -10,10 +10,9 @@ import pytest
 from floating_logs import AT_HOOK, AT_SOLE, GAINS, ON_PLATE, POSE, Truth, deviations, experiment, simulated
 
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.diagnostics.verdict import WRENCHES
 from gtau.findings import Grade
-from gtau.result import Result, identify, load
+from gtau.result import Result, check, identify, load
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import read_run
 

@@ -18,7 +18,7 @@ from process_functions import fragile, held, refusing, slow_square
 from programs import wait_until
 
 from gtau.errors import GtauError
-from gtau.fleet.workers import LIMITS, check_workers, dask_workers, shielded_from_terminal
+from gtau.fleets.workers import LIMITS, check_workers, dask_workers, shielded_from_terminal
 
 distributed = pytest.importorskip("distributed")
 
@@ -136,10 +136,10 @@ def test_another_version_of_gtau_on_the_workers(client, monkeypatch: pytest.Monk
     address = client.scheduler.address
     with dask_workers(address) as mapper:
         assert dict(mapper(refusing, [1])) == {0: 1}
-    monkeypatch.setattr("gtau.fleet.workers.installed", lambda: "9.9.9")
+    monkeypatch.setattr("gtau.fleets.workers.installed", lambda: "9.9.9")
     with pytest.raises(GtauError, match=r"has gtau .* and this machine 9.9.9; install the same"), dask_workers(address):
         pass
-    monkeypatch.setattr("gtau.fleet.workers.check_workers", lambda *_: None)  # a worker that came later
+    monkeypatch.setattr("gtau.fleets.workers.check_workers", lambda *_: None)  # a worker that came later
     with dask_workers(address) as mapper:
         assert "this machine 9.9.9; install the same version everywhere" in str(dict(mapper(refusing, [1]))[0])
 

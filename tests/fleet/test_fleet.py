@@ -14,11 +14,12 @@ import pytest
 from five_bar_logs import EXPERIMENT, GAINS, JOINTS, STEEL, Plant, write_log
 from typer.testing import CliRunner
 
+import gtau
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.fleet import fleet
-from gtau.fleet.fleet import Member, Report, fleet_table, identify_fleet, read_fleet
-from gtau.fleet.workers import serial_map
+from gtau.fleets import fleet
+from gtau.fleets.fleet import Member, Report, fleet_table, identify_fleet, read_fleet
+from gtau.fleets.workers import serial_map
 from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
 from gtau.result import identify, load
@@ -240,6 +241,12 @@ def test_wrong_fleet_files(tmp_path: Path, text: str, says: str) -> None:
     assert says in result.stderr
     assert result.stderr.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_python_does_what_the_command_does(cells: Path, tmp_path: Path) -> None:
+    table = gtau.fleet([cells / "robot_1" / "experiment.yaml"], tmp_path, jobs=1)
+    assert table.robots == ("experiment",)
+    assert gtau.load(tmp_path / "models" / "experiment.json").gains == pytest.approx([g.gain for g in table.gains])
 
 
 def test_options_that_do_not_go_together(cells: Path, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gtau.fleet.fleet import LEAST, FleetTable, Member, Report, fleet_table
+from gtau.fleets.fleet import LEAST, FleetTable, Member, Report, fleet_table
 
 JOINTS = 3
 

@@ -10,7 +10,7 @@ import pytest
 from process_functions import fragile, limits, square
 from programs import LIMIT, start_python, wait_until
 
-from gtau.fleet.workers import processes
+from gtau.fleets.workers import processes
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -35,7 +35,7 @@ def test_a_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_ctrl_c_ends_all_processes_at_once_and_without_a_word(tmp_path: Path) -> None:
     code = """
 import sys, pathlib
-from gtau.fleet.workers import processes
+from gtau.fleets.workers import processes
 from process_functions import slow
 if __name__ == "__main__":
     try:

@@ -15,11 +15,11 @@ from five_bar_logs import JOINTS, Plant, write_experiment
 
 import gtau
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.compare import EstimatorComparison, MethodRow
 from gtau.findings import Grade
 from gtau.ipython import SHOWN, html, register
 from gtau.report.page import number as plain
+from gtau.result import check
 
 PRIOR = {"left": 2.4, "right": 4.1}
 

@@ -12,9 +12,8 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import check
 from gtau.estimation.experiment_runs import read_runs, read_validation
-from gtau.result import identify
+from gtau.result import check, identify
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 

@@ -83,7 +83,6 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text, show_default=False)
 
 
-ExperimentFile = Annotated[Path, argument("EXPERIMENT.yaml", "Experiment file.")]
 ModelFile = Annotated[Path, argument("MODEL.json", "What 'gtau identify' wrote.")]
 Columns = Annotated[Path | None, option("EXPERIMENT.yaml", "Take columns and units from an experiment file.")]
 CarriedPayload = Annotated[str | None, option("NAME", "Payload that the robot carries, by its name in the model.")]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +12,6 @@ import typer
 
 from gtau.cli.console import (
     METHODS,
-    ExperimentFile,
     Json,
     ReportFolder,
     answer,
@@ -26,7 +25,6 @@ from gtau.cli.console import (
 from gtau.cli.interruption import stop_request
 from gtau.cli.logs import LogOptions, Sources, experiment_of, said_if_refused
 from gtau.documents.files import folder_of, write_atomically
-from gtau.errors import GtauError
 
 if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
@@ -148,10 +146,14 @@ def _write(result: IdentifiedModel, out: Path) -> list[Path]:
 
 
 @refusing
-def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = False) -> None:
-    """Identify with every estimator; compare gains, standard deviations, residuals and verdicts."""
+def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json_: Json = False) -> None:
+    """Identify with every estimator; compare gains, standard deviations, residuals and verdicts.
+
+    Given logs instead of EXPERIMENT.yaml, it drafts that file, in DIR or else 'result'.
+    """
     hold(out)
-    with progress_bar() as progress:
+    experiment, guessed = experiment_of(sources, stated, out or Path("result"))
+    with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.compare import compare as run
         from gtau.estimation.compare import to_document
         from gtau.report.evidence import inputs_of
@@ -159,11 +161,11 @@ def compare(experiment: ExperimentFile, out: ReportFolder = None, json_: Json = 
         from gtau.report.render.html import write_report
         from gtau.signals.reading.experiment import read_experiment
 
-        comparison = run(experiment, progress=progress)
+        comparison = replace(run(experiment, progress=progress), notes=guessed)
     described = read_experiment(experiment)
-    page, written = comparison_page(comparison, described.expected_gains), []
+    page, written = comparison_page(comparison, described.expected_gains), [experiment] if guessed else []
     if out is not None:
-        written = [write_report(page, folder_of(out), seconds(), inputs_of(experiment, described))]
+        written.append(write_report(page, folder_of(out), seconds(), inputs_of(experiment, described)))
     answer(json_, lambda: to_document(comparison), lambda: page, written)
 
 
@@ -192,30 +194,21 @@ def fleet(
     Finished robots stay in DIR/models: run the command again to identify missing or changed robots.
     """
     hold(out)
-    from gtau.estimation.estimators.estimator import Gains
-    from gtau.estimation.estimators.registry import estimator_of
-    from gtau.fleet.fleet import fleet_table, identify_fleet, read_fleet
-    from gtau.fleet.workers import dask_workers, processes
+    from gtau.fleets.fleet import fleet as run
+    from gtau.fleets.fleet import read_fleet
     from gtau.report.fleet import fleet_document, fleet_page, write_fleet
     from gtau.report.render.html import write_report
 
-    if estimator_of(method).gains == Gains.GIVEN:
-        raise GtauError(f"--method {method} uses given drive gains; choose one that estimates them.")
-    if dask is not None and jobs is not None:
-        raise GtauError("--jobs is for processes without Dask; give one of --jobs and --dask.")
-    members = read_fleet(experiments)
-    folder = folder_of(out)
-    workers = dask_workers(dask) if dask is not None else processes(min(jobs or os.cpu_count() or 1, len(members)))
     try:
-        with progress_bar() as progress, workers as mapper:
-            table = fleet_table(identify_fleet(members, folder, mapper, method, progress))
+        with progress_bar() as progress:
+            table = run(experiments, out, method, jobs, dask, progress)
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
-            f"finished robots stay in {folder / 'models'}, and the same command continues with the others"
+            f"finished robots stay in {out / 'models'}, and the same command continues with the others"
         ) from None
-    files = tuple(("experiment", member.experiment) for member in members)
-    report = write_report(fleet_page(table, full=True), folder, seconds(), files)
-    written = (report, *write_fleet(table, folder))
+    files = tuple(("experiment", member.experiment) for member in read_fleet(experiments))
+    report = write_report(fleet_page(table, full=True), out, seconds(), files)
+    written = (report, *write_fleet(table, out))
     answer(json_, lambda: fleet_document(table), lambda: fleet_page(table), written)
     if not table.robots:
         raise typer.Exit(3)  # so that scripts do not continue with this fleet

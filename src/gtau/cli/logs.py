@@ -198,11 +198,12 @@ def check(
     experiment, guessed = experiment_of(sources, stated, out or Path("result"))
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
+        from gtau.estimation.experiment_runs import Options
         from gtau.report.check import check_document, check_page, write_check
         from gtau.report.evidence import inputs_of
         from gtau.report.render.html import write_report
 
-        checked = check(experiment, method=method, progress=progress)
+        checked = check(experiment, None, Options(method), progress)
     checked = replace(checked, notes=(*checked.notes, *guessed))
     page, written = check_page(checked), [experiment] if guessed else []
     if out is not None:

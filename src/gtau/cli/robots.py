@@ -198,10 +198,10 @@ def docs(
     name: Annotated[str | None, argument("PAGE", "Name of the page; without it all are listed.")] = None,
     json_: Json = False,
 ) -> None:
-    """Print a page of the documentation, which messages name by this command."""
-    from gtau.pages import page_text, pages
+    """Print a page of the documentation, which messages name by this command; 'messages' are all findings."""
+    from gtau.pages import page_text, titles
 
-    text = "\n".join(pages()) if name is None else page_text(name)
+    text = titles() if name is None else page_text(name)
     answer(json_, lambda: {"page": name, "text": text})
     if not json_:
         typer.echo(text)

@@ -16,11 +16,12 @@ from mcp.types import CallToolResult, TextContent, ToolAnnotations
 from pydantic import BaseModel, Field, ValidationError
 from typer.models import ArgumentInfo
 
+from gtau import __version__
 from gtau.doors.command import Command, within
 from gtau.errors import GtauError
 from gtau.extensions import names
 from gtau.pages import explain as rows_of
-from gtau.pages import pages
+from gtau.pages import pages, said
 
 USAGE = """gtau identifies drive gains and dynamic parameters of a robot from logs of positions and motor currents.
 The order is check, identify, validate or weigh, export. Files are named relative to the folder of the server; nothing
@@ -51,8 +52,7 @@ Result = Annotated[CallToolResult, Reply]
 def explain(finding: Annotated[str, Field(description="Kind or text of a finding, a verdict or a cause.")]) -> Result:
     """Explain a finding of check or identify: what it means, and what to do about it."""
     rows = rows_of(finding)
-    lines = [f"{row['name']} ({row['grade']}): {row['message']}; what to do: {row['what to do']}." for row in rows]
-    return Reply(summary="\n".join(lines), document={"findings": rows}).result()
+    return Reply(summary="\n".join(map(said, rows)), document={"findings": rows}).result()
 
 
 def tool(folder: Path, name: str, command: Callable[..., Any]) -> Callable[..., Any]:
@@ -144,9 +144,10 @@ def serve(folder: Path, commands: Mapping[str, Callable[..., Any]]) -> None:
     """Serve an agent over stdin and stdout until its client ends; raises GtauError if there is no such folder."""
     if not folder.is_dir():
         raise GtauError(f"{folder} is not a folder; make it, or give another one.")
-    server = Server("gtau", instructions=USAGE, log_level="WARNING")
+    server = Server("gtau", version=__version__, instructions=USAGE, log_level="WARNING")
     for made in (explain, *(tool(folder.resolve(), name, command) for name, command in commands.items())):
         server.add_tool(made, annotations=ToolAnnotations(open_world_hint=False))
     for page, path in pages().items():
-        server.add_resource(FileResource(uri=f"gtau://docs/{page}", name=page, path=path, mime_type="text/markdown"))
+        kind = "text/csv" if path.suffix == ".csv" else "text/markdown"
+        server.add_resource(FileResource(uri=f"gtau://docs/{page}", name=page, path=path, mime_type=kind))
     server.run()

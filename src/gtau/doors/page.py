@@ -168,6 +168,10 @@ class Cards:
                     self.button("Weigh its load", partial(self.weigh, log))
             if (drafted := project.answers.get("init")) is not None and drafted.refusal:
                 refused(drafted.refusal + " Or choose the roles of the columns below." * bool(project.text))
+                for log in waiting if waiting[1:] and not project.text else ():
+                    if log in drafted.refusal:
+                        others = [other for other in waiting if other != log]
+                        self.button(f"Draft without {log}", partial(self.draft, others))
             if not project.text:
                 return
             findings = self.findings("check")
@@ -416,7 +420,9 @@ def trace(values: list[float]) -> None:
 def drawing_of(drawing: Drawing) -> ui.scene:
     """Draw a robot that can be turned."""
     size = max(float(abs(line).max()) for line in drawing[0])
-    with ui.scene(width=340, height=260, grid=(round(4 * size + 1), 10), background_color="#dde3ea") as scene:
+    with ui.scene(width=340, height=260, grid=(round(4 * size + 1), 10), background_color="#dde3ea").classes(
+        "max-w-full"
+    ) as scene:
         draw_in(scene, drawing)
     scene.move_camera(x=0.9 * size, y=-1.5 * size, z=0.9 * size, look_at_z=0.4 * size, duration=0)
     return scene

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gtau.documents.validation import FUNCTION, NUMBER, TEXT, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import Examination, estimates_of
 from gtau.estimation.diagnostics.log_checks import (
@@ -23,7 +22,7 @@ from gtau.estimation.diagnostics.log_checks import (
 from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravity, doubtful_payloads, units_and_signs
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.experiment_runs import Subject, describe, geometry_of, options_of, read_runs, refusal_note
+from gtau.estimation.experiment_runs import Options, Subject, describe, geometry_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import preparation_of, robot_notes
@@ -42,7 +41,6 @@ from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
 from gtau.signals.preparation.choice import moving_spectra
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
 from gtau.signals.reading.experiment import Experiment, LoggedRun
-from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block_size
 
@@ -128,34 +126,14 @@ class ExperimentCheck:
         return next(iter(by_severity(self.notes)), Grade.INFORMATION)
 
 
-@takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER)
 @single_threaded_blas()
 def check(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
-    method: str | None = None,
-    prior_gains: Mapping[str, float] | None = None,
-    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
-    progress: Progress | None = None,
-    prior_inertias: float | None = None,
+    options: Options | None = None,
+    progress: Progress = silent,
 ) -> ExperimentCheck:
-    """Check the logs of an experiment: find everything that an identification would refuse, repair or report.
-
-    It takes what :func:`gtau.identify` takes. A log that cannot be used does not keep the others from being checked.
-    ``method`` is the estimator of the identification; its default if left out.
-
-    Raises
-    ------
-    GtauError
-        Where the experiment file or the robot's file is wrong.
-
-    Examples
-    --------
-    >>> gtau.check("experiment.yaml").worst.value
-    'information'
-    """
-    progress = progress or silent
-    options = options_of(prior_gains, priors, method=method, prior_inertias=prior_inertias)
+    """Check the logs of an experiment; see :func:`gtau.check`. Raises GtauError."""
     subject = describe(source, runs, options)
     robot = subject.robot
     experiment = subject.experiment

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -10,21 +10,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.documents.validation import FUNCTION, NUMBER, takes
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators.estimator import Gains
 from gtau.estimation.estimators.registry import NAMES, estimator_of
-from gtau.estimation.experiment_runs import options_of, read
+from gtau.estimation.experiment_runs import Options, read
 from gtau.estimation.identify import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
-from gtau.findings import Grade
+from gtau.findings import Finding, Grade
 from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import gain_unit
 from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
-from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
@@ -54,12 +52,13 @@ class MethodRow:
 
 @dataclass(frozen=True, eq=False)
 class EstimatorComparison:
-    """A row for each estimator, with the gains of the ``joints`` in their ``units``."""
+    """A row for each estimator, with the gains of the ``joints`` in their ``units``, and ``notes`` on drafted logs."""
 
     joints: tuple[str, ...]
     rows: tuple[MethodRow, ...]
     units: tuple[str, ...] = ()
     robot: str = ""
+    notes: tuple[Finding, ...] = ()
 
     def __repr__(self) -> str:
         return f"EstimatorComparison(joints {', '.join(self.joints)}; {', '.join(row.method for row in self.rows)})"
@@ -85,34 +84,18 @@ class EstimatorComparison:
         return pl.DataFrame(rows, schema_overrides=types | dict.fromkeys(("gain", "std", "residual"), pl.Float64))
 
 
-@takes(progress=FUNCTION, prior_inertias=NUMBER)
 def compare(
     source: str | Path | Experiment | Robot,
     runs: Sequence[Run] | None = None,
-    prior_gains: Mapping[str, float] | None = None,
-    priors: Mapping[str, Prior | Mapping[str, Any]] | None = None,
-    progress: Progress | None = None,
-    prior_inertias: float | None = None,
+    options: Options | None = None,
+    progress: Progress = silent,
 ) -> EstimatorComparison:
-    """Identify with every estimator, with the arguments of :func:`gtau.identify`, and compare the results.
-
-    Raises
-    ------
-    GtauError
-        Where a file is wrong, or the runs cannot fix the scale of the gains.
-
-    Examples
-    --------
-    >>> [row.method for row in gtau.compare("experiment.yaml").rows if row.gains is not None]
-    ['ml', 'huber', 'iv', 'didim', '2sls', 'tls']
-    """
-    options = options_of(prior_gains, priors, method="ml", prior_inertias=prior_inertias)
-    reported = progress or silent
-    subject = read(source, runs, options, reported)
+    """Identify with every estimator, and compare the results; see :func:`gtau.compare`. Raises GtauError."""
+    subject = read(source, runs, replace(options or Options(), method="ml"), progress)
 
     def row(method: str) -> MethodRow:
         def said(stage: str, done: int, total: int) -> None:
-            reported(f"{method} ({1 + NAMES.index(method)} of {len(NAMES)}): {stage}", done, total)
+            progress(f"{method} ({1 + NAMES.index(method)} of {len(NAMES)}): {stage}", done, total)
 
         start = perf_counter()
         by_method = replace(subject, options=replace(subject.options, method=method))
@@ -135,13 +118,14 @@ def compare(
         )
 
     with single_threaded_blas():
-        dataset = reduced(subject, estimator_of("ml"), reported)
+        dataset = reduced(subject, estimator_of("ml"), progress)
         system = dataset.system()
         plan(subject, estimator_of("ml"), dataset, system)  # refuses runs that do not fix the scale
         rows = [row(name) for name in NAMES]
     robot, kind = subject.robot, dataset.runs[0].kind
     units = tuple(gain_unit(robot, joint, kind) for joint in robot.motors)
-    return EstimatorComparison(robot.motors, tuple(rows), units, robot.name)
+    guesses = subject.experiment.guesses if subject.experiment else ()
+    return EstimatorComparison(robot.motors, tuple(rows), units, robot.name, guesses)
 
 
 def to_document(comparison: EstimatorComparison) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import refuse_floating
+from gtau.robots.readers.read import catalog_names
 from gtau.robots.robot import TRANSLATIONS, Limits, Pose, Robot
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import FIRST_MOMENTS, CarriedPayload, Drive, Payload
@@ -135,6 +136,9 @@ TURN = np.pi  # rad, reach of a joint without position limits
 TURNING = 0.3  # rad, reach of a platform's rotations
 
 
+EXAMPLE = "{robot: %s, rate: 1000, runs: [{payload: none}, {payload: {name: disc, mass: 1}}]}"  # a design file
+
+
 @takes(path=PATH)
 def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     """Read a design file; return the design problem, and sentences on what the file leaves to assume.
@@ -147,6 +151,8 @@ def read_design(path: str | Path) -> tuple[DesignProblem, dict[str, str]]:
     >>> "gains" in assumed  # no prior knowledge of them is stated
     True
     """
+    if str(path) in catalog_names():
+        raise GtauError(f"'{path}' is a robot; write a design file (gtau docs design-file), such as {EXAMPLE % path}.")
     refuse_other_kind(path, DESIGN)
     return make_task(validate(DesignFile, read_yaml(path), context=Path(path).parent))
 

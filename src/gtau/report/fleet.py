@@ -17,7 +17,7 @@ from gtau.report.chart import Axis, Chart, Panel, Rule, Series, intervals
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 
 if TYPE_CHECKING:
-    from gtau.fleet.fleet import FleetTable, JointOfFleet
+    from gtau.fleets.fleet import FleetTable, JointOfFleet
 
 LISTED = 20  # most outliers or refused robots that are listed
 NAMED = 40  # most robots whose names fit below the axis
@@ -167,6 +167,7 @@ def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] 
     said = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
     judged = [(row.method, row.outcome.value) for row in comparison.rows if row.outcome]
     said += [f"{method}: the gains are {outcome}" for method, outcome in judged if outcome not in TRUSTED]
+    said += map(str, comparison.notes)
     verdict = Text(_agreement(comparison), tuple(said), "neutral")
     words = "residual: worst joint, % of its current; time: estimation alone; ±: half the 95 % interval"
     return Page(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.documents.files import write_atomically
+from gtau.documents.validation import Accepted, takes
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import ExperimentCheck
 from gtau.estimation.compare import EstimatorComparison
@@ -45,6 +46,7 @@ from gtau.uses.prediction import Prediction, predict
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+GAINS: Accepted = ("gains by joint, such as {'left': 2.4}", (Mapping,))
 FIGURES = "a result, a prediction, a run or a robot"  # of what plot() draws
 SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 
@@ -57,6 +59,11 @@ def html(shown: object) -> str:
 def text(result: IdentifiedModel, verbose: bool) -> str:
     """Write a result as text, in full or on one screen."""
     return plain(full_page(result) if verbose else summary_page(result))
+
+
+def check_text(checked: ExperimentCheck) -> str:
+    """Write a check as text."""
+    return plain(check_page(checked))
 
 
 def write(result: IdentifiedModel, path: Path) -> None:
@@ -158,6 +165,7 @@ class Plots:
             raise GtauError("the drive gains were given, and there is no run; draw result.plot.torques(joint, run).")
         return figure_of(Chart(panels, self.result.robot.name))
 
+    @takes(prior=GAINS)
     def gains(self, prior: Mapping[str, float] | None = None) -> Figure:
         """Draw drive gains with 95 % intervals and ``prior`` gains, in per cent of the gain."""
         chart = gains_chart(self.result.drive_gains, prior or {})

@@ -332,7 +332,8 @@ def momentum_observer(result: IdentifiedModel, run: Run, bandwidth: float) -> np
     Raises
     ------
     GtauError
-        Where the run does not suit the robot, the loops cannot be closed, or the bandwidth is not positive.
+        Where the run does not suit the robot, the loops cannot be closed, or the bandwidth is not
+        between zero and half the sampling rate.
 
     Examples
     --------
@@ -346,6 +347,11 @@ def momentum_observer(result: IdentifiedModel, run: Run, bandwidth: float) -> np
     refuse_floating(result.robot, "the momentum observer is")
     run = suited(result, run)
     n, time = len(run.joints), np.asarray(run.time)
+    if bandwidth >= (half := 0.5 / float(np.median(np.diff(time)))):
+        raise GtauError(
+            f"the bandwidth of the observer is {bandwidth:g} Hz, but run '{run.name}' shows nothing from {half:.4g} Hz "
+            "on, half its sampling rate; write a lower one."
+        )
     delays = np.array([result.delays[joint].value or 0.0 for joint in run.joints])
     late = max(0.0, -delays.min())
     torque = np.stack(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -25,6 +27,14 @@ from gtau.signals.reading.logs import find_columns
 KINDS = ("position", "current", "torque", "time")
 HERE = Path()
 DRAFTED = Path("the draft")
+ARGUMENTS = {
+    r"--(position|current|torque|time)\b": r"gtau.draft(..., columns={'\1': ...})",
+    r"--kind (\w+)": r"gtau.draft(..., kind='\1')",
+    r"--payload (\S.*?)=([\d.]+|KG)": r"payload={'\1': \2}",
+    r"--(\w+) ([A-Z]+)\b": r"\1='\2'",
+    r"--(\w+)": r"\1=",
+}
+"""Options as sentences on drafts write them, with the arguments of the same names."""
 
 
 def drafted(
@@ -71,13 +81,14 @@ def _has_columns(log: Path, recording: Recording) -> bool:
     return {*signals.time_columns, *signals.position.values(), *signals.measured} <= {*find_columns(log).columns}
 
 
-@takes(logs=NAMES, robot=PATH, payload=MASSES, preset=TEXT, columns=MAPPING)
+@takes(logs=NAMES, robot=PATH, payload=MASSES, preset=TEXT, columns=MAPPING, kind=TEXT)
 def draft(
     logs: Sequence[str | Path],
     robot: str | Path | None = None,
     payload: Mapping[str, float] | None = None,
     preset: str | None = None,
     columns: Mapping[str, str] | None = None,
+    kind: str | None = None,
 ) -> Experiment:
     """Draft an experiment from logs, as ``gtau init`` does: find the columns of time, positions and currents.
 
@@ -95,6 +106,8 @@ def draft(
     columns : mapping, optional
         Columns or patterns by kind: ``{"position": "enc_J*", "current": "iq_J*", "time": "t"}``, for the joints in
         their order.
+    kind : str, optional
+        What command columns such as ``effort`` hold, ``"current"`` or ``"torque"``; by default judged by their names.
 
     Returns
     -------
@@ -113,6 +126,8 @@ def draft(
     """
     if isinstance(logs, (str, Path)) or not logs or not all(isinstance(log, (str, Path)) for log in logs):
         raise GtauError("logs are a list of paths; give ['empty.csv', 'loaded.csv'].")
+    if kind not in (None, "current", "torque"):
+        raise GtauError(f"the kind of the commands is '{kind}'; write 'current' or 'torque'.")
     for log, mass in (payload or {}).items():
         expect(f"the payload of '{log}'", mass, NUMBER)
     for signal, pattern in (columns or {}).items():
@@ -121,10 +136,21 @@ def draft(
             raise GtauError(f"'columns' has the key '{signal}'; choose from {', '.join(KINDS)}.")
     paths = [Path(log) for log in logs]
     name = None if robot is None else str(robot)
-    made = drafted(paths, name, payload or {}, None, preset, columns)
+    try:
+        made = drafted(paths, name, payload or {}, kind, preset, columns)  # type: ignore[arg-type]
+    except GtauError as error:
+        raise type(error)(in_python(error.sentence), error.source) from None
     if made.urdf is not None:
         raise GtauError(f"{paths[0]} holds its robot, which is written beside a draft; run 'gtau init {paths[0]} ...'.")
     text = draft_text(made, HERE)
     experiment = validate(Experiment, Document(DRAFTED, text), context=(HERE, HERE))
-    experiment._guesses = guesses(made, DRAFTED)
+    assumed = guesses(made, DRAFTED)
+    experiment._guesses = tuple(replace(guess, advice=in_python(guess.advice)) for guess in assumed)
     return experiment
+
+
+def in_python(sentence: str) -> str:
+    """Write the options of the command line that a sentence names as arguments in Python."""
+    for option, argument in ARGUMENTS.items():
+        sentence = re.sub(option, argument, sentence)
+    return sentence

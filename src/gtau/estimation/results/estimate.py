@@ -58,6 +58,22 @@ class Estimate:
             raise GtauError(f"'{self.name}' is not identifiable, so it has no value: {self.verdict.why}.")
         return self.value
 
+    __array_ufunc__ = None  # an array times an estimate is __rmul__
+
+    def __mul__(self, factor: Any) -> Any:
+        """Multiply the value, without its uncertainty."""
+        return float(self) * factor
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, divisor: Any) -> Any:
+        """Divide the value, without its uncertainty."""
+        return float(self) / divisor
+
+    def __rtruediv__(self, dividend: Any) -> Any:
+        """Divide by the value, without its uncertainty."""
+        return dividend / float(self)
+
     def __format__(self, spec: str) -> str:
         """Format the value, or without a ``spec`` print it with its interval and unit."""
         return format(float(self), spec) if spec else str(self)

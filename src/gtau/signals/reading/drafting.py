@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from math import isfinite, nan
+from math import isclose, isfinite, nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
@@ -322,6 +322,10 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         notes.append((f"payload masses come from the file names: {', '.join(loads)}", state))
     if empty := [log.name for log in named if log not in draft.payloads]:
         notes.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", state))
+    stated = {log: draft.payloads.get(log, (0.0,))[0] for log in draft.stated}
+    other = {log: read for log in stated if (read := masses_in_name(log.name)) and not _rounded(stated[log], read)}
+    if off := [f"{log.name} {stated[log]:g} kg, not {alternatives(read)}" for log, read in other.items()]:
+        notes.append((f"payload masses are taken as stated, against the file names: {', '.join(off)}", ""))
     for log, *_ in draft.logs:
         if episodes := find_columns(log).episodes:
             text = f"each of the {len(episodes)} episodes in {log.name} is a run"
@@ -337,6 +341,11 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     return tuple(
         Finding(DRAFT, text=text, advice=advice, grade=Grade.INFORMATION, source=str(file)) for text, advice in notes
     )
+
+
+def _rounded(mass: float, named: Sequence[float]) -> bool:
+    """Return whether a file name may state a mass, rounded to 5 %."""
+    return any(isclose(mass, read, rel_tol=0.05) for read in named)
 
 
 def _robot_entry(draft: Draft, folder: Path) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -15,13 +16,15 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
-from gtau.documents.files import in_order, matching, system_refusals, write_atomically
-from gtau.documents.validation import Keys, validate
+from gtau.documents.files import folder_of, in_order, matching, system_refusals, write_atomically
+from gtau.documents.validation import FUNCTION, NAMES, PATH, TEXT, WHOLE, Keys, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.estimation.estimators.estimator import Gains
+from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.model_file import model_text
-from gtau.fleet.workers import Mapper
+from gtau.fleets.workers import Mapper, dask_workers, processes
 from gtau.model.home import load_robot
 from gtau.progress import Progress, silent
 from gtau.robots.readers.native import native_text
@@ -177,6 +180,59 @@ def _named(paths: list[Path]) -> list[tuple[str, Path]]:
     return [("/".join(names[first : len(names) - last]), path) for names, path in zip(parts, paths, strict=True)]
 
 
+@takes(experiments=NAMES, out=PATH, method=TEXT, jobs=WHOLE, dask=TEXT, progress=FUNCTION)
+def fleet(
+    experiments: Sequence[str | Path],
+    out: str | Path = "fleet",
+    method: str = "ml",
+    jobs: int | None = None,
+    dask: str | None = None,
+    progress: Progress | None = None,
+) -> FleetTable:
+    """Identify many robots, and compare their drive gains, as ``gtau fleet`` does; a failure of one stops no other.
+
+    Parameters
+    ----------
+    experiments : sequence of path
+        Experiment files, one for each robot, or patterns (``"cells/*/experiment.yaml"``); or one fleet file.
+    out : path
+        Folder of the models, ``out/models/NAME.json``, which are not computed again until an input changes.
+    method : str
+        Estimator, as of :func:`gtau.identify`; one that estimates drive gains.
+    jobs : int, optional
+        Processes on this machine; one for each core if left out.
+    dask : str, optional
+        Address of a Dask scheduler (``"tcp://host:8786"``) on whose workers to work instead, or ``"local"``.
+    progress : callable, optional
+        Called as the work goes on.
+
+    Returns
+    -------
+    FleetTable
+        ``gains`` of all robots, their ``outliers``, and the robots ``refused``, each with the reason.
+
+    Raises
+    ------
+    GtauError
+        No file matches, or the method, the workers or the folder cannot be used.
+
+    Examples
+    --------
+    >>> gtau.fleet(["experiment.yaml"]).robots
+    ('experiment',)
+    """
+    if isinstance(experiments, str) or not all(isinstance(path, (str, Path)) for path in experiments):
+        raise GtauError("the experiment files of robots are a list of paths; give ['experiment.yaml'].")
+    if estimator_of(method).gains == Gains.GIVEN:
+        raise GtauError(f"method '{method}' uses given drive gains; choose one that estimates them.")
+    if dask is not None and jobs is not None:
+        raise GtauError("'jobs' is for processes without Dask; give one of 'jobs' and 'dask'.")
+    members, folder = read_fleet(experiments), folder_of(out)
+    workers = dask_workers(dask) if dask is not None else processes(min(jobs or os.cpu_count() or 1, len(members)))
+    with workers as mapper:
+        return fleet_table(identify_fleet(members, folder, mapper, method, progress or silent))
+
+
 def identify_fleet(
     members: Sequence[Member], out: Path, mapper: Mapper, method: str = "ml", progress: Progress = silent
 ) -> tuple[Report, ...]:
@@ -184,7 +240,7 @@ def identify_fleet(
 
     Each model is written to ``out/models/NAME.json``, and a key of its inputs to ``NAME.key``. A model is reused while
     program, robot, experiment and logs are unchanged; any edit of the program counts as a change. ``mapper`` comes from
-    :mod:`gtau.fleet.workers`. Raises GtauError if the folder is not writable; errors of a robot are in its report.
+    :mod:`gtau.fleets.workers`. Raises GtauError if the folder is not writable; errors of a robot are in its report.
     """
     items = []
     for member in members:
