@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from gtau.uses.external_torques import TorquesAlongLog
 
 
+OF_ALL = {"progress": FUNCTION, "prior_inertias": NUMBER, "robot": PATH, "payload": MASSES}
+
+
 class Result(IdentifiedModel):
     """An identified model, with what is done with it: predict, validate, plot, report, save."""
 
@@ -179,11 +182,6 @@ class Result(IdentifiedModel):
 
         return export_model(self, kind, out, **options)
 
-    @classmethod
-    def load(cls, path: str | Path) -> Result:
-        """Load a result, as :func:`gtau.load` does."""
-        return load(path)
-
 
 @takes(path=PATH)
 def load(path: str | Path) -> Result:
@@ -212,17 +210,7 @@ def load(path: str | Path) -> Result:
     return Result.of(model_file.load(path))
 
 
-@takes(
-    method=TEXT,
-    ratio=NUMBER,
-    prior_inertias=NUMBER,
-    as_paper=TRUTH,
-    consistent=TRUTH,
-    accuracy=NUMBER,
-    progress=FUNCTION,
-    robot=PATH,
-    payload=MASSES,
-)
+@takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, **OF_ALL)
 def identify(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
@@ -295,35 +283,24 @@ def identify(
     >>> print(f"{result.drive_gains['left']:.1f}")
     2.6
     """
-    options = options_of(
-        prior_gains,
-        priors,
-        method=method,
-        as_paper=as_paper,
-        consistent=consistent,
-        accuracy=accuracy,
-        ratio=ratio,
-        prior_inertias=prior_inertias,
-    )
+    asked = {"method": method, "as_paper": as_paper, "consistent": consistent, "accuracy": accuracy, "ratio": ratio}
+    options = options_of(prior_gains, priors, prior_inertias=prior_inertias, **asked)
     described = _described(source, runs, robot, payload, "identify")
     return Result.of(uses.identify(described, runs, options, progress or silent))
 
 
 class ExperimentCheck(check_logs.ExperimentCheck):
-    """The readable logs of an experiment, their preparation, and ``notes`` on all findings.
-
-    ``preparation`` is None where none of the logs for the identification can be read, ``geometry`` where no pose is
-    logged.
-    """
+    """What :func:`check` finds: the readable logs, their preparation, and ``notes`` on all findings."""
 
     def summary(self) -> str:
         """Summarise the check as text, as ``gtau check`` prints it."""
-        from gtau.report.plots import check_text
+        from gtau.report.check import check_page
+        from gtau.report.render.terminal import plain
 
-        return check_text(self)
+        return plain(check_page(self))
 
 
-@takes(method=TEXT, progress=FUNCTION, prior_inertias=NUMBER, robot=PATH, payload=MASSES)
+@takes(method=TEXT, **OF_ALL)
 def check(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
@@ -357,7 +334,7 @@ def check(
     return ExperimentCheck(**{**vars(checked), "notes": (*checked.notes, *guesses)})
 
 
-@takes(progress=FUNCTION, prior_inertias=NUMBER, robot=PATH, payload=MASSES)
+@takes(**OF_ALL)
 def compare(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,

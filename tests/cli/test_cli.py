@@ -714,6 +714,19 @@ def test_interrupted_while_importing(here: Path) -> None:
     assert process.returncode == 130
 
 
+@pytest.mark.parametrize(
+    ("error", "says", "code"),
+    [("MemoryError", "out of memory; ", 2), ("KeyError(7)", "this is a bug in gtau (KeyError: 7)", 1)],
+)
+def test_a_failure_is_a_json_document_too(error: str, says: str, code: int, tmp_path: Path) -> None:
+    fails = f"import gtau.pages; gtau.pages.titles = lambda: (_ for _ in ()).throw({error})"
+    process = start(tmp_path, "docs", "--json", first=fails)
+    printed, said = process.communicate(timeout=60)
+    assert json.loads(printed)["error"].startswith(says)
+    assert said.startswith(f"gtau: {says}")
+    assert process.returncode == code
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no device that is always full")
 @pytest.mark.parametrize("command", [["--help"], ["robot", "five-bar"], ["robot", "five-bar", "--json"]])
 def test_a_full_disk_under_what_is_printed(tmp_path: Path, command: list[str]) -> None:

@@ -14,7 +14,7 @@ from five_bar_logs import STEEL, Plant
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.cli.logs import Commands, LogOptions, experiment_of
+from gtau.cli.logs import LogOptions, experiment_of
 from gtau.demo import write_tutorial
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import load as load_model
@@ -137,7 +137,7 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     assert loaded.payload is not None
     assert loaded.payload.mass == 0.75
     assert not any("payload masses come from" in words for words in said)
-    stated = LogOptions("arm.urdf", [f"{LOADED}=0.75"], kind=Commands.current)
+    stated = LogOptions("arm.urdf", [f"{LOADED}=0.75"], kind="current")
     experiment_of([Path(log) for log in logs], stated, Path("looked"))  # an unedited draft is replaced
     assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
 
@@ -188,6 +188,8 @@ def test_what_is_given_wrongly_is_refused(tmp_path: Path, motion: Any, monkeypat
         assert (done.exit_code, words in done.stderr) == (2, True), done.stderr
     done = CliRunner().invoke(app, ["identify", "experiment.yaml", "--robot", "ur10e"])
     assert "--robot is for logs" in done.stderr
+    for source, words in (("nowhere", "nowhere cannot be read"), (".", ". is a folder, not an experiment file")):
+        assert words in CliRunner().invoke(app, ["identify", source, "--robot", "ur10e"]).stderr
     broken = write_bag(
         tmp_path / "broken", ("a", "b"), *(each[:200] for each in motion["empty"]), urdf="<robot><link/></robot>"
     )
@@ -472,6 +474,16 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     used = json.loads(invoke("use", "again.csv"))
     assert [joint["joint"] for joint in used["joints"]] == ["left", "right"]
     assert read_log(model, "again.csv").position == pytest.approx(free.position)
+    Path("nothing.csv").write_text("")
+    for arguments, words in (
+        (
+            ["use", "nothing.csv"],
+            "nothing.csv is empty or begins with an empty line; give a log with one sample a line.",
+        ),
+        (["export", "--to", "csv", "--hours", "3"], "are for 'thresholds', not for 'csv'; leave them out."),
+    ):
+        done = CliRunner().invoke(app, [arguments[0], "result/model.json", *arguments[1:]])
+        assert (done.exit_code, done.stderr.rstrip().endswith(words)) == (2, True), done.stderr
 
 
 def invoke(command: str, *arguments: str) -> str:

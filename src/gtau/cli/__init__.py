@@ -8,7 +8,6 @@ import os
 import sys
 
 from gtau.cli.interruption import exit_code, interrupted, listen, report_ending
-from gtau.errors import tidy
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
@@ -39,6 +38,7 @@ def _run() -> int:
 
     if len(sys.argv) < 2:
         app()
+    as_json = "--json" in sys.argv
     usage_error: type[Exception] = typer.BadParameter.__mro__[1]  # of typer's own click or the installed one
     try:
         code = app(standalone_mode=False)
@@ -49,21 +49,19 @@ def _run() -> int:
         stop = "" if message.endswith("?") else "."
         context = getattr(error, "ctx", None)
         command = "gtau" if context is None else context.command_path
-        return refused(f"{message}{stop} See '{command} --help'.", "--json" in sys.argv).exit_code
+        return refused(f"{message}{stop} See '{command} --help'.", as_json).exit_code
     except Exception as error:
         if interrupted():
             raise KeyboardInterrupt from None
         if "GTAU_DEBUG" in os.environ:
             raise
         if isinstance(error, MemoryError):
-            typer.echo("gtau: out of memory; give shorter logs, or more memory.", err=True)
-            return 2
+            return refused("out of memory; give shorter logs, or more memory.", as_json).exit_code
         if isinstance(error, OSError) and (error.filename or error.errno in FULL):
             where = error.filename or "the output"  # without a name it is stdout
             deed = "written ({}); free some space" if error.errno in FULL else "opened ({}); check the path"
-            typer.echo(tidy(f"gtau: {where} cannot be {deed.format(error.strerror)}."), err=True)
-            return 2
+            return refused(f"{where} cannot be {deed.format(error.strerror)}.", as_json).exit_code
         bug = f"this is a bug in gtau ({type(error).__name__}: {error}); report it with the output of GTAU_DEBUG=1."
-        typer.echo(f"gtau: {bug}", err=True)
+        refused(bug, as_json)
         return 1
     return code if isinstance(code, int) else 0

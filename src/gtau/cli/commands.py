@@ -34,7 +34,7 @@ class _Command(TyperCommand):
         listed = ", ".join(names("gtau.exports", "gtau.export"))
         for parameter in self.get_params(ctx):
             if parameter.param_type_name == "argument":
-                parameter.display_type_rich = _no_type  # type: ignore[attr-defined, method-assign, unused-ignore]
+                parameter.display_type_rich = lambda ctx: None  # type: ignore[attr-defined, method-assign, unused-ignore]
             elif "{exports}" in (template := getattr(parameter, "template", parameter.help) or ""):  # type: ignore[attr-defined]
                 parameter.template = template  # type: ignore[attr-defined]
                 parameter.help = template.format(exports=listed)  # type: ignore[attr-defined]
@@ -42,10 +42,6 @@ class _Command(TyperCommand):
         with formatter.section("Examples"):
             for example in examples(str(self.name)):
                 formatter.write(f"  {example}\n")
-
-
-def _no_type(ctx: Any) -> None:
-    """Replace the type in the help of arguments."""
 
 
 COMMANDS: dict[str, dict[Callable[..., None], str]] = {

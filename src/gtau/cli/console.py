@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from inspect import Parameter, Signature, signature
@@ -109,15 +109,13 @@ def base_choice(text: str | None) -> Any:
     from gtau.robots.readers.source import angle
 
     angles, why = [part.strip() for part in text.split(",")], ""
-    try:
-        for part in angles:
-            angle(part)
-    except ValueError as error:
-        why = f": {error}"
-    if len(angles) != 3 or why:
-        why = why if len(angles) == 3 else ""
-        raise GtauError(f"--base is '{text}'{why}; write fixed, floating, or three angles in rad, such as 0,0,deg(90).")
-    return {"rpy": angles}
+    if len(angles) == 3:
+        try:
+            list(map(angle, angles))
+            return {"rpy": angles}
+        except ValueError as error:
+            why = f": {error}"
+    raise GtauError(f"--base is '{text}'{why}; write fixed, floating, or three angles in rad, such as 0,0,deg(90).")
 
 
 def refusing(command: Callable[..., None]) -> Callable[..., None]:
@@ -172,8 +170,9 @@ def refused(sentence: str, as_json: bool) -> typer.Exit:
     """Report a refusal; return the exit to raise."""
     sentence = tidy(sentence)  # also click's sentences
     typer.echo(f"gtau: {sentence}", err=True)
-    if as_json:
-        print_json({"error": sentence})
+    with suppress(OSError):  # of a full disk
+        if as_json:
+            print_json({"error": sentence})
     return typer.Exit(2)
 
 

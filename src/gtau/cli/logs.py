@@ -6,7 +6,6 @@ import textwrap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -27,7 +26,7 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
-from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, write_atomically
+from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_other_kind, write_atomically
 from gtau.errors import GtauError, tidy
 
 if TYPE_CHECKING:
@@ -35,13 +34,6 @@ if TYPE_CHECKING:
     from gtau.findings import Finding
 
 WIDTH = 80
-
-
-class Commands(StrEnum):
-    """Kind of the logged commands."""
-
-    current = "current"
-    torque = "torque"
 
 
 Sources = Annotated[
@@ -81,7 +73,7 @@ class LogOptions:
     torque: Annotated[str | None, option("COLUMNS", "With logs: columns or a pattern of the torques.")] = None
     time: Annotated[str | None, option("COLUMN", "With logs: column of the time.")] = None
     kind: Annotated[
-        Commands | None,
+        Literal["current", "torque"] | None,
         option("current|torque", "With logs: what command columns such as 'effort' contain; default: judged by name."),
     ] = None
     preset: Annotated[
@@ -94,11 +86,6 @@ class LogOptions:
     def given(self) -> list[str]:
         """Names of the options that are given."""
         return [f"--{name.replace('_', '-')}" for name, value in vars(self).items() if value]
-
-    @property
-    def commands(self) -> Literal["current", "torque"] | None:
-        """Kind of the commands."""
-        return None if self.kind is None else self.kind.value
 
     @property
     def xacro(self) -> dict[str, str]:
@@ -136,7 +123,6 @@ def init(
         str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
     ] = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
-    yes: Annotated[bool, option("", "As always: ask nothing.", "--yes", hidden=True)] = False,  # of older scripts
     json_: Json = False,
 ) -> None:
     """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate.
@@ -153,7 +139,7 @@ def init(
         raise GtauError("--base places a robot; also give --robot ROBOT.")
     with skeleton_if_unrecognised(logs, robot, out):
         draft = draft_logs(
-            logs, robot, base_choice(base), stated.masses, stated.commands, stated.preset, stated.columns, stated.xacro
+            logs, robot, base_choice(base), stated.masses, stated.kind, stated.preset, stated.columns, stated.xacro
         )
     write_draft(draft, out)
     open_ = [QUESTIONS[key] for key in draft.open]
@@ -224,7 +210,8 @@ def experiment_of(
     needs an answer of the user.
     """
     if len(sources) == 1 and not is_log(sources[0]):
-        if stated.given:
+        if stated.given and sources[0].exists():
+            refuse_other_kind(sources[0], EXPERIMENT)
             raise GtauError(f"{stated.given[0]} is for logs; an experiment file states this itself, so omit it.")
         return sources[0], ()
     if others := [source for source in sources if source.suffix in (".yaml", ".yml") or kind_of(source) == EXPERIMENT]:
@@ -232,11 +219,11 @@ def experiment_of(
     from gtau.signals.reading.drafting import guesses, write_draft
     from gtau.uses.logs import drafted
 
-    robot, kind, recording = stated.robot, stated.commands, None
+    robot, kind, recording = stated.robot, stated.kind, None
     if model is not None:
         from gtau.robots.readers.native import native_text
 
-        kind, recording = kind or Commands(model.kind).value, model.recording
+        kind, recording = kind or model.kind, model.recording
         if robot is None:
             robot = str(folder_of(folder) / "robot.yaml")
             write_atomically(robot, native_text(model.robot))

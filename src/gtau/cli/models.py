@@ -5,11 +5,10 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Sequence
 from dataclasses import asdict, replace
-from enum import StrEnum
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -36,14 +35,8 @@ if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
     from gtau.export.exported import Exported
 
+HOURS = 8.0  # between false alarms
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # as in export.payload, which --help need not import
-
-
-class GainChoice(StrEnum):
-    """Drive gains with which a payload is weighed."""
-
-    identified = "identified"
-    prior = "prior"
 
 
 @refusing
@@ -96,7 +89,9 @@ def validate(
     answer(json_, lambda: validation_document(runs), lambda: validation_page(result, runs, notes), written)
 
 
-WeighingGains = Annotated[GainChoice, option("identified|prior", "The model's gains, or the file's prior_gains.")]
+WeighingGains = Annotated[
+    Literal["identified", "prior"], option("identified|prior", "The model's gains, or the file's prior_gains.")
+]
 PayloadFrame = Annotated[
     str,
     option(
@@ -116,7 +111,7 @@ def payload(
     model: ModelFile,
     sources: Sources,
     stated: LogOptions,
-    gains: WeighingGains = GainChoice.identified,
+    gains: WeighingGains = "identified",
     frame: PayloadFrame = "",
     to: Controller = None,
     out: WeighingFolder = None,
@@ -148,17 +143,17 @@ def payload(
         if to is not None:
             _refuse_controller(to, frame, result, file)
         with said_if_refused(guessed):
-            weighed = weigh(result, experiment, gains=gains.value, progress=progress)
+            weighed = weigh(result, experiment, gains=gains, progress=progress)
     has_bodies = bool(frame or to or find_spec("clarabel"))
     bodies = [payload.in_frame(frame, file) for payload in weighed] if has_bodies else []
     notes = [] if has_bodies else [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
     notes += [f"{guess.what}; {guess.advice}".removesuffix("; ") for guess in guessed]
     written: list[Path] = []
-    exact = exact_gains(result, described, gains.value)
-    page = partial(weighing_page, result, weighed, gains.value, exact, bodies)
+    exact = exact_gains(result, described, gains)
+    page = partial(weighing_page, result, weighed, gains, exact, bodies)
     if out is not None:
         inputs = (("model", model), *inputs_of(experiment, described))
-        settings = {**settings_of(result), "drive gains": gains.value}
+        settings = {**settings_of(result), "drive gains": gains}
         written = [write_report(page(described.expected_gains), folder_of(out), seconds(), inputs, settings)]
         for exported in () if to is None else export_bodies(bodies, to, out):
             written += exported.files
@@ -168,12 +163,12 @@ def payload(
         "bodies": bodies_document(bodies),
         "files": [str(path) for path in written],
         "notes": notes,
-        "gains": gains.value,
+        "gains": gains,
         "gain_uncertainty_included": not exact,
     }
     answer(json_, lambda: document, page, written)
     _show_notes([] if json_ else notes)
-    doubted = gains == GainChoice.identified and not exact and not result.believable
+    doubted = gains == "identified" and not exact and not result.believable
     if doubted or Grade.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
         raise typer.Exit(3)  # so that scripts do not continue with this mass
 
@@ -219,7 +214,7 @@ def export(
     experiment: Annotated[
         Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs, all without contact.")
     ] = None,
-    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms of the robot.")] = 8.0,
+    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms of the robot.")] = HOURS,
     observer: Annotated[
         float | None, option("HZ", "For 'thresholds': thresholds of the momentum observer with this bandwidth.")
     ] = None,
@@ -228,6 +223,8 @@ def export(
     """Export a model for controllers, simulators, papers and other programs."""
     from gtau.export.exported import export_model
 
+    if to != "thresholds" and (experiment is not None or observer is not None or hours != HOURS):
+        raise GtauError(f"--experiment, --hours and --observer are for 'thresholds', not for '{to}'; leave them out.")
     with progress_bar() as progress:
         progress("export", 0, 1)
         if to == "thresholds" and experiment is not None:

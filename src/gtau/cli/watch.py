@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -75,6 +74,7 @@ def watch(
     from gtau.estimation.results.model_file import load
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.identify import read_log
+    from gtau.watch.follow import follow as followed
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
 
@@ -92,12 +92,16 @@ def watch(
             progress(f"reading {given[-1].name}", 0, 1)
             watched.imagine(read(given[-1]))
     if power:
-        _show_power(watched, json_)
+        from gtau.report.watch import power_page, power_rows
+
+        answer(json_, lambda: power_rows(watched), lambda: power_page(watched))
         return
     for action, subject in actions.items():
         if subject is not None:
             getattr(watched, action)(subject)
-    statuses = _followed(watched, sources[0], read, block) if follow else _taken(watched, given, read)
+    statuses = _taken(watched, given, read)
+    if follow:  # silent while it waits for the next log
+        statuses = followed(watched, sources[0], read, block, busy=lambda log: progress_lines(f"reading {log}", EVERY))
     if _told(watched, statuses, (model, *given), json_, follow):
         raise typer.Exit(3)
 
@@ -110,22 +114,6 @@ def _refuse_logs(sources: list[Path], follow: bool, power: bool, alone: bool) ->
         raise GtauError("there is no log to compare; give logs.")
     if power and (follow or not sources):
         raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
-
-
-def _show_power(watched: Watch, as_json: bool) -> None:
-    from gtau.report.watch import power_page, power_rows
-
-    answer(as_json, lambda: power_rows(watched), lambda: power_page(watched))
-
-
-def _followed(watched: Watch, source: Path, read: Read, block: float) -> Iterator[Status]:
-    from gtau.watch import follow
-
-    def busy(log: str) -> AbstractContextManager[object]:
-        """Say every few seconds that a log is being read, but nothing while waiting for the next one."""
-        return progress_lines(f"reading {log}", EVERY)
-
-    return follow.follow(watched, source, read, block, busy=busy)
 
 
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:

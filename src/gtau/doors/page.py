@@ -317,8 +317,10 @@ class Cards:
         refusal_of(answer)
         if answer.refusal:
             return
-        if name == "payload":
-            weighed(answer.document)
+        for payload in answer.document["payloads"] if name == "payload" else ():
+            mass, (low, high) = payload["parameters"]["m"]["value"], payload["parameters"]["m"]["interval"]
+            words = f"{mass:.4g} kg ± {(high - low) / 2:.2g} kg ({payload['outcome']})"
+            ui.label(f"{payload['name']}: {words}").classes("text-h6")
         if name == "export":
             for file in answer.document["files"]:
                 ui.link(file, f"/files/{file}", new_tab=True)
@@ -389,14 +391,6 @@ def report(project: Project, name: str) -> None:
         address = f"/files/{name}/report.html?{path.stat().st_mtime:.0f}"
         ui.link("Open the report alone", address, new_tab=True)
         ui.element("iframe").classes("report").props(f'src="{address}" title="report of {name}"')
-
-
-def weighed(document: Any) -> None:
-    """Show the masses of weighed payloads."""
-    for payload in document["payloads"]:
-        mass = payload["parameters"]["m"]
-        half = (mass["interval"][1] - mass["interval"][0]) / 2
-        ui.label(f"{payload['name']}: {mass['value']:.4g} kg ± {half:.2g} kg ({payload['outcome']})").classes("text-h6")
 
 
 def about(finding: dict[str, Any], entry: RunEntry) -> bool:

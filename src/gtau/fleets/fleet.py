@@ -61,11 +61,9 @@ class Report:
 
 @dataclass(frozen=True)
 class FleetGain:
-    """Row of the fleet's table: a drive gain of one robot, compared with the rest of the fleet.
+    """Drive gain of one robot beside the fleet's median, from which it is ``z`` standard deviations apart.
 
-    ``outcome`` and ``why`` are the verdict of its own identification; ``difference_percent`` from the median of the
-    fleet; ``z`` the same in standard deviations, and ``limit`` the outlier threshold, both None without others to
-    compare with; ``half_width`` half the 95 % interval, in ``unit``.
+    ``outcome`` and ``why`` are its own verdict; ``half_width`` is half the 95 % interval, in ``unit``.
     """
 
     robot: str
@@ -197,19 +195,10 @@ def fleet(
         Experiment files, one for each robot, or patterns (``"cells/*/experiment.yaml"``); or one fleet file.
     out : path
         Folder of the models, ``out/models/NAME.json``, which are not computed again until an input changes.
-    method : str
-        Estimator, as of :func:`gtau.identify`; one that estimates drive gains.
-    jobs : int, optional
-        Processes on this machine; one for each core if left out.
-    dask : str, optional
-        Address of a Dask scheduler (``"tcp://host:8786"``) on whose workers to work instead, or ``"local"``.
-    progress : callable, optional
-        Called as the work goes on.
-
-    Returns
-    -------
-    FleetTable
-        ``gains`` of all robots, their ``outliers``, and the robots ``refused``, each with the reason.
+    method, progress : optional
+        As of :func:`gtau.identify`; a method that estimates drive gains.
+    jobs, dask : optional
+        Number of processes, by default one for each core; or address of a Dask scheduler, or ``"local"``.
 
     Raises
     ------
@@ -236,16 +225,14 @@ def fleet(
 def identify_fleet(
     members: Sequence[Member], out: Path, mapper: Mapper, method: str = "ml", progress: Progress = silent
 ) -> tuple[Report, ...]:
-    """Identify every robot of a fleet; finished models are kept and not computed again.
+    """Identify every robot of a fleet whose inputs (``NAME.key``: program, robot, experiment, logs) have changed.
 
-    Each model is written to ``out/models/NAME.json``, and a key of its inputs to ``NAME.key``. A model is reused while
-    program, robot, experiment and logs are unchanged; any edit of the program counts as a change. ``mapper`` comes from
-    :mod:`gtau.fleets.workers`. Raises GtauError if the folder is not writable; errors of a robot are in its report.
+    Raises GtauError if the folder is not writable; errors of a robot are in its report.
     """
     items = []
     for member in members:
         model, key = _files(out, member)
-        items.append((member.anywhere, _read_text(key) if model.is_file() else ""))
+        items.append((member.anywhere, key.read_text(encoding="utf-8") if model.is_file() and key.is_file() else ""))
     reports: dict[int, Report] = {}
     progress("robots", 0, len(members))
     for k, outcome in mapper(partial(identify_member, method), items):
@@ -310,7 +297,7 @@ def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Re
         model.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(model, text)
         write_atomically(key, inputs)
-    return Report(member, json.loads(_read_text(model)))
+    return Report(member, json.loads(model.read_text(encoding="utf-8")))
 
 
 def _files(out: Path, member: Member) -> tuple[Path, Path]:
@@ -318,20 +305,11 @@ def _files(out: Path, member: Member) -> tuple[Path, Path]:
     return model, model.with_name(f"{model.name.removesuffix('.json')}.key")
 
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError:
-        return ""
-
-
 def fleet_table(reports: Sequence[Report]) -> FleetTable:
     """Compare the gains of each joint over the robots of the same model; see :func:`_median_and_spread`."""
     gains, freedoms = list[FleetGain](), list[float]()
     for report in reports:
-        if report.model is None:
-            continue
-        for row in report.model["drive_gains"]:
+        for row in report.model["drive_gains"] if report.model else ():
             joint, gain, std, unit = (row[key] for key in ("joint", "value", "std", "unit"))
             half_width = Estimate(joint, gain, std, unit, freedom=row["freedom"]).half_interval()
             verdict = {"outcome": row["outcome"], "why": row["why"], "half_width": half_width}

@@ -61,11 +61,6 @@ def text(result: IdentifiedModel, verbose: bool) -> str:
     return plain(full_page(result) if verbose else summary_page(result))
 
 
-def check_text(checked: ExperimentCheck) -> str:
-    """Write a check as text."""
-    return plain(check_page(checked))
-
-
 def write(result: IdentifiedModel, path: Path) -> None:
     """Write the report of a result and its runs to an HTML file."""
     report = report_page(result, gather(result, result.data), {})

@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 CLEAR = 0.005
 ROUNDING = 1e-10  # relative singular value of a direction that is left out
 SEEN = 0.999  # of a component's square in seen directions; others contribute at most sqrt(SEEN (1 - SEEN)) = 3 %
+NORMAL = 1.959963984540054  # half the 95 % interval, in standard deviations
 BEYOND = 4.0  # standard deviations, as in the table of torques
 
 
@@ -111,7 +112,7 @@ class WrenchAlongLog:
             return Component(name, unit, share)
         values, half = self.wrench[kept, k], self.interval[kept, k]
         largest, time = _largest(values, self.time[kept])
-        beyond = float(np.mean(np.abs(values) > BEYOND * half / _normal()))
+        beyond = float(np.mean(np.abs(values) > BEYOND * half / NORMAL))
         return Component(name, unit, share, _rms(values), float(np.median(half)), largest, time, beyond)
 
 
@@ -134,11 +135,10 @@ def wrench_along_log(
     :func:`gtau.robots.readers.read.frame_on`). If ``force_only``, the contact exerts no moment about the frame's
     origin, so that three motors suffice for the force.
 
-    The torques are weighted by their covariance: the residual of the identification, plus the joint covariance of
-    parameters and gains at the sample's motion. So seven motors average and six are exact. The share of the torques
-    that the identification left unexplained is uncertain in the external torques too. Near singular poses, directions
-    that the pose does not show are left out; components with a part in them are not seen, and have no value. Raises
-    GtauError where the base floats, or the model lacks a residual.
+    The torques are weighted by their covariance: the residual of the identification, also as a share of the external
+    torque, plus the covariance of parameters and gains at the sample's motion. Near singular poses, components with a
+    part in directions that the pose does not show have no value. Raises GtauError where the base floats, or the model
+    lacks a residual.
     """
     refuse_floating(result.robot, "the external wrench is")
     errors = {error.joint: error for error in result.residuals}
@@ -166,14 +166,8 @@ def wrench_along_log(
     value, std, shares, directions = (np.concatenate(blocks) for blocks in zip(*parts, strict=True))
     seen = (shares >= SEEN) & (scale > 0)
     wrench = np.where(seen, value * scale, np.nan)
-    half = np.where(seen, _normal() * std * scale, np.nan)
+    half = np.where(seen, NORMAL * std * scale, np.nan)
     return WrenchAlongLog(called, prediction.time, wrench, half, seen, directions, np.all(prediction.keep, axis=1))
-
-
-def _normal() -> float:
-    from scipy.special import ndtri
-
-    return float(ndtri(0.975))
 
 
 def _to_body(placement: Placement) -> np.ndarray:
@@ -209,10 +203,9 @@ def _dense(model: InverseDynamics, columns: Regressor, motion: Motion) -> np.nda
 
 
 def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Solve ``A w = torque`` (N, n) by weighted least squares in the directions that the pose shows, all in N.
+    """Solve ``A w = torque`` (N, n), all in N, in the directions that the pose shows.
 
-    Returns the unknowns w, their standard deviations, and the share of each in the directions that the pose shows, (N,
-    6) each; and the number of these directions, (N,).
+    Returns w, its standard deviations and its shares in these directions (N, 6), and their number (N,).
     """
     _, size, directions = np.linalg.svd(A, full_matrices=False)
     shown = size > CLEAR * size[:, :1]
@@ -275,12 +268,7 @@ def torques_along_log(
     force_only: bool = False,
     bandwidth: float | None = None,
 ) -> TorquesAlongLog:
-    """Compute motor, model and external torques at every sample of a run, after the low-pass of identification.
-
-    With a ``frame``, also the wrench there, a pure force if ``force_only``; see :func:`wrench_along_log`. With a
-    ``bandwidth``, Hz, also the estimate of :func:`momentum_observer`. Raises GtauError where the run does not suit the
-    robot, or the model refuses a sample.
-    """
+    """Compute torques along a run; see :meth:`gtau.Result.external_torques`. Raises GtauError."""
     raw = predict_under_load(result, run)
     prediction = raw.in_band
     residual = {error.joint: error.rms for error in result.residuals}

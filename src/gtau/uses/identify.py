@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from gtau.errors import GtauError, NoFile
+from gtau.errors import GtauError
 from gtau.estimation import identify as estimation
 from gtau.estimation.experiment_runs import Options, Subject, describe, read, read_validation
 from gtau.estimation.results.estimate import Requirement, TorqueError
@@ -49,9 +49,9 @@ def read_log(
         signals, units = model.recording.signals, model.recording.units
     try:
         return read_run(log, signals, None, units, part=part)
-    except NoFile:
-        raise
     except GtauError as error:
+        if "column" not in error.sentence:
+            raise
         raise GtauError(f"{str(error).rstrip('.')}; or name its columns by --experiment EXPERIMENT.yaml.") from None
 
 

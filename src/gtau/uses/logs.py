@@ -33,8 +33,7 @@ ARGUMENTS = {
     r"--payload (\S.*?)=([\d.]+|KG)": r"payload={'\1': \2}",
     r"--(\w+) ([A-Z]+)\b": r"\1='\2'",
     r"--(\w+)": r"\1=",
-}
-"""Options as sentences on drafts write them, with the arguments of the same names."""
+}  # by the options that sentences on drafts name
 
 
 def drafted(

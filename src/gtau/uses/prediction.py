@@ -337,10 +337,8 @@ def on_tool(result: IdentifiedModel, payload: Mapping[str, float]) -> np.ndarray
 def with_prediction_cutoffs(result: IdentifiedModel, runs: Sequence[Run]) -> IdentifiedModel:
     """Choose the position filter of each joint for predictions, from ``runs`` that a model was identified from.
 
-    A lower cut-off loses the torque of fast motion; a higher one passes position noise, which inertia and friction turn
-    into torque. Each joint gets the highest cut-off whose error against the raw torque exceeds the least by at most
-    1 %. Runs with faster motion are filtered less (:func:`gtau.signals.preparation.bandwidth.widened`). A position
-    filter set by hand is kept.
+    A lower cut-off loses the torque of fast motion; a higher one passes position noise. Each joint gets the highest
+    whose error against the raw torque exceeds the least by at most 1 %. A position filter set by hand is kept.
     """
     preparation, blocks = result.preparation, []
     if "position_filter" in preparation.given:

@@ -30,11 +30,6 @@ def _torques_at(result: IdentifiedModel, q: np.ndarray, payload: Payload | None)
     return torques, torques(still, still)
 
 
-def _units(shape: np.ndarray) -> list[np.ndarray]:
-    """List unit speeds (or accelerations) of each joint alone, each of the shape (n, N)."""
-    return [np.broadcast_to(column[:, None], shape.shape) for column in np.eye(len(shape))]
-
-
 @one_or_many
 def gravity(result: IdentifiedModel, q: np.ndarray, payload: Payload | None) -> np.ndarray:
     """Compute the torques of gravity and springs; see :meth:`gtau.Result.gravity`."""
@@ -46,7 +41,7 @@ def inertia(result: IdentifiedModel, q: np.ndarray, payload: Payload | None) -> 
     """Compute the inertia matrix; see :meth:`gtau.Result.inertia`."""
     torques, rest = _torques_at(result, q, payload)
     still = np.zeros_like(rest)
-    columns = [torques(still, unit) - rest for unit in _units(rest)]
+    columns = [torques(still, still + unit) - rest for unit in np.eye(len(rest))[:, :, None]]
     return np.stack(columns, axis=1).transpose(2, 0, 1)
 
 
@@ -64,5 +59,5 @@ def coriolis(result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, payload: Pa
     def h(speeds: np.ndarray) -> np.ndarray:
         return torques(speeds, still) - rest
 
-    columns = [(h(speeds + unit) - h(speeds) - h(unit)) / 2 for unit in _units(rest)]
+    columns = [(h(speeds + unit) - h(speeds) - h(still + unit)) / 2 for unit in np.eye(len(rest))[:, :, None]]
     return np.stack(columns, axis=1).transpose(2, 0, 1)

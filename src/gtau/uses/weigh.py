@@ -50,9 +50,8 @@ GAIN_CHANGE = 0.03
 # is 0.21 kg off. With re-estimated gains, which absorb a fall of 3 %, 1 of 18 weighings of that robot exceeds it.
 # Gains: 10 after a fall of 10 % (a five-bar).
 MODEL_APART = 5.0
-WORSE = (
-    3.0  # residual ratio above which an undeclared load is searched for: 1.13 to 2.4 on five UR10e logs, 21 with one
-)
+# Residual ratio above which an undeclared load is searched for: 1.13 to 2.4 on five UR10e logs, 21 with one.
+WORSE = 3.0
 
 
 @takes(model=("the result of gtau.identify or gtau.load", (IdentifiedModel,)), gains=TEXT, progress=FUNCTION)
