@@ -121,11 +121,7 @@ Patterns = Annotated[
 
 
 class FleetFile(Keys):
-    """A fleet file: ``experiments``, one of each robot; or one ``experiment`` with the folders of all robots' logs.
-
-    Paths and patterns are relative to the file. Log paths of the one experiment are relative to each of the
-    ``folders``.
-    """
+    """A fleet file: ``experiments``, one of each robot; or one ``experiment`` for the logs in all ``folders``."""
 
     experiments: Patterns | None = None
     experiment: Path | None = None

@@ -55,9 +55,8 @@ BEYOND = 4.0  # standard deviations, as in the table of torques
 class Component:
     """Component of the wrench along a log.
 
-    ``seen`` is the share of samples that show it. Over the usable samples among them: ``rms``, ``largest`` (at
-    ``time``, s), ``interval`` (median half-width of the 95 % interval) and ``share`` beyond four standard deviations;
-    None without such samples. N m or N.
+    ``seen`` is the share of samples that show it; of the usable ones among them are ``rms``, ``largest`` (at ``time``,
+    s), ``interval`` (median half of the 95 % interval) and ``share`` beyond four standard deviations. N m or N.
     """
 
     name: str
@@ -231,9 +230,8 @@ USABLE = 4.0  # standard deviations: Gaussian residuals exceed them once in 16,0
 class External:
     """External torque of a joint along a log.
 
-    ``residual`` is the rms torque residual of the identification; ``rms`` and ``largest`` (at ``time``, s) are over the
-    samples away from reversals, ``share`` is the part of them beyond four residuals; ``rms_all`` is over all valid
-    samples. N m or N.
+    ``rms``, ``largest`` (at ``time``, s) and ``share`` beyond four times the ``residual`` of the identification are of
+    samples away from reversals, ``rms_all`` of all valid ones. N m or N.
     """
 
     joint: str
@@ -250,9 +248,8 @@ class External:
 class TorquesAlongLog:
     """Table with one row per sample, and a summary per joint.
 
-    The table has the columns of :meth:`gtau.Prediction.table` and, if requested, the causal estimate of the external
-    torques ``observed_J`` and the columns of the ``wrench`` at a frame. All are behind the low-pass of identification;
-    ``errors`` also compare with the raw torque, by frequency.
+    The table has the columns of :meth:`gtau.Prediction.to_frame`, behind the low-pass of identification, and if asked
+    ``observed_J``, the causal estimate, and the columns of the ``wrench``.
     """
 
     table: pl.DataFrame

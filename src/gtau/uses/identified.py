@@ -126,12 +126,10 @@ def notes_on(model: Identified) -> tuple[str, ...]:
 class Functions:
     """CasADi functions of one sample, all outputs dense.
 
-    ``outputs``, by the names of ``OUTPUTS`` and ``OBSERVED``, are functions of c and z (n_c + s,), qd, qdd (n,) and the
-    parameters (n_p,). ``step`` gives the configuration after a step of Newton's method and the size of its correction,
-    rad or lengths over ``length``, and ``last_step`` also the condition number of the loops; None for a serial robot.
-    ``home`` (n_c + s,) is a closed configuration to start from, with sliding joints, ``actuated`` (n,) the indices of
-    the actuated joints in c. ``presliding`` has of each state its width, rad or m, and the ratios of actuated joints,
-    by place in c.
+    ``outputs``, named as ``OUTPUTS`` and ``OBSERVED``, take c and z (n_c + s,), qd, qdd (n,) and the parameters (n_p,).
+    ``step`` gives c after a step of Newton's method and the size of its correction, ``last_step`` also the condition
+    number of the loops; None for a serial robot. ``home`` (n_c + s,) is where to start, ``actuated`` (n,) the places of
+    the actuated joints in c. ``presliding`` has of each state its width, and ratios of joints by place in c.
     """
 
     outputs: dict[str, ca.Function]

@@ -216,8 +216,7 @@ def joint_torques(
 ) -> np.ndarray:
     """Compute torques (3, n, N) of a run's samples: predicted, the part of friction and offsets, and measured.
 
-    The current at ``t - delay`` belongs to the torque at ``t`` (eq. 17): predicted torques are shifted to the times of
-    the currents, and the measured ones stay raw. A delay that is not identifiable is not applied.
+    Predicted torques are at the times of the currents: that at ``t - delay`` belongs to the torque at ``t`` (eq. 17).
     """
     model = result.idm
     standard = result.base.standard
