@@ -108,13 +108,7 @@ class Result(IdentifiedModel):
         return np.asarray(rigid_body.coriolis(self, q, qd, as_payload(payload)))
 
     def predict(self, run: Run) -> Prediction:
-        """Predict torques along ``run``, beside the raw measured ``v g_tau``.
-
-        Raises
-        ------
-        GtauError
-            Where the run does not suit the robot, or the model refuses a sample.
-        """
+        """Predict torques along ``run``, beside the raw measured ``v g_tau``; raises GtauError if it does not suit."""
         return predict(self, run)
 
     def external_torques(
