@@ -223,7 +223,7 @@ def experiment_of(
     if model is not None:
         from gtau.robots.readers.native import native_text
 
-        kind, recording = kind or model.kind, model.recording
+        kind, recording = kind or ("current" if model.kind == "current" else "torque"), model.recording
         if robot is None:
             robot = str(folder_of(folder) / "robot.yaml")
             write_atomically(robot, native_text(model.robot))

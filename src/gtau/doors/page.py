@@ -170,8 +170,8 @@ class Cards:
                 refused(drafted.refusal + " Or choose the roles of the columns below." * bool(project.text))
                 for log in waiting if waiting[1:] and not project.text else ():
                     if log in drafted.refusal:
-                        others = [other for other in waiting if other != log]
-                        self.button(f"Draft without {log}", partial(self.draft, others))
+                        rest = [other for other in waiting if other != log]
+                        self.button(f"Draft without {log}", partial(self.draft, rest))
             if not project.text:
                 return
             findings = self.findings("check")

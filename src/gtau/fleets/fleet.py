@@ -305,7 +305,9 @@ def fleet_table(reports: Sequence[Report]) -> FleetTable:
     """Compare the gains of each joint over the robots of the same model; see :func:`_median_and_spread`."""
     gains, freedoms = list[FleetGain](), list[float]()
     for report in reports:
-        for row in report.model["drive_gains"] if report.model else ():
+        if report.model is None:
+            continue
+        for row in report.model["drive_gains"]:
             joint, gain, std, unit = (row[key] for key in ("joint", "value", "std", "unit"))
             half_width = Estimate(joint, gain, std, unit, freedom=row["freedom"]).half_interval()
             verdict = {"outcome": row["outcome"], "why": row["why"], "half_width": half_width}
