@@ -1,4 +1,7 @@
-"""Write ``lookup/commands.md``: every command with its arguments and options, as ``gtau COMMAND --help`` has them."""
+"""Write ``lookup/commands.md``: every command with its arguments and options, as ``gtau COMMAND --help`` has them.
+
+Options that several commands have for logs, and arguments, are listed once; of the examples the fullest is shown.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,19 @@ import typer
 from click import Context
 
 from gtau.cli.commands import app, examples
+from gtau.cli.logs import LogOptions
 
 PAGE = Path(__file__).parent / "lookup" / "commands.md"
 HEAD = """# Commands
 
-The help that `gtau COMMAND --help` prints (`python docs/make_commands.py` makes this page). With `--json` a command
-prints one JSON document instead of tables.
+As `gtau COMMAND --help` prints them. `--json` prints one JSON document.
+
+## Logs in place of an experiment file
+
+With logs {commands} and {last} take
+
 """
+OF_LOGS = re.compile("--({})\\b".format("|".join(name.replace("_", "-") for name in LogOptions.__annotations__)))
 
 
 def prose(text: str) -> str:
@@ -26,31 +35,38 @@ def prose(text: str) -> str:
 
 
 def rows(records: list[tuple[str, str]]) -> str:
-    """Return a table of arguments and options."""
-    lines = ["| | meaning |", "| --- | --- |"]
+    """Return a list of arguments and options."""
+    lines = []
     for names, meaning in records:
-        cells = (f"`{names.replace('|', chr(92) + '|')}`", prose(" ".join(meaning.split())).replace("|", "\\|"))
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n\n"
+        said = prose(" ".join(meaning.removesuffix("[required]").split()))
+        _, of_logs, said_of_logs = said.partition("With logs: ")
+        lines.append(f"- `{names}`: {said_of_logs[0].upper() + said_of_logs[1:] if of_logs else said}\n")
+    return "".join(lines)
 
 
 def page() -> str:
     """Return the page."""
     group = typer.main.get_command(app)
     context = Context(group, info_name="gtau")
-    names, sections = [], ""
+    sections, of_logs, told, with_logs = "", "", [], []
     for name in group.list_commands(context):
         command = group.get_command(context, name)
         inner = Context(command, info_name=name, parent=context)
         command.get_help(inner)  # which leaves the Python types of arguments out
         given = (parameter.get_help_record(inner) for parameter in command.get_params(inner))
         records = [record for record in given if record and record[0] not in ("--help", "--json")]
-        usage = " ".join(["gtau", name, *command.collect_usage_pieces(inner)])
-        names.append(f"[{name}](#{name})")
-        sections += f"\n## {name}\n\n```text\n{usage}\n```\n\n{prose(command.help.strip())}\n\n"
-        sections += rows(sorted(records, key=lambda record: record[0].startswith("-")))
-        sections += "```sh\n" + "\n".join(examples(name)) + "\n```\n"
-    return (f"{HEAD}\n{', '.join(names)}\n" + sections).rstrip("\n").replace("\n\n\n", "\n\n") + "\n"
+        sections += f"\n## {name}\n\n    {max(examples(name), key=len)}\n\n{prose(command.help.strip())}\n\n"
+        stated = [record for record in records if OF_LOGS.match(record[0])]
+        if len(stated) == len(LogOptions.__annotations__):
+            of_logs = of_logs or rows(stated)
+            with_logs.append(f"`{name}`")
+            records = [record for record in records if record not in stated]
+        arguments = [record for record in records if not record[0].startswith("-")]
+        sections += rows([record for record in arguments if record not in told])
+        sections += rows([record for record in records if record not in arguments])
+        told += arguments
+    head = HEAD.format(commands=", ".join(with_logs[:-1]), last=with_logs[-1])
+    return (head + of_logs + sections).rstrip("\n").replace("\n\n\n", "\n\n") + "\n"
 
 
 if __name__ == "__main__":

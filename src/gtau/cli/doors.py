@@ -18,22 +18,21 @@ from gtau.errors import missing_extra
 
 @refusing
 def app(
-    folder: Annotated[Path, argument("FOLDER", "Folder of the project: its robot, logs and experiment file.")] = Path(),
-    port: Annotated[int, option("PORT", "Port of this machine; default: a free one.", min=0, max=65535)] = 0,
+    folder: Annotated[Path, argument("FOLDER", "Folder of the project.")] = Path(),
+    port: Annotated[int, option("PORT", "Default: a free one.", min=0, max=65535)] = 0,
     browser: Annotated[bool, option("", "Open the page in a browser.", "--browser/--no-browser")] = True,
 ) -> None:
-    """Open a page in the browser: drop a robot file and logs, read the answer. Nothing leaves this machine."""
+    """Open a page in the browser: drop a robot file and logs. Nothing leaves this machine."""
     from gtau.doors.app import serve
 
     serve(folder, port, browser)
 
 
 @refusing
-def mcp(folder: Annotated[Path, argument("FOLDER", "Folder of the agent; default: this one.")] = Path()) -> None:
-    """Serve an agent over stdin and stdout, by the Model Context Protocol: its client starts this command.
-
-    The tools check, identify, explain, weigh, validate, design_motion, export and robot write to FOLDER alone.
-    """
+def mcp(
+    folder: Annotated[Path, argument("FOLDER", "Folder to which alone it writes; default: this one.")] = Path(),
+) -> None:
+    """Serve an agent over stdin and stdout, by the Model Context Protocol: its client starts this command."""
     try:
         from gtau.doors.mcp import serve
     except ImportError:

@@ -29,26 +29,23 @@ from gtau.documents.files import folder_of, write_atomically
 if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
 
-Results = Annotated[
-    Path, option("DIR", "Folder for report.html, model.json, summary.txt, singularities and torque scale.")
-]
+Results = Annotated[Path, option("DIR", "Folder for report.html, model.json and others.")]
 Method = Annotated[
     str | None,
     option(
         METHODS,
-        "Estimator; 'gtau docs verdicts' compares them. Default: ml; tls with --as-paper; wls if the logs "
-        "hold torques whose scale cannot be tested.",
+        "Estimator ('gtau docs verdicts'). Default: ml; tls with --as-paper; wls for torques that nothing tests.",
     ),
 ]
 Ratio = Annotated[
     float | None,
-    option("RATIO", "The paper's ratio r_sigma (10 to 30) for selecting essential parameters; default: BIC.", min=1.0),
+    option("RATIO", "The paper's ratio for essential parameters, 10 to 30; default: BIC.", min=1.0),
 ]
 AsPaper = Annotated[
     bool,
     option(
         "",
-        "Follow the paper step by step: its TLS (or wls, ols), filter, friction and reduction; no delays.",
+        "Follow the paper: its TLS (or wls, ols), filter, friction, reduction; no delays.",
         "--as-paper",
     ),
 ]
@@ -57,8 +54,8 @@ PriorInertias = Annotated[
     float | None,
     option(
         "STD",
-        "Use the inertias of the robot file as priors with this relative standard deviation, 0.3 for 30 %; they give "
-        "the scale of the gains where nothing else does.",
+        "Use the robot file's inertias as priors of this relative standard deviation, 0.3 for 30 %; they set the scale "
+        "where nothing else does.",
     ),
 ]
 EXIT = {"play": 0, "done": 0, "stopped": 3, "blocked": 3}
@@ -76,7 +73,7 @@ Accuracy = Annotated[
     float,
     option(
         "PERCENT",
-        "A drive gain is good if its 95 % interval is within +- PERCENT (0.01 to 50) of its value.",
+        "A gain is good if its 95 % interval is within +- PERCENT, 0.01 to 50.",
         parser=percent,
     ),
 ]
@@ -99,11 +96,10 @@ def identify(
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
 
-    Given logs instead of EXPERIMENT.yaml, it drafts that file as 'gtau init' does; the summary lists the guesses, which
-    you correct by --payload, --kind and --robot or in the draft, DIR/experiment.yaml.
+    From logs it drafts DIR/experiment.yaml, and lists its guesses: correct them by options, or in the draft.
 
-    The exit code is 3 if any verdict is contradictory, no drive gain is identifiable, --consistent finds no
-    parameters, or the result misses a requirement of EXPERIMENT.yaml.
+    Exit code 3: a verdict is contradictory, no gain is identifiable, --consistent finds no parameters, or a
+    requirement is not met.
     """
     hold(out)
     experiment, guessed = experiment_of(sources, stated, out)
@@ -149,7 +145,7 @@ def _write(result: IdentifiedModel, out: Path) -> list[Path]:
 def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json_: Json = False) -> None:
     """Identify with every estimator; compare gains, standard deviations, residuals and verdicts.
 
-    Given logs instead of EXPERIMENT.yaml, it drafts that file, in DIR or else 'result'.
+    From logs it drafts DIR/experiment.yaml, or result/experiment.yaml.
     """
     hold(out)
     experiment, guessed = experiment_of(sources, stated, out or Path("result"))
@@ -173,7 +169,7 @@ Experiments = Annotated[
     list[str],
     argument(
         "EXPERIMENT.yaml|FLEET.yaml",
-        "Experiment files of the robots, or patterns ('cells/*/experiment.yaml'); or a fleet file.",
+        "Experiment files or patterns, or a fleet file.",
     ),
 ]
 
@@ -182,16 +178,14 @@ Experiments = Annotated[
 def fleet(
     experiments: Experiments,
     out: Annotated[Path, option("DIR", "Folder for report.html, models and table.")] = Path("fleet"),
-    method: Annotated[str, option(METHODS, "Estimator; one that estimates drive gains.")] = "ml",
-    jobs: Annotated[int | None, option("N", "Processes on this machine; default: one for each core.", min=1)] = None,
-    dask: Annotated[
-        str | None, option("ADDRESS", "Work on the workers of a Dask scheduler (tcp://host:8786), or 'local'.")
-    ] = None,
+    method: Annotated[str, option(METHODS, "Estimator of drive gains.")] = "ml",
+    jobs: Annotated[int | None, option("N", "Processes; default: one for each core.", min=1)] = None,
+    dask: Annotated[str | None, option("ADDRESS", "Dask scheduler (tcp://host:8786), or 'local'.")] = None,
     json_: Json = False,
 ) -> None:
-    """Identify many robots, and mark drive gains that are outliers among them.
+    """Identify many robots, and mark drive gains that are outliers.
 
-    Finished robots stay in DIR/models: run the command again to identify missing or changed robots.
+    The command again identifies only missing or changed robots.
     """
     hold(out)
     from gtau.fleets.fleet import fleet as run
@@ -217,16 +211,14 @@ def fleet(
 @refusing
 def campaign(
     folder: Annotated[Path, argument("DIR", "Folder of the campaign, its only state.")],
-    robot: Annotated[str | None, option("ROBOT", "Robot file or catalog name, of a new campaign.")] = None,
-    payload_mass: Annotated[float | None, option("KG", "Mass of the payload, of a new campaign.", min=0.0)] = None,
-    accuracy: Annotated[
-        float | None, option("PERCENT", "Required half-width of every gain's 95 % interval (default 3).")
-    ] = None,
+    robot: Annotated[str | None, option("ROBOT", "Robot of a new campaign.")] = None,
+    payload_mass: Annotated[float | None, option("KG", "Payload of a new campaign.", min=0.0)] = None,
+    accuracy: Annotated[float | None, option("PERCENT", "Half of the 95 % interval asked of every gain (3).")] = None,
     json_: Json = False,
 ) -> None:
     """Identify the robot from the motions played, and decide: done, the next motion, or why none can help.
 
-    Run the command again to resume from the folder. The exit code is 3 if the campaign cannot continue.
+    The command again resumes. Exit code 3: the campaign cannot go on.
     """
     hold(folder)
     with progress_bar() as progress:

@@ -38,7 +38,7 @@ WIDTH = 80
 
 Sources = Annotated[
     list[Path],
-    argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs, from which one is drafted (DIR/experiment.yaml)."),
+    argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs."),
 ]
 
 
@@ -50,35 +50,33 @@ class LogOptions:
         str | None,
         option(
             "ROBOT",
-            "With logs: name in the catalog or of robot_descriptions, or path of a robot file; default: "
-            "/robot_description of a bag.",
+            "With logs: catalog name, name of robot_descriptions, or robot file; default: /robot_description of a bag.",
         ),
     ] = None
     payload: Annotated[
         list[str] | None,
         option(
             "LOG=KG",
-            "With logs: payload mass of a log (kg, 0 for none); default: from file names such as loaded_0.48kg.mcap. "
-            "Repeatable.",
+            "With logs: payload of a log, kg, 0 for none; default: from names such as loaded_0.48kg.mcap. Repeatable.",
         ),
     ] = None
     position: Annotated[
         str | None,
         option(
             "COLUMNS",
-            "With logs: columns (enc_J1,enc_J2) or a pattern ('enc_J*') of the positions, in the order of the joints.",
+            "With logs: columns of the positions (enc_J1,enc_J2) or a pattern ('enc_J*'), in the order of the joints.",
         ),
     ] = None
-    current: Annotated[str | None, option("COLUMNS", "With logs: columns or a pattern of the currents.")] = None
-    torque: Annotated[str | None, option("COLUMNS", "With logs: columns or a pattern of the torques.")] = None
+    current: Annotated[str | None, option("COLUMNS", "With logs: columns of the currents.")] = None
+    torque: Annotated[str | None, option("COLUMNS", "With logs: columns of the torques.")] = None
     time: Annotated[str | None, option("COLUMN", "With logs: column of the time.")] = None
     kind: Annotated[
         Literal["current", "torque"] | None,
-        option("current|torque", "With logs: what command columns such as 'effort' contain; default: judged by name."),
+        option("current|torque", "With logs: what columns such as 'effort' contain; default: by name."),
     ] = None
     preset: Annotated[
         str | None,
-        option("PRESET", "With logs: their source (ur-current, ur-torque, franka-ros, kinova, lerobot, ...)."),
+        option("PRESET", "With logs: their recorder (ur-current, franka-ros, lerobot, ...)."),
     ] = None
     xacro_arg: XacroArguments = None
 
@@ -116,19 +114,16 @@ class LogOptions:
 def init(
     logs: Annotated[
         list[Path],
-        argument("LOG", "One log per run, all of one layout; or the logs of positions, then as many of commands."),
+        argument("LOG", "One log per run; or logs of positions, then as many of commands."),
     ],
     stated: LogOptions,
     base: Annotated[
-        str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, optionally rotated by these angles (rad).")
+        str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, or rotate it by these angles, rad.")
     ] = None,
     out: Annotated[Path, option("FILE", "File to write.")] = Path("experiment.yaml"),
     json_: Json = False,
 ) -> None:
-    """Draft an experiment file from logs: find the time, positions and currents, their units and the sampling rate.
-
-    It marks with CHECK what to confirm in the file.
-    """
+    """Draft an experiment file from logs; lines marked CHECK are to be confirmed."""
     from gtau.signals.reading.discovery import QUESTIONS
     from gtau.signals.reading.drafting import draft_logs, write_draft
 
@@ -169,16 +164,15 @@ def _page(out: Path, open_: list[str]) -> str:
 def check(
     sources: Sources,
     stated: LogOptions,
-    out: Annotated[Path | None, option("DIR", "Folder for report.html and singularities. Default: no files.")] = None,
-    method: Annotated[
-        str | None, option(METHODS, "Estimator that will identify; the default of 'gtau identify' if left out.")
+    out: Annotated[
+        Path | None, option("DIR", "Folder for report.html and distances to singularities. Default: no files.")
     ] = None,
+    method: Annotated[str | None, option(METHODS, "Estimator that will identify.")] = None,
     json_: Json = False,
 ) -> None:
     """Check the logs before identifying: errors, warnings, and repairs.
 
-    Given logs instead of EXPERIMENT.yaml, it drafts that file, in DIR or else 'result'.
-    The exit code follows the worst finding: 2 for an error, 3 for a warning, otherwise 0.
+    From logs it drafts DIR/experiment.yaml, or result/experiment.yaml. Exit code 2: an error; 3: a warning.
     """
     hold(out)
     experiment, guessed = experiment_of(sources, stated, out or Path("result"))

@@ -46,13 +46,13 @@ def validate(
     stated: LogOptions,
     out: Annotated[
         Path | None,
-        option("DIR", "Folder for report.html and a table with all samples of each run. Default: no files."),
+        option("DIR", "Folder for report.html and tables of all samples. Default: no files."),
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Compare measured and predicted torques on logs, or on the validation runs; with DIR also as charts.
+    """Compare measured and predicted torques on logs, or on the validation runs of an experiment file.
 
-    Logs are read as the logs of the model; the draft is DIR/experiment.yaml, or check/experiment.yaml.
+    From logs it drafts DIR/experiment.yaml, or check/experiment.yaml, with the columns of the model.
     """
     hold(out)
     with progress_bar() as progress:
@@ -96,13 +96,13 @@ PayloadFrame = Annotated[
     str,
     option(
         "LINK|POSE",
-        "Frame of the centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' "
-        "(m, rad) from the frame of the body that carries the payload. Default: that frame; with --to, name one.",
+        "Frame of centre of mass and inertia: a link of the URDF (tool0), or 'x y z roll pitch yaw' (m, rad) from "
+        "the body that carries the payload. Default: that body's frame; --to needs one.",
     ),
 ]
-Controller = Annotated[str | None, option("CONTROLLER", f"Also write each payload for a controller: {CONTROLLERS}.")]
+Controller = Annotated[str | None, option("CONTROLLER", f"Also write for a controller: {CONTROLLERS}.")]
 WeighingFolder = Annotated[
-    Path | None, option("DIR", "Folder for report.html and the files of --to. Default: payload with --to, or no files.")
+    Path | None, option("DIR", "Folder for report.html and files of --to. Default: payload with --to, else no files.")
 ]
 
 
@@ -117,14 +117,12 @@ def payload(
     out: WeighingFolder = None,
     json_: Json = False,
 ) -> None:
-    """Weigh unknown payloads from loaded logs, ideally together with a log without payload.
+    """Weigh unknown payloads: mass, centre of mass and inertia, with 95 % intervals.
 
-    Reports mass, centre of mass and inertia about it, of a physically possible body, with 95 % intervals.
+    Each log carries an unknown payload, unless --payload says otherwise; one without payload narrows the intervals.
+    It drafts DIR/experiment.yaml, or payload/experiment.yaml; --robot names a file with the links of --frame.
 
-    Logs instead of EXPERIMENT.yaml carry an unknown payload each, unless --payload says otherwise; --robot names a
-    file with the links of --frame. The draft is DIR/experiment.yaml, or payload/experiment.yaml.
-
-    The exit code is 3 if a mass is negative, or the model's gains contradict its own logs or the logs of the payload.
+    Exit code 3: a mass is negative, or the model contradicts the logs of the robot or the payload.
     """
     out = out or (None if to is None else Path("payload"))
     hold(out)
@@ -200,23 +198,19 @@ def export(
     model: ModelFile,
     to: Annotated[str, option("KIND", "Format: {exports}.")],
     out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("exported"),
-    into: Annotated[
-        Path | None, option("FILE", "Robot file (URDF or MJCF) to copy with the identified parameters inserted.")
-    ] = None,
+    into: Annotated[Path | None, option("FILE", "URDF or MJCF to copy with the identified parameters.")] = None,
     samples: Annotated[
         int,
-        option(
-            "N", "Also draw N models from the identified distribution, for domain randomization: samples.npz.", min=0
-        ),
+        option("N", "Also draw N parameter sets, for domain randomization: samples.npz.", min=0),
     ] = 0,
-    models: Annotated[int, option("N", "Number of draws also written as models.", min=0)] = 16,
+    models: Annotated[int, option("N", "Draws also written as models.", min=0)] = 16,
     seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0,
     experiment: Annotated[
-        Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs, all without contact.")
+        Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs have no contact.")
     ] = None,
-    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms of the robot.")] = HOURS,
+    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms.")] = HOURS,
     observer: Annotated[
-        float | None, option("HZ", "For 'thresholds': thresholds of the momentum observer with this bandwidth.")
+        float | None, option("HZ", "For 'thresholds': of the momentum observer of this bandwidth.")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -255,8 +249,8 @@ ContactFrame = Annotated[
     str | None,
     option(
         "LINK|POSE",
-        "Also compute the external force and moment at a link of the experiment's URDF (tool0), or at 'x y z "
-        "roll pitch yaw' (m, rad) from the frame of the body that carries the payload.",
+        "Also compute force and moment at a link of the experiment's URDF (tool0), or at 'x y z roll pitch yaw' "
+        "(m, rad) from the body that carries the payload.",
     ),
 ]
 
@@ -264,24 +258,22 @@ ContactFrame = Annotated[
 @refusing
 def use(
     model: ModelFile,
-    log: Annotated[Path, argument("LOG", "Log of a run: CSV, Parquet.")],
-    out: Annotated[Path | None, option("FILE", "Table to write: .csv or .parquet, one row per sample.")] = None,
+    log: Annotated[Path, argument("LOG", "Log of a run.")],
+    out: Annotated[Path | None, option("FILE", "Table to write, one row a sample: .csv or .parquet.")] = None,
     experiment: Columns = None,
     carries: CarriedPayload = None,
     frame: ContactFrame = None,
     force_only: Annotated[
-        bool, option("", "The contact exerts no moment about the origin of --frame, as a point does.", "--force-only")
+        bool, option("", "Contact at a point: no moment about the origin of --frame.", "--force-only")
     ] = False,
     observer: Annotated[
-        float | None, option("HZ", "Also estimate external torques causally, by a momentum observer.")
+        float | None, option("HZ", "Also estimate external torques causally, by an observer of this bandwidth.")
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Compute motor, model and external joint torques along a log, to see contacts and collisions.
+    """Compute external joint torques along a log, model minus motor, to see contacts and collisions.
 
-    External torque is what the environment exerts on a joint: the model's torque minus the motor's, N m (or N). LOG
-    has the columns of the model's logs, unless an experiment file names others. FILE gets motor, model and external
-    torque of every sample, and the wrench at --frame.
+    LOG has the columns of the model's logs, unless --experiment names others.
     """
     from gtau.estimation.results.model_file import load, torque_error
     from gtau.report.torques import external_page

@@ -29,15 +29,14 @@ RobotFile = Annotated[
     str | None,
     argument(
         "NAME_OR_FILE",
-        "Catalog name, robot file (YAML), URDF (with its loops beside it), xacro, MJCF, .par or MDH table (.csv). "
-        "Without it the catalog is listed.",
+        "Catalog name, robot file, URDF, xacro, MJCF, .par or MDH table (.csv). Without it the catalog is listed.",
     ),
 ]
 Base = Annotated[
     str | None,
     option(
         "fixed|floating|ROLL,PITCH,YAW",
-        "Fix a floating base as in the file, or rotated by angles in rad, as deg(90); or let it float.",
+        "Fix a floating base as in the file or rotated (rad, or deg(90)), or let it float.",
     ),
 ]
 
@@ -45,15 +44,15 @@ Base = Annotated[
 @refusing
 def robot(
     source: RobotFile = None,
-    save: Annotated[Path | None, option("ROBOT.yaml", "Write it as a robot file that you can edit.")] = None,
-    figure: Annotated[Path | None, option("ROBOT.png", "Draw it in its home pose, as PNG or PDF.")] = None,
+    save: Annotated[Path | None, option("ROBOT.yaml", "Write it as a robot file.")] = None,
+    figure: Annotated[Path | None, option("ROBOT.png", "Draw it at home, as PNG or PDF.")] = None,
     base: Base = None,
     xacro_arg: XacroArguments = None,
     joints: Annotated[
         list[str] | None, option("PATTERN", "Joints that move ('FL_*'); the others are held. Repeatable.")
     ] = None,
     verbose: Annotated[
-        bool, option("", "List the base parameters, and the parameters that each regroups.", "--verbose", "-v")
+        bool, option("", "List the base parameters, and what each regroups.", "--verbose", "-v")
     ] = False,
     json_: Json = False,
 ) -> None:
@@ -108,20 +107,20 @@ STOPPING = "stopping the search and writing the best motion so far; Ctrl-C again
 @refusing
 def excite(
     design: Annotated[Path, argument("DESIGN.yaml", "Robot, runs, limits, prior knowledge.")],
-    out: Annotated[Path, option("DIR", "Folder for report.html, the trajectory and design.json.")] = Path("plan"),
+    out: Annotated[Path, option("DIR", "Folder for the motion, report.html and design.json.")] = Path("plan"),
     criterion: Annotated[
         str,
-        option("CRITERION", "gains, condition, logdet, trace, or names of parameters to estimate best (gain_11,m_PR)."),
+        option("CRITERION", "gains, condition, logdet, trace, or parameters to estimate best (gain_11,m_PR)."),
     ] = "gains",
-    payload_mass: Annotated[str | None, option("KG,KG", "Also show the effect of other payload masses.")] = None,
-    starts: Annotated[int, option("N", "Number of searches, each from the best of some random motions.", min=1)] = 2,
+    payload_mass: Annotated[str | None, option("KG,KG", "Also show the effect of other payloads.")] = None,
+    starts: Annotated[int, option("N", "Searches, each from another random motion.", min=1)] = 2,
     seed: Annotated[int, option("N", "Seed of the random motions.", min=0)] = 0,
     verbose: Annotated[bool, option("", "Print all parameters, limits and assumptions.", "--verbose", "-v")] = False,
     json_: Json = False,
 ) -> None:
-    """Design the motion that is most informative about the drive gains, and predict their standard deviations.
+    """Design the motion that identifies the drive gains best, and predict their standard deviations.
 
-    The best motion so far is written to DIR unless DIR holds a design; Ctrl-C stops the search and keeps it.
+    Ctrl-C stops the search and keeps the best motion.
     """
     masses = _masses(payload_mass) if payload_mass else ()
     hold(out)
@@ -168,10 +167,10 @@ def _masses(listed: str) -> tuple[float, ...]:
 
 @refusing
 def demo(
-    out: Annotated[Path, option("DIR", "Folder for logs, model, tables and figures.")] = Path("demo"),
+    out: Annotated[Path, option("DIR", "Folder for logs, model and figures.")] = Path("demo"),
     json_: Json = False,
 ) -> None:
-    """Simulate an Orthoglide, identify it from its logs, and weigh a second payload with the result."""
+    """Simulate an Orthoglide, identify it from its logs, and weigh a second payload."""
     hold(out)
     with progress_bar() as progress:
         from gtau.demo.run import demo as run
@@ -184,7 +183,7 @@ def demo(
 def tutorial(
     out: Annotated[Path, argument("DIR", "Folder for the logs.")] = Path("tutorial"), json_: Json = False
 ) -> None:
-    """Copy the logs of the ten-minute tutorial ('gtau docs tutorial') to a folder, and print the next command."""
+    """Copy the logs of the tutorial ('gtau docs tutorial') to a folder."""
     from gtau.demo import write_tutorial
 
     written = write_tutorial(out)
@@ -195,10 +194,10 @@ def tutorial(
 
 @refusing
 def docs(
-    name: Annotated[str | None, argument("PAGE", "Name of the page; without it all are listed.")] = None,
+    name: Annotated[str | None, argument("PAGE", "Without it all are listed.")] = None,
     json_: Json = False,
 ) -> None:
-    """Print a page of the documentation, which messages name by this command; 'messages' are all findings."""
+    """Print a page of the documentation; 'messages' are all findings."""
     from gtau.pages import page_text, titles
 
     text = titles() if name is None else page_text(name)

@@ -28,14 +28,16 @@ if TYPE_CHECKING:
     from gtau.watch.follow import Read
     from gtau.watch.watch import Status, Watch
 
-Watched = Annotated[Path, argument("MODEL.json|DIR", "What 'gtau identify' wrote, or a folder of histories: one page.")]
-HistoryFolder = Annotated[Path, option("DIR", "Folder of the history, continued if it exists, and of report.html.")]
-FalseAlarms = Annotated[float | None, option("NUMBER", "False alarms a year of the whole fleet (1).", min=1e-6)]
-Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date on.")]
+Watched = Annotated[
+    Path, argument("MODEL.json|DIR", "A model, or a folder of histories: a page with a line per robot.")
+]
+HistoryFolder = Annotated[Path, option("DIR", "Folder of the history, which is continued, and of report.html.")]
+FalseAlarms = Annotated[float | None, option("NUMBER", "False alarms a year, of the whole fleet (1).", min=1e-6)]
+Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date.")]
 Acknowledge = Annotated[str | None, option("NOTE", "End the alarm and accept the change as the new reference.")]
-Forget = Annotated[str | None, option("LOG", "Leave out a log of another robot or state.")]
-Following = "Follow one folder of finished logs, or a growing text log, until Ctrl-C."
-Block = Annotated[float, option("SECONDS", "Length of the blocks of a growing log.", min=10.0, max=60.0)]
+Forget = Annotated[str | None, option("LOG", "Leave out a log.")]
+Following = "Follow a folder of finished logs, or a growing text log, until Ctrl-C."
+Block = Annotated[float, option("SECONDS", "Blocks of a growing log.", min=10.0, max=60.0)]
 
 
 @refusing
@@ -45,9 +47,9 @@ def watch(
     out: HistoryFolder = Path("history"),
     experiment: Columns = None,
     carries: CarriedPayload = None,
-    baseline: Annotated[int | None, option("NUMBER", "Number of healthy logs that form the baseline (10).")] = None,
+    baseline: Annotated[int | None, option("NUMBER", "Healthy logs that form the baseline (10).")] = None,
     false_alarms_per_year: FalseAlarms = None,
-    robots: Annotated[int | None, option("NUMBER", "Number of robots in the fleet (1).", min=1)] = None,
+    robots: Annotated[int | None, option("NUMBER", "Robots in the fleet (1).", min=1)] = None,
     logs_per_year: Annotated[float | None, option("NUMBER", "Logs a year of each robot (365).", min=1.0)] = None,
     reset: Reset = None,
     acknowledge: Acknowledge = None,
@@ -55,17 +57,15 @@ def watch(
     undo: Annotated[str | None, option("LOG|DATE", "Undo the last action on a log or a date.")] = None,
     follow: Annotated[bool, option("", Following, "--follow")] = False,
     block: Block = 30.0,
-    power: Annotated[bool, option("", "Only show which changes the motion of a log can reveal.", "--power")] = False,
+    power: Annotated[bool, option("", "Only show which changes the motion of a log reveals.", "--power")] = False,
     json_: Annotated[bool, option("", "Print a line of JSON for each log instead of a table.", "--json")] = False,
 ) -> None:
-    """Watch a robot: compare its logs with its model and with each other, and name the change.
+    """Compare the logs of a robot with its model and with each other, and name the change.
 
-    Each log is compared with the model: undeclared load, drive gains at fixed inertia, friction, encoder zeros, lags
-    and residuals. An alarm is raised if the last week is beyond tolerance (`tolerances` of --experiment), or if a
-    quantity has changed since the first healthy logs. Logs in the history are skipped, unreadable logs are set aside.
-    A folder of histories gives one page with a line per robot.
+    An alarm is raised if the last week is out of the `tolerances` of --experiment, or a load, gain, friction, zero
+    or lag has changed since the first healthy logs. Unreadable logs are set aside.
 
-    The exit code is 3 while a robot needs attention. It is not a safety function.
+    Exit code 3: a robot needs attention. It is not a safety function.
     """
     if model.is_dir():
         _fleet(model, json_)
