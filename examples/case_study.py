@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
 from case_study_figures import payload_chart, references_chart, tracking_chart, trajectory_chart
 from control_comparison import STRATEGIES, ControlComparison, compare_control
 
@@ -92,11 +91,9 @@ INTRODUCTION = """\
 # The Orthoglide case study
 
 Section 5 of Briot and Gautier, "Global identification of joint drive gains and dynamic parameters of parallel
-robots", repeated on a simulated robot: forward dynamics with friction in all 15 joints, force ripple, encoder and
-current resolution, noise, and currents held for a millisecond. The main parameters are those of the paper's Table 3;
-the distribution of mass, small frictions and trajectories, which the paper does not state, are ours.
-
-`python examples/case_study.py docs` makes this page. `gtau demo --out demo` does the same with shorter logs.
+robots", repeated on a simulated robot with friction in all 15 joints, force ripple, encoder and current resolution,
+noise, and currents held for a millisecond. Parameters are from the paper's Table 3, or else ours. `gtau demo` does the
+same with shorter logs.
 
 ![The robot at home](../images/case-study-robot.png)
 
@@ -107,26 +104,22 @@ the distribution of mass, small frictions and trajectories, which the paper does
 Four runs of 20 s, two without and two with a payload of 1.983 kg: sums of sines, and point-to-point moves.
 """
 TABLE_3_NOTES = """\
-- **Gains** match the plant to 0.14 %. Standard deviations are smaller than the paper's because a
-  simulated robot has no elasticity, backlash or warm-up. They come from a block jackknife, which remains valid for
-  autocorrelated residuals; the paper's formula (39) does not.
-- **Passive frictions, `mx_21`, `off_21R`, `off_23R`.** The paper keeps values such as `fv_33R = -5.57`, a friction that
-  adds energy, opposite to `fv_21R = 5.57`: kept parameters absorb the effects of cancelled ones. Our plant has small
-  passive frictions, and the identification recovers most of them.
-- **The set** is selected by the Bayesian information criterion, which also keeps some parameters that the paper
-  cancels. The paper's rule (`--ratio 10`) would cancel even `m_PR` here.
+- **Gains** match the plant to 0.14 %. Standard deviations are smaller than the paper's: a simulated robot has no
+  elasticity, backlash or warm-up.
+- **Passive frictions.** The paper's `fv_33R = -5.57` adds energy, opposite to `fv_21R = 5.57`: kept parameters absorb
+  the effects of cancelled ones. Of our small passive frictions most are found.
+- **The set** is selected by the Bayesian information criterion. The paper's rule (`--ratio 10`) would cancel even
+  `m_PR` here.
 """
 PAYLOAD_NOTES = """\
-With the manufacturer's gains the payload comes out too light by the same factor as the gains, as in the paper.
+With the manufacturer's gains the payload is too light by the same factor as the gains, as in the paper.
 """
 TABLE_4_NOTES = """\
-- **Simple and advanced PID** have errors of the paper's size. On trajectory 2 the paper's are twice ours, so its
-  trajectory, which is not published, accelerates about twice as much.
-- **Computed torque.** Our errors are some micrometres, the paper's 60 to 150: a velocity measured 1 ms later than the
-  one fed forward would alone cause 70 micrometres rms here.
+- **PID.** Errors have the paper's size; its trajectory 2, not published, must accelerate about twice as much as ours.
+- **Computed torque (CTC).** Our errors are some micrometres, the paper's 60 to 150: a velocity measured 1 ms later than
+  the one fed forward would alone cause 70 micrometres rms here.
 - **Manufacturer's or identified gains** make no relevant difference, as in the paper: each model was identified with
-  its own gains.
-- **25 % error on the gains.** The payload then enters a fifth too small, and the errors grow visibly.
+  its own gains. With 25 % error on them the payload enters a fifth too small.
 """
 
 
@@ -213,7 +206,7 @@ def page(study: Study) -> str:
             TABLE_3_NOTES,
             "## Torques on a run that was not used (Fig. 5)\n",
             "![Measured and predicted torques](../images/case-study-torques.png)\n",
-            "The picture shows raw torques, the table errors in the band of the identification, without reversals.\n",
+            "Raw torques; in the table errors in the band of the identification, without reversals.\n",
             _table(
                 ("joint", "signal rms, N", "error rms, N", "error, %"),
                 [
@@ -232,7 +225,8 @@ def page(study: Study) -> str:
             "\n![Masses weighed](../images/case-study-payload.png)\n",
             PAYLOAD_NOTES,
             "## Control (Table 4, Figs. 6 to 8)\n",
-            "Five control laws with the same linear part (100 rad/s) carry 1.983 kg along two trajectories, twice.\n",
+            "Five control laws with the same linear part (100 rad/s) carry 1.983 kg along two trajectories, twice. "
+            "Tracking errors of the worst joint in micrometres, paper/simulated.\n",
             "![Test trajectories](../images/case-study-test-trajectories.png)\n",
             *(part for trajectory in TABLE_4 for part in _table_4(study.comparison, trajectory)),
             TABLE_4_NOTES,
@@ -263,13 +257,11 @@ def _table_4(comparison: ControlComparison, trajectory: str) -> list[str]:
     rows: list[Sequence[str]] = []
     for strategy, paper in zip(STRATEGIES, TABLE_4[trajectory], strict=True):
         (ours,) = (each for each in comparison.tracking if (each.trajectory, each.strategy) == (trajectory, strategy))
-        values = 1e6 * np.concatenate([ours.maximum, ours.rms])
-        rows.append((strategy, *(f"{p}/{value:.0f}" for p, value in zip(paper, values, strict=True))))
-    joints = [f"{what} {joint}" for what in ("max", "rms") for joint in (1, 2, 3)]
+        errors = ((paper[:3], ours.maximum), (paper[3:], ours.rms))
+        rows.append((strategy, *(f"{max(published)}/{1e6 * max(found):.0f}" for published, found in errors)))
     return [
         f"### {trajectory.replace('_', ' ').capitalize()}\n",
-        "Tracking errors in micrometres, paper/simulated.\n",
-        _table(("strategy", *joints), rows),
+        _table(("strategy", "largest", "rms"), rows),
         f"\n![Tracking errors](../images/case-study-tracking-{trajectory.replace('_', '-')}.png)\n",
     ]
 
