@@ -1,4 +1,4 @@
-"""Write the tables of effects and of methods in ``lookup/verdicts.md``.
+"""Write the lists of effects and of methods in ``lookup/verdicts.md``.
 
 What an effect is, is the first sentence of the docstring of its module. What an estimator is, and when to choose it,
 are the first sentence of the docstring of its module, and those that say when to choose it.
@@ -16,7 +16,6 @@ from gtau.estimation.estimators.registry import PLACES
 PAGE = Path(__file__).parent / "lookup" / "verdicts.md"
 OF_EFFECTS = "<!-- made by python docs/make_methods.py from the docstrings of the effects -->"
 BEGIN = "<!-- made by python docs/make_methods.py from the docstrings of the estimators -->"
-HEAD = "| method | what it is | when to choose it |"
 
 
 def sentences(docstring: str) -> tuple[str, str]:
@@ -26,27 +25,26 @@ def sentences(docstring: str) -> tuple[str, str]:
 
 
 def table() -> str:
-    """Return the table; estimators of one module share a row."""
+    """Return the list of methods; estimators of one module share a line."""
     modules: dict[str, list[str]] = {}
     for name, place in PLACES.items():
         modules.setdefault(place.split(".")[0], []).append(f"`{name}`")
-    rows = [HEAD, "| --- | --- | --- |"]
+    lines = []
     for module, names in modules.items():
         what, when = sentences(import_module(f"gtau.estimation.estimators.{module}").__doc__ or "")
-        rows.append(f"| {', '.join(names)} | {what} | {when} |")
-    return "\n".join(rows)
+        lines.append(f"- {', '.join(names)}: {what} {when}")
+    return "\n".join(lines)
 
 
 def effects() -> str:
-    """Return the table of the effects."""
-    rows = ["| effect | what it is | contradicts the description |", "| --- | --- | --- |"]
-    named: dict[tuple[str, str], list[str]] = {}  # by what they are: effects of one module share a row
+    """Return the list of the effects, in bold where they contradict the description."""
+    named: dict[tuple[str, str], list[str]] = {}  # by what they are: effects of one module share a line
     for effect in EFFECTS:
         what, _ = sentences(import_module(effect.say.__module__).__doc__ or "")
-        beyond = f"beyond {effect.harmless:g}" if effect.harmless < float("inf") else ""
-        named.setdefault((what, "yes" if effect.description else beyond), []).append(effect.name)
-    rows += [f"| {', '.join(names)} | {what} | {against} |" for (what, against), names in named.items()]
-    return "\n".join(rows)
+        beyond = "" if effect.harmless == float("inf") or effect.description else f" (beyond {effect.harmless:g})"
+        bold = "**" if effect.description or beyond else ""
+        named.setdefault((what, beyond), []).append(f"{bold}{effect.name}{bold}")
+    return "\n".join(f"- {', '.join(names)}{beyond}: {what}" for (what, beyond), names in named.items())
 
 
 def page() -> str:
