@@ -122,7 +122,7 @@ def test_counts_in_the_docs() -> None:
         r"^\| \[([\w-]+)\]\(#[\w-]+\) \|(.*)\|$", (DOCS / "lookup" / "catalog.md").read_text(), flags=re.MULTILINE
     )
     found = {name: tuple(int(n) for n in re.findall(r"\d+", cells)) for name, cells in table}
-    assert found == COUNTS
+    assert found == {name: (*counts[:2], *counts[-2:]) for name, counts in COUNTS.items()}
 
 
 @pytest.mark.parametrize("name", NAMES)
