@@ -17,7 +17,6 @@ from gtau.signals.reading.experiment import read_experiment
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "lookup" / "cheat-sheet.md").read_text(encoding="utf-8")
-CHECK = (DOCS / "start" / "tutorial.md").read_text(encoding="utf-8")
 
 
 def column(name: str) -> list[str]:
@@ -48,8 +47,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The logs, and what the first commands of the page write."""
     folder = tmp_path_factory.mktemp("cheat-sheet")
     write_tutorial(folder)
-    shown = re.search(r"^```yaml check\.yaml\n(.*?)^```$", CHECK, re.DOTALL | re.MULTILINE)
-    (folder / "check.yaml").write_text(shown[1])
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         for line in block("console").splitlines()[1:]:
