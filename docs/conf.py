@@ -29,7 +29,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "site_hooks",
 ]
-exclude_patterns = ["images/README.md", "gallery/**/*.py", "gallery/**/*.ipynb", "gallery/README.rst"]
+exclude_patterns = ["gallery/**/*.py", "gallery/**/*.ipynb", "gallery/README.rst"]
 templates_path = ["_templates"]
 nitpicky = True
 smartquotes = False  # they make a dash of --method

@@ -53,11 +53,11 @@ def run(*arguments: str) -> str:
     ],
 )
 def test_a_page_names_every_key(page: str, models: list[type[BaseModel]]) -> None:
-    example, *_ = blocks(DOCS / page, "yaml")
+    examples = "\n".join(blocks(DOCS / page, "yaml"))
     text = (DOCS / page).read_text(encoding="utf-8")
     for model in models:
         for key in model.model_fields:
-            assert re.search(rf"\b{key}:", example) or re.search(rf"`[^`\n]*\b{key}\b[^`\n]*`", text), key
+            assert re.search(rf"\b{key}:", examples) or re.search(rf"`[^`\n]*\b{key}\b[^`\n]*`", text), key
 
 
 @pytest.mark.parametrize(
@@ -182,16 +182,15 @@ def commands() -> dict[str, dict[str, str]]:
 
 
 def keys(heading: str) -> set[str]:
-    """The keys in the first table under a heading of the page on results, or of a command."""
+    """The keys in the first list under a heading of the page on results, or of a command."""
     if heading.startswith("gtau "):
         return set(commands()[heading])
     text = (DOCS / "lookup/results.md").read_text(encoding="utf-8")
     section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
-    rows = re.search(r"(^\|.*\n)+", section, re.MULTILINE)
-    assert rows is not None
-    return {
-        key for cell in re.findall(r"^\| (`.*?`) \|", rows[0], re.MULTILINE) for key in re.findall(r"`(\w+)`", cell)
-    }
+    lines = re.search(r"(^- .*\n)+", section, re.MULTILINE)
+    assert lines is not None
+    named = re.findall(r"^- (`.*?`): ", lines[0], re.MULTILINE)
+    return {key for names in named for key in re.findall(r"`(\w+)`", names)}
 
 
 def documented(heading: str, document: dict) -> None:
@@ -205,7 +204,7 @@ def named(heading: str, key: str, document: dict) -> None:
         return
     text = (DOCS / "lookup/results.md").read_text(encoding="utf-8")
     section = re.split(rf"^#+ {re.escape(heading)}$", text, flags=re.MULTILINE)[1]
-    line = re.search(rf"^\| `{key}` \|.*$", section, re.MULTILINE)
+    line = re.search(rf"^- `{key}`: .*$", section, re.MULTILINE)
     assert line is not None
     assert set(document) <= set(re.findall(r"`(\w+)`", line[0])), (heading, key)
 

@@ -116,11 +116,11 @@ def test_the_demo_finds_the_gains_and_weighs_the_payload(made: tuple[Path, dict[
 
 
 @pytest.mark.slow
-def test_pages_show_what_the_demo_finds(tmp_path: Path) -> None:
+def test_the_readme_shows_what_the_demo_finds(tmp_path: Path) -> None:
     """Gains to 0.05 %, standard deviations to 30 %: other processors round other samples."""
     document, _ = demo(tmp_path, silent)
     root = Path(__file__).parents[2]
-    readme, page = ((root / name).read_text(encoding="utf-8") for name in ("README.md", "docs/do/identify.md"))
+    readme = (root / "README.md").read_text(encoding="utf-8")
     for gain in document["drive_gains"]:
         row = re.search(rf"^{gain['joint']} +[\d.]+ +[\d.]+ +-[\d.]+ +([\d.]+) +([\d.]+) ", readme, re.MULTILINE)
         assert row is not None
@@ -128,9 +128,6 @@ def test_pages_show_what_the_demo_finds(tmp_path: Path) -> None:
             pytest.approx(gain["value"], rel=5e-4),
             pytest.approx(gain["std"], rel=0.3),
         ]
-        shown = re.search(rf"^joint {gain['joint']}  good +([\d.]+) ", page, re.MULTILINE)
-        assert shown is not None
-        assert float(shown[1]) == pytest.approx(gain["value"], rel=5e-4)
     masses = [document["second_payload"][gains]["value"] for gains in ("prior", "identified")]
     assert [*map(float, re.findall(r"^with .*? gains +([\d.]+) ", readme, re.MULTILINE))] == pytest.approx(
         masses, rel=2e-3
