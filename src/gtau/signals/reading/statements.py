@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
-from unicodedata import numeric
+from unicodedata import normalize
 
 import numpy as np
 from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
@@ -311,15 +311,17 @@ class Requirements(Keys):
 
 MASS_UNITS = {"kg": 1.0, "kilo": 1.0, "g": 1e-3, "lb": 0.45359237, "pound": 0.45359237, "oz": 0.45359237 / 16}
 MASS = re.compile(
-    r"(?:(?<![\d.,])(?P<plus>\d+(?:[.,]\d+)?) ?\+ ?)?"
-    r"(?:(?<!\d)(?P<times>\d+) ?[x*×] ?)?(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)"
-    r"(?P<power>e[+-]?\d)?[-_ ]?"
+    r"(?P<point>[.,]?)(?<!\d)(?P<number>\d+(?:(?:[-.,·_ p]|dot|pt)\d+)*)[-_ ]?"
     r"(?P<unit>kg(?![fm]|cm)|kilos?(?![a-z])|kilogram|(?:g|gr|gms?|grams?|grammes?|gramm)(?![a-z])|lbs?(?![a-z])|pounds?"
-    r"|oz(?![a-z]))(?P<rest>\d+(?![\d.,]*[-_ ]?(?:kg|g|lb|oz)(?![a-z])))?",
+    r"|oz(?![a-z]))(?P<rest>\d(?![\d.,]*[-_ ]?(?:kg|g|lb|oz)(?![a-z])))?",
     re.IGNORECASE | re.ASCII,
 )
-FRACTION = re.compile(r"(?:(?<![\d.,])(\d+)[-_ ]?)?(?:(?<!\d)(\d)[/⁄](\d)|([¼½¾]))")
-NO = re.compile(r"(?<![a-z])(?:no|non|without|wo|sans|ohne|un)[-_ ]?(?:(?:pay)?load(?:ed)?|mass|weight)?[-_ ]*$", re.I)
+# before a number: words for none, or a sum, product, fraction or power, of which the number is a part
+DOUBT = re.compile(
+    r"(?<![a-z])(?:no|non|without|wo|sans|ohne|un)[-_ ]?(?:(?:pay)?load(?:ed)?|mass|weight)?[-_ ]*$"
+    r"|\d ?[+x*×/⁄] ?$|\de[+-]?$",
+    re.IGNORECASE,
+)
 DATE = re.compile(
     r"(?<!\d)20\d\d([-_.]?)[01]\d\1[0-3]\d(?:[-_T ][0-2]\d[-_.:h]?[0-5]\d(?:[-_.:]?[0-5]\d)?(?=[-_ ]))?(?!\d)"
 )
@@ -330,26 +332,19 @@ LEAST, MOST = 0.01, 1e3  # kg; of a payload. Less may be an acceleration (0.5g),
 def masses_in_name(name: str) -> tuple[float, ...]:
     """Read the mass, kg, from the name of a log: no reading, one, or several from which the user must choose.
 
-    ``1,5kg``, ``1p5kg`` and ``1500g`` have one; ``loaded_1_5kg`` may be 1.5 kg or log 1 with 5 kg, ``1kg5`` 1.5 kg or
-    log 5 with 1 kg, ``2x1.25kg`` one or two of 1.25 kg, ``0.7+0.5kg`` both or the last. A mass that is too small or too
-    large may mean no payload (0), as may ``no_5kg``.
+    ``1,5kg``, ``1p5kg`` and ``1500g`` have one; ``loaded_1_5kg`` may be 1.5 kg or log 1 with 5 kg. A mass that is too
+    small or too large may mean no payload (0), as may ``no_5kg``, and a number that is no mass alone (``2x1.25kg``).
     """
-    name = FRACTION.sub(_decimal, DATE.sub(" ", name))
+    name = DATE.sub(" ", normalize("NFKC", name))
     matches = list(MASS.finditer(name))
     readings = [_readings(match) for match in matches]
     masses = [mass for several in readings for mass in several]
     if len(matches) > 1:
         masses.append(round(sum(several[0] for several in readings), 6))
-    if any(NO.search(name[: match.start()]) for match in matches):
+    if any(match["rest"] or DOUBT.search(name[: match.start()]) for match in matches):
         masses.append(0.0)
     likely = [mass for mass in masses if mass == 0 or LEAST <= mass <= MOST]
     return tuple(dict.fromkeys(likely or [*masses, *[0.0] * bool(masses)]))
-
-
-def _decimal(match: re.Match[str]) -> str:
-    integer, over, under, sign = match.groups()
-    fraction = numeric(sign) if sign else int(over) / (int(under) or 1)
-    return f"{int(integer or 0) + fraction:.6g}"
 
 
 def _readings(match: re.Match[str]) -> list[float]:
@@ -368,13 +363,4 @@ def _readings(match: re.Match[str]) -> list[float]:
         texts.append(last)
     if match["point"] and not integer:
         texts.append(f"0.{last}")
-    if match["rest"]:
-        texts.insert(0, f"{texts[0].partition('.')[0]}.{match['rest']}")
-    numbers = [float(text + (match["power"] or "")) for text in texts]
-    if match["power"] and not before:
-        numbers.append(float(match["power"].lstrip("eE+-")))  # log 1e with as much
-    if match["times"]:
-        numbers += [int(match["times"]) * number for number in numbers]
-    if match["plus"]:
-        numbers.insert(0, float(match["plus"].replace(",", ".")) + numbers[0])
-    return [round(number * factor, 6) for number in numbers]
+    return [round(float(text) * factor, 6) for text in texts]
