@@ -229,16 +229,15 @@ class Units(optional_keys(Optional)):  # type: ignore[misc]
 
     def _command_factor(self, joint: str, signals: Signals) -> float:
         unit = self.stated(signals.kind, joint)
-        ratio = (signals.gear_ratio or {}).get(joint, 1.0)
         if unit is None:
-            return ratio
+            return 1.0
         if unit not in SHARES:
-            return ratio * si_factor(unit, signals.kind)
+            return si_factor(unit, signals.kind)
         if joint not in self.rated:
             raise Document("units", {}).error(
                 ("rated",), f"joint '{joint}' has no rated {signals.kind}, to which its column is relative; add it"
             )
-        return ratio * SHARES[unit] * self.rated[joint]
+        return SHARES[unit] * self.rated[joint]
 
 
 SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
