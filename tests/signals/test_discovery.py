@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from gtau.result import identify
 from gtau.robots.robot import Joint, Limits, Mdh, Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
 from gtau.signals.reading import logs
-from gtau.signals.reading.column_names import base_like, parse_column_name, wrench_like
+from gtau.signals.reading.column_names import parse_column_name
 from gtau.signals.reading.discovery import Draft, discover
 from gtau.signals.reading.drafting import draft_text, guesses
 from gtau.signals.reading.experiment import read_experiment
@@ -557,46 +556,6 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
     floating = CliRunner().invoke(app, [*init, "--base", "floating"]).output
     assert "is not drafted; start from gtau docs experiment-file, 'A base that floats'." in floating
     assert "also give --robot" in CliRunner().invoke(app, ["init", "log.csv", "--base", "fixed"]).output
-
-
-def test_columns_of_a_base_and_of_wrenches_are_named(tmp_path: Path) -> None:
-    """In the file as CHECK, and what does not look like either as not used."""
-    pose, hook = "px,py,pz,qw,qx,qy,qz", "hook_fx,hook_fy,hook_fz,hook_mx,hook_my,hook_mz"
-    log = save(tmp_path / "log.csv", f"t,q1,q2,i1,i2,{pose},{hook},other", TIME, Q, V, np.ones((len(TIME), 14)))
-    draft = discover([log])
-    assert ",".join(draft.unused.motion) == pose
-    assert ",".join(draft.unused.wrenches) == hook
-    assert draft.unused.others == ("other",)
-    text = draft_text(draft, tmp_path)
-    assert "# CHECK: px, py, pz, qw, qx, qy, qz: if the base of the robot moved, write" in text
-    assert "# CHECK: hook_fx, hook_fy, hook_fz, hook_mx, hook_my, hook_mz: if forces that act on the robot" in text
-    fixed = discover([log], base="fixed")
-    assert (fixed.unused.motion, fixed.robot["base"], fixed.unused.wrenches) == (
-        (),
-        "fixed",
-        draft.unused.wrenches,
-    )
-    assert "px" in fixed.unused.others
-    assert not {"base", "wrenches"} & set(discover([save(tmp_path / "a.csv", "t,q1,q2,i1,i2", TIME, Q, V)]).open)
-
-
-@pytest.mark.parametrize(
-    ("names", "motion", "wrenches"),
-    [
-        ("/imu/orientation/x /imu/orientation/y /imu/orientation/z /imu/orientation/w", (3, 0, 1, 2), ()),
-        ("acc_z acc_x acc_y", (1, 2, 0), ()),
-        ("Fx [N]|Fy [N]|Fz [N]|Mx [Nm]|My [Nm]|Mz [Nm]", (), range(6)),
-        ("foot.force.x foot.force.y foot.force.z hand.torque.x hand.torque.y hand.torque.z", (), range(3)),
-        ("px py pz", (), ()),  # without an orientation: of anything
-        ("tcp_qw tcp_qx tcp_qy tcp_qz", (), ()),  # of a tool
-        ("fx fy mx my mz", (), ()),
-        ("linear_velocity_x linear_velocity_y linear_velocity_z max may maz", (), ()),
-    ],
-)
-def test_names_of_vectors(names: str, motion: Sequence[int], wrenches: Sequence[int]) -> None:
-    listed = names.split("|" if "|" in names else " ")
-    assert base_like(listed) == tuple(listed[k] for k in motion)
-    assert wrench_like(listed) == tuple(listed[k] for k in wrenches)
 
 
 def test_a_single_column_without_a_header_is_refused(tmp_path: Path) -> None:

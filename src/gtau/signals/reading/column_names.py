@@ -48,19 +48,11 @@ WORDS["other"] |= frozenset[str]().union(*(signal.words for signal in SIDE_SIGNA
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
 REFERENCE, MEASURED = WORDS["reference"], WORDS["measured"]
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])
-TOOL = frozenset(["tcp", "tool", "flange", "cartesian", "ee"])  # bodies other than the base
 SENSOR = frozenset(["sensor", "sensors", "sensed", "jts"])  # of torque, between gear and link
 COMPOUND = re.compile(  # German: Gelenkwinkel, Iststrom, Lageistwert
     "(ist|soll|motor|gelenk|achs|strom|lage|positions?|winkel|drehmoment|drehzahl|geschwindigkeits?)"
     "(?=ist|soll|strom|winkel|lage|position|drehmoment|moment|geschw|drehzahl)"
 )
-COMPONENTS = {  # words before the letter of an axis, and all axes
-    "position": ("p|pos|position", "xyz"),
-    "quaternion": ("q|quat|quaternion|orientation", "wxyz"),
-    "acceleration": ("a|acc|accel|acceleration", "xyz"),
-    "force": ("f|force", "xyz"),
-    "moment": ("m|t|moment|torque", "xyz"),
-}
 COMMAND = frozenset(["v", "u", "control", "action", "command", "load"])  # currents or torques, unless velocities
 NO_UNIT = frozenset[str]().union(*WORDS.values())  # words in brackets
 JOINT_KINDS = ("position", "velocity", "acceleration", "current", "torque")
@@ -244,37 +236,6 @@ def parse_item(column: str, label: str, joints: Sequence[str] = ()) -> ColumnNam
 def has_word(name: str, words: frozenset[str]) -> bool:
     """Decide whether the name of a column holds one of some words, such as ``MEASURED`` or ``POSE``."""
     return not words.isdisjoint(_words(name))
-
-
-def base_like(names: Sequence[str]) -> tuple[str, ...]:
-    """Select columns that may hold the motion of a base: orientation, accompanying position, and accelerations."""
-    names = [name for name in names if TOOL.isdisjoint(_words(name))]
-    quaternions, accelerations = _vectors(names, "quaternion"), _vectors(names, "acceleration")
-    places = [columns for prefix, columns in _vectors(names, "position").items() if prefix in quaternions]
-    return tuple(name for columns in (*places, *quaternions.values(), *accelerations.values()) for name in columns)
-
-
-def wrench_like(names: Sequence[str]) -> tuple[str, ...]:
-    """Select columns that may be forces and, about the same point, moments."""
-    moments = _vectors(names, "moment")
-    return tuple(
-        name for prefix, force in _vectors(names, "force").items() for name in (*force, *moments.get(prefix, ()))
-    )
-
-
-def _vectors(names: Sequence[str], kind: str) -> dict[str, tuple[str, ...]]:
-    """Collect the columns of each complete vector of a kind in ``COMPONENTS``, by the prefix of its components."""
-    words, axes = COMPONENTS[kind]
-    pattern = re.compile(rf"(.*?)(?<![a-z])(?:{words})[^a-z0-9]*([{axes}])(?:\s*[\[(].*)?", re.IGNORECASE)
-    components: dict[str, dict[str, str]] = {}
-    for name in names:
-        if component := pattern.fullmatch(name):
-            components.setdefault(component[1], {})[component[2].lower()] = name
-    return {
-        prefix: tuple(columns[axis] for axis in axes)
-        for prefix, columns in components.items()
-        if len(columns) == len(axes)
-    }
 
 
 def _words(text: str) -> list[str]:

@@ -14,7 +14,7 @@ from gtau.errors import GtauError
 from gtau.pages import page
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
-from gtau.signals.reading.column_names import POSE, Group, base_like, has_word, matched, renamed_labels, wrench_like
+from gtau.signals.reading.column_names import POSE, Group, has_word, matched, renamed_labels
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats import listed
 from gtau.signals.reading.log_contents import COMMANDS, LogContents
@@ -22,7 +22,6 @@ from gtau.signals.reading.statements import masses_in_name
 from gtau.signals.reading.units import SI, is_unit, read_unit
 
 FLOATING = page("experiment-file", "A base that floats")
-ON_BODIES = page("experiment-file", "Wrenches on bodies")
 QUESTIONS = {
     "masses": "write the payload masses ('or' in the file) that file names give in several ways: they set the scale of "
     "all drive gains",
@@ -37,8 +36,7 @@ QUESTIONS = {
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
     "unit": "confirm the unit of the positions (units: {position: ...}), or, of motors before their gears, the "
     "joint's angle for one unit (0.01 rad)",
-    "motor": "confirm that these are proportional to the currents; motor torques are 'motor_torque:', with a "
-    "'gear_ratio:'",
+    "motor": "confirm that these are proportional to the currents; motor torques, times the gear ratios, are 'torque:'",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
     "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
     "received": "messages without measurement stamps get receipt stamps, with the jitter of the middleware",
@@ -46,9 +44,6 @@ QUESTIONS = {
     "torques": "remove the '#' of joint_torque if these come from sensors behind the gears, not from currents",
     "sensors": "if they are computed from currents or by the controller's model, state the mass of a payload instead "
     "(--payload LOG=KG)",
-    "base": f"if the base of the robot moved, write 'base: floating' and the columns of its motion ({FLOATING})",
-    "wrenches": "if forces that act on the robot are logged, describe them under 'wrenches:', those on a floating "
-    f"base under 'base:' ({ON_BODIES})",
     "reference": "confirm that these are the references of the current loops, not the feed-forward of a model",
 }
 """Questions about the open points of a draft, in the order in which they are asked."""
@@ -67,8 +62,6 @@ class Unused:
     torques: Mapping[str, str] = field(default_factory=dict)
     computed: bool = False
     pose: tuple[str, ...] = ()
-    motion: tuple[str, ...] = ()
-    wrenches: tuple[str, ...] = ()
     still: tuple[str, ...] = ()
     moving: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
@@ -141,8 +134,7 @@ def discover(
     """Infer the signals of logs recorded with the same layout, one for each run, or positions and then commands.
 
     ``source`` is the entry of the ``robot`` in the file. ``columns`` are patterns of the columns of the first log by
-    kind, see :meth:`LogContents.stated`; they are matched with the joints by name or in their order. Where the
-    placement of its ``base`` is given, no columns are taken for the motion of a base.
+    kind, see :meth:`LogContents.stated`; they are matched with the joints by name or in their order.
     """
     if columns:
         log = command_log = LogContents.read(paths[0], robot).stated(columns)
@@ -157,7 +149,7 @@ def discover(
     entries = {"time": clock, "position": positions_of, kind: currents} | ({"joint_torque": sensors} if sensors else {})
     signals = read_group(Signals, "signals", entries)
     used = {*positions.columns.values(), *commands.columns.values()}
-    unused = _unused(log, command_log, signals, labels, used, moving_base=base is None)
+    unused = _unused(log, command_log, signals, labels, used)
     unused = replace(unused, still=(*still, *unused.still), moving=unused.moving if robot else ())
     unit, why_unit = _position_unit(log, positions, positions_of, robot)
     written = _units(log, "position", positions_of)
@@ -203,8 +195,6 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
         "counts": (not all(known), f"the log gives counts, shares or unknown units ({listed_units(draft.units)})"),
         "joints": (not by_name, f"columns were assigned to the joints{order}: {columns}"),
         "torques": (unused.torques, f"{listed(unused.torques.values())} are not used{computed}"),
-        "base": (unused.motion, f"{listed(unused.motion)} are not used: the base is assumed to be fixed"),
-        "wrenches": (unused.wrenches, f"{listed(unused.wrenches)} are not used: no external contact is assumed"),
     }
     return {key: assumed for key, (is_open, assumed) in points.items() if is_open}
 
@@ -292,16 +282,9 @@ def _reach(log: LogContents, columns: Mapping[str, str]) -> float:
 
 
 def _unused(
-    log: LogContents,
-    command_log: LogContents,
-    signals: Signals,
-    labels: Mapping[str, str],
-    used: set[str],
-    moving_base: bool,
+    log: LogContents, command_log: LogContents, signals: Signals, labels: Mapping[str, str], used: set[str]
 ) -> Unused:
     columns = [name for name in log.table.columns if name not in log.time]
-    unused = [name for name in columns if name not in used]
-    motion, wrenches = base_like(unused) if moving_base else (), wrench_like(unused)
     torques, still = dict[str, str](), list[str]()
     if not signals.sensors(SENSOR) and signals.kind == "current":
         torques, still = _sensors(command_log, "torque", labels)
@@ -321,17 +304,14 @@ def _unused(
     moving = [name for one in logs for name in one.moving_beside(chosen, known, command_kind)]
     groups = {group.listed: group for group in (*log.groups, *command_log.groups)}
     others = {name: group for name, group in groups.items() if group.kind not in ("other", "sensor")}
-    explained = {*used, *motion, *wrenches}
     return Unused(
         side=side,
         torques=torques,
         computed=_computed(command_log, signals.command, torques),
-        pose=tuple(name for name in unused if has_word(name, POSE)),
-        motion=motion,
-        wrenches=wrenches,
+        pose=tuple(name for name in columns if name not in used and has_word(name, POSE)),
         still=tuple(still),
         moving=(*moving, *log.elsewhere),
-        others=tuple(name for name, group in others.items() if not set(group.columns.values()) <= explained),
+        others=tuple(name for name, group in others.items() if not set(group.columns.values()) <= used),
     )
 
 

@@ -287,11 +287,8 @@ def _unused(draft: Draft) -> Iterator[str]:
             yield f"  # {signal.key}: {_flow(columns)}  # {signal.effect}: remove the first '#'"
     if unused.pose:
         yield f"  # A pose tests the robot's geometry; if {listed(unused.pose)} hold one, describe it under 'pose:'."
-    doubtful = {"base": unused.motion, "wrenches": unused.wrenches, "torques": unused.torques.values()}
-    for key, names in doubtful.items():
-        if names:
-            yield f"  # {CHECK}{listed(names)}: {QUESTIONS[key]}."
     if unused.torques:
+        yield f"  # {CHECK}{listed(unused.torques.values())}: {QUESTIONS['torques']}."
         yield from (f"  #{line[1:]}" for line in _by_joint("joint_torque", unused.torques, ""))
     if unused.others:
         yield f"  # Not used: columns {'; '.join(unused.others)}."
