@@ -30,16 +30,14 @@ from gtau.robots.placement import (
     short_angles_note,
     smallest_unit,
 )
-from gtau.robots.readers.mjcf_guard import bounded, refuse_deadly
+from gtau.robots.readers.mjcf_guard import included, refuse_deadly
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of
-from gtau.robots.robot import Pose
+from gtau.robots.robot import Pose, refuse_many
 
 try:
     import mujoco as mujoco
 except ImportError:  # an extra
     mujoco = None
-
-    from scipy.spatial.transform import Rotation
 
 SHAPES = ("sensors", "geoms", "pairs", "excludes", "skins", "flexes", "meshes", "textures", "materials", "hfields")
 DELETED = ("sensors", "actuators", "tendons", "keys", "cameras", "lights", *SHAPES[1:], "numerics", "texts", "tuples")
@@ -169,7 +167,7 @@ def straight_tendons(spec: mujoco.MjSpec) -> dict[str, tuple[str, str]]:
 
 def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``."""
-    elements = bounded(root, path)
+    elements = included(root, path)
     _check_numbers(elements)
     try:
         import_module("mujoco")
@@ -179,6 +177,7 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     refuse_deadly(path, DELETED)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
+        refuse_many(len(spec.bodies), "bodies")
         if len(spec.flexes):
             raise GtauError("it holds a flexible body (flex); only rigid bodies are read, so remove it.")
         names = {tendon.name for tendon in spec.tendons}

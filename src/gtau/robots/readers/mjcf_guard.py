@@ -1,8 +1,4 @@
-"""What an MJCF file may do to this machine, checked before it is read.
-
-Bounds hold for the files that it opens, the elements that it repeats and the memory that it reserves. MuJoCo may still
-crash, hang or exhaust the memory, so the file is first loaded in a separate process.
-"""
+"""Guard before MuJoCo, which may crash, hang or exhaust the memory: a file is first loaded in a separate process."""
 
 from __future__ import annotations
 
@@ -13,26 +9,13 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
-from itertools import product
-from math import prod
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
-from gtau.documents.files import regular
 from gtau.errors import GtauError
-from gtau.robots.readers.xml_document import line_of, read_xml
+from gtau.robots.readers.xml_document import read_xml
 
 MOST_FILES = 100  # hands and humanoids have fewer than ten
-MOST_BODIES = 2000  # with copies: more keep the compiler busy for minutes
-MOST_ELEMENTS = 20 * MOST_BODIES  # a body has about five
-LARGEST_SIZE = 8192  # points along a side of a height field or texture: 256 MiB
-COPYING = ("replicate", "composite", "flexcomp")
-NESTED = ("worldbody", "body", "frame", "include", *COPYING)
-SIZES = ("nrow", "ncol", "width", "height", "nkey")  # and nuser_...
-FOLDERS = ("meshdir", "texturedir", "assetdir")
-
-Files = dict[Path, Element]
 PATIENCE = 60.0  # s; heavy meshes of public robots take five
 MEMORY = 4 << 30  # bytes; the same need less than one
 READER = """
@@ -71,33 +54,12 @@ _lock = threading.Lock()
 _readers: dict[int, subprocess.Popen[str]] = {}  # by process, as it may fork
 
 
-def bounded(root: Element, path: Path) -> list[Element]:
-    """List the outermost elements of a file and of those that it includes; refuse what is beyond the bounds."""
-    files: Files = {path.resolve(): root}
-    attached: Files = {}
-    _collect(root, path, files, "include")
-    for file, outermost in files.items():
-        _collect(outermost, path if file == path.resolve() else file, attached, "model")
-    if path.resolve() in attached:
-        raise GtauError("it attaches itself by a <model>, without end; attach another file.")
-    every = [*files.values(), *(one for file, one in attached.items() if file not in files)]
-    elements = [element for outermost in every for element in outermost.iter()]
-    _refuse_devices(elements, path)
-    _check_sizes(elements)
-    try:
-        _check_copies(root, path, files)
-        for file, outermost in attached.items():
-            _check_copies(outermost, file, attached)
-    except RecursionError:
-        raise GtauError("its files are nested too deep; write them flatter.") from None
-    return list(files.values())
-
-
-def _collect(root: Element, path: Path, files: Files, tag: str) -> None:
-    """Add the files that an element includes or attaches, and those that these do in turn, as MuJoCo finds them."""
+def included(root: Element, path: Path) -> list[Element]:
+    """List the outermost elements of a file and of those that it includes, as MuJoCo finds them."""
+    files = {path.resolve(): root}
     waiting = [root]
     while waiting:
-        for element in waiting.pop().iter(tag):
+        for element in waiting.pop().iter("include"):
             other = path.parent / element.get("file", "")
             if not other.is_file() or other.resolve() in files:
                 continue
@@ -105,54 +67,7 @@ def _collect(root: Element, path: Path, files: Files, tag: str) -> None:
                 raise GtauError(f"it reads more than {MOST_FILES} other files; give the file of the robot alone.")
             files[other.resolve()] = read_xml(other)
             waiting.append(files[other.resolve()])
-
-
-def _refuse_devices(elements: Iterable[Element], path: Path) -> None:
-    """Refuse pipes and devices, of which MuJoCo would read without end."""
-    folders = {element.get(key, "") for element in elements if element.tag == "compiler" for key in FOLDERS}
-    named = [element for element in elements if element.get("file")]
-    for element, folder in product(named, {"", *folders}):
-        try:
-            regular(path.parent / folder / element.get("file", ""))
-        except OSError as error:
-            raise GtauError(
-                f"line {line_of(element)}: <{element.tag}> cannot be read from '{element.get('file')}': "
-                f"{error.strerror or error}; give a file."
-            ) from None
-
-
-def _check_sizes(elements: Iterable[Element]) -> None:
-    for element in elements:
-        for key, text in element.items():
-            if (key in SIZES or key.startswith("nuser_")) and text.isdecimal() and int(text[:9]) > LARGEST_SIZE:
-                raise GtauError(
-                    f"line {line_of(element)}: {key} of <{element.tag}> is {text[:20]}, and at most {LARGEST_SIZE} is "
-                    "read; give the file of the robot alone."
-                )
-
-
-def _check_copies(root: Element, path: Path, files: Files) -> None:
-    """Refuse files that ask for more copies of a body, or of what it holds, than a robot can have."""
-
-    def copies(element: Element, whole: bool) -> float:
-        if element.tag == "include":  # twice, MuJoCo refuses
-            element = once.pop((path.parent / element.get("file", "")).resolve(), element)
-        inside = sum(copies(child, whole) for child in element if whole or child.tag in NESTED)
-        if element.tag not in COPYING:
-            return max(1.0, inside) + whole * (inside > 0)
-        try:
-            repeated = prod(float(word) for word in element.get("count", "1").split())
-        except ValueError:
-            return 0.0  # MuJoCo reports the error
-        return repeated * max(1.0, inside)
-
-    for elements, limit, what in ((False, MOST_BODIES, "bodies"), (True, MOST_ELEMENTS, "elements")):
-        once = dict(files)
-        if (most := copies(root, elements)) > limit:
-            raise GtauError(
-                f"it holds {most:.0f} {what}, with the copies that <replicate> and <composite> ask for, and at most "
-                f"{limit} are read; give the file of the robot alone."
-            )
+    return list(files.values())
 
 
 def refuse_deadly(path: Path, without: tuple[str, ...] = (), patience: float = PATIENCE) -> None:
