@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from gtau.documents.validation import unknown, validate
-from gtau.documents.yaml_document import Document, read_yaml
+from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import drawn_base
 from gtau.robots.parts import listed, without_idle_pins
@@ -28,7 +28,7 @@ from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
 from gtau.robots.readers.links import urdf_inertias, urdf_masses
 from gtau.robots.readers.source import BaseChoice
 from gtau.robots.readers.urdf_tree import WORLD, UrdfTree, axis_of, driven_joints, origin_of, read_urdf_tree
-from gtau.robots.readers.xml_document import all_numbers, attribute, decimals, line_of, numbers
+from gtau.robots.readers.xml_document import all_numbers, attribute, line_of, numbers
 from gtau.robots.robot import GROUND, Attachment, Closure, Joint, Placement, Pose, Robot, RobotFile
 
 POINTS = {"spherical": 1, "ball": 1, "revolute": 2, "continuous": 2}
@@ -125,21 +125,13 @@ def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
         drawn = driven.isdisjoint(six)
     else:
         strong = {joint.name for joint in robot.joints if joint.limits.effort}
-        heavy = _heavy(tree)
+        links = (link for link in tree.root.findall("link") if any(all_numbers(link.iter("mass"), ["value"])))
+        heavy = {tree.frames[name].body for link in links if (name := link.get("name", "")) in tree.frames}
         drawn = (rest <= strong and strong.isdisjoint(six)) or (rest <= heavy and heavy.isdisjoint(six[:-1]))
     if not drawn:
         return robot
     joints = tuple(replace(joint, actuated=joint.actuated and joint.name not in six) for joint in robot.joints)
     return replace(robot, joints=joints)
-
-
-def _heavy(tree: UrdfTree) -> set[str]:
-    masses = {link.get("name", ""): link.find("inertial/mass") for link in tree.root.findall("link")}
-    return {
-        tree.frames[name].body
-        for name, mass in masses.items()
-        if name in tree.frames and mass is not None and any(decimals(mass.get("value", "")) or [])
-    }
 
 
 class _Loops(BaseModel):
@@ -179,19 +171,17 @@ def read_urdf_with_loops(urdf: Path, loops: Path) -> Robot:
             if name not in known:
                 raise document.error((key, position), unknown(f"joint '{name}'", name, names))
     types = entry.type or ["6d"] * len(entry.closed_loop)
-    closures = [_closure(document, tree, k, types[k], pair) for k, pair in enumerate(entry.closed_loop)]
+    closures = list[Closure]()
+    for k, (kind, pair) in enumerate(zip(types, entry.closed_loop, strict=True)):
+        for position, name in enumerate(pair):
+            if name not in tree.frames:
+                raise document.error(("closed_loop", k, position), unknown(f"frame '{name}'", name, tree.frames))
+        a, b = (tree.frames[name] for name in pair)
+        closures.append(Closure("connect" if kind == "3d" else "weld", a, b))
     with errors_at(document.path):
         joints = [replace(joint, actuated=joint.name in entry.name_mot) for joint in tree.joints]
-        closures, said = (closures, []) if closures else _written_closures(tree)
+        closures, said = (closures, list[str]()) if closures else _written_closures(tree)
         return without_idle_pins(_closed(tree, joints, closures, file).noted(*said))
-
-
-def _closure(document: Document, tree: UrdfTree, k: int, kind: str, pair: tuple[str, str]) -> Closure:
-    for position, name in enumerate(pair):
-        if name not in tree.frames:
-            raise document.error(("closed_loop", k, position), unknown(f"frame '{name}'", name, tree.frames))
-    a, b = (tree.frames[name] for name in pair)
-    return Closure("connect" if kind == "3d" else "weld", a, b)
 
 
 def _written_closures(tree: UrdfTree) -> tuple[list[Closure], list[str]]:

@@ -13,34 +13,10 @@ import numpy as np
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import turning
-from gtau.robots.placement import (
-    ROUNDING,
-    exact_placement,
-    in_degrees,
-    rounded,
-    short_angles_note,
-)
+from gtau.robots.placement import ROUNDING, exact_placement, in_degrees, rounded, short_angles_note
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, BaseChoice
-from gtau.robots.readers.xml_document import (
-    LARGEST,
-    attribute,
-    decimals,
-    line_of,
-    numbers,
-    position_limits,
-    read_xml,
-)
-from gtau.robots.robot import (
-    GROUND,
-    Attachment,
-    Coupling,
-    Joint,
-    JointKind,
-    Limits,
-    Placement,
-    Pose,
-    refuse_many,
-)
+from gtau.robots.readers.xml_document import LARGEST, attribute, decimals, line_of, numbers, position_limits, read_xml
+from gtau.robots.robot import GROUND, Attachment, Coupling, Joint, JointKind, Limits, Placement, Pose, refuse_many
 
 LOOSE = ("floating", "planar")
 WORLD = "world"  # a link that files for Drake need not declare
@@ -95,17 +71,13 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         joints, frames = _moving(ordered, types)
         couplings = [coupling for edge in ordered if (coupling := _mimic(edge))]
         moving = {joint.name for joint in joints}
-        in_gazebo = _mimics_of_gazebo(root, moving - {tie.joint for tie in couplings})
-        couplings += in_gazebo
         _check_couplings(couplings, moving)
         slaves = {tie.joint for tie in couplings}
         joints = [replace(joint, actuated=joint.name not in slaves) for joint in joints]
-        notes = list(_limit_notes(ordered))
+        empty = ", ".join(filter(None, (_limits(edge)[1] for edge in ordered if edge.kind is not None)))
+        notes = [f"empty position limits were ignored: joint {empty}"] if empty else []
         notes += _transmission_notes(root, [joint.name for joint in joints if joint.actuated])
         notes += short_angles_note({edge.name: edge.short for edge in ordered})
-        if in_gazebo:
-            names = some_of([f"'{coupling.joint}' to '{coupling.ratios[0][0]}'" for coupling in in_gazebo], 4)
-            notes.append(f"joints coupled as a plugin of <gazebo> moves them, without <mimic>: {names}")
         return UrdfTree(root.get("name") or path.stem, tuple(joints), tuple(couplings), frames, root, notes)
 
 
@@ -210,7 +182,7 @@ def _moving(ordered: list[_Edge], types: Mapping[str, str]) -> tuple[list[Joint]
             joints += turning(edge.name, at.body, at.placement, TURNS[kind])
         elif edge.kind:
             axis = axis_of(edge.element, f"joint '{edge.name}'")
-            joints.append(Joint(edge.name, at.body, edge.kind, at.placement, axis, limits=_limits(edge)))
+            joints.append(Joint(edge.name, at.body, edge.kind, at.placement, axis, limits=_limits(edge)[0]))
         frames[edge.child] = frames[edge.name] = Attachment(edge.name)
     return joints, frames
 
@@ -221,27 +193,9 @@ def _mimic(edge: _Edge) -> Coupling | None:
         return None
     what = f"<mimic> of joint '{edge.name}'"
     master = attribute(mimic, "joint", what)
-    return _coupling(edge.name, master, mimic.get("multiplier", "1"), mimic.get("offset", "0"), what)
-
-
-def _mimics_of_gazebo(root: Element, free: Collection[str]) -> list[Coupling]:
-    """Read couplings of ``free`` joints from Gazebo plugins: ``mimicJoint`` follows ``joint``."""
-    couplings = {}
-    for plugin in root.iterfind("gazebo/plugin"):
-        follower = (plugin.findtext("mimicJoint") or "").strip()
-        leader = (plugin.findtext("joint") or plugin.findtext("jointName") or "").strip()
-        if leader and follower in free:
-            what = f"<plugin> of mimicJoint '{follower}' (line {line_of(plugin)})"
-            ratio = plugin.findtext("multiplier") or "1"
-            offset = plugin.findtext("offset") or "0"
-            couplings[follower] = _coupling(follower, leader, ratio, offset, what)
-    return list(couplings.values())
-
-
-def _coupling(joint: str, master: str, multiplier: str, offset: str, what: str) -> Coupling:
-    (ratio,) = numbers(multiplier, 1, f"multiplier of {what}")
-    (shift,) = numbers(offset, 1, f"offset of {what}")
-    return Coupling(joint, ((master, ratio),), shift)
+    (ratio,) = numbers(mimic.get("multiplier", "1"), 1, f"multiplier of {what}")
+    (offset,) = numbers(mimic.get("offset", "0"), 1, f"offset of {what}")
+    return Coupling(edge.name, ((master, ratio),), offset)
 
 
 def _check_couplings(couplings: Sequence[Coupling], moving: Collection[str]) -> None:
@@ -330,34 +284,19 @@ def driven_joints(root: Element) -> set[str]:
     return {joint.get("name", "") for joint in driven}
 
 
-def _limits(edge: _Edge) -> Limits:
-    if edge.element.find("limit") is None:
-        return Limits()
-    velocity, effort = (_limit(edge, key) for key in ("velocity", "effort"))
-    stated = _range(edge)
-    return Limits(
-        position=position_limits(*stated) if stated else None,
+def _limits(edge: _Edge) -> tuple[Limits, str]:
+    """Read the limits of a joint, and an empty range of its position, which is ignored, as text."""
+    limit = edge.element.find("limit")
+    if limit is None:
+        return Limits(), ""
+    low, high, velocity, effort = (
+        numbers(limit.get(key, "0"), 1, f"{key} of joint '{edge.name}'", endless=True)[0]
+        for key in ("lower", "upper", "velocity", "effort")
+    )
+    ranged = edge.element.get("type") != "continuous" and not {"lower", "upper"}.isdisjoint(limit.keys())
+    limits = Limits(
+        position=position_limits(low, high) if ranged else None,
         velocity=velocity if 0.0 < velocity <= LARGEST else None,
         effort=effort if 0.0 < effort <= LARGEST else None,
     )
-
-
-def _limit(edge: _Edge, key: str) -> float:
-    limit = edge.element.find("limit")
-    text = "0" if limit is None else limit.get(key, "0")
-    return numbers(text, 1, f"{key} of joint '{edge.name}'", endless=True)[0]
-
-
-def _range(edge: _Edge) -> tuple[float, float] | None:
-    limit = edge.element.find("limit")
-    if limit is None or not {"lower", "upper"}.intersection(limit.keys()):
-        return None
-    low, high = (_limit(edge, key) for key in ("lower", "upper"))
-    return None if edge.element.get("type") == "continuous" else (low, high)
-
-
-def _limit_notes(ordered: list[_Edge]) -> Iterator[str]:
-    ranges = [(edge.name, *(_range(edge) or (0.0, 1.0))) for edge in ordered if edge.kind is not None]
-    dropped = [f"'{name}' ({low:g} to {high:g})" for name, low, high in ranges if low >= high]
-    if dropped:
-        yield f"empty position limits were ignored: joint {', '.join(dropped)}"
+    return limits, f"'{edge.name}' ({low:g} to {high:g})" if ranged and low >= high else ""
