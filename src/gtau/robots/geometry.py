@@ -125,9 +125,35 @@ def _numbers(array: ArrayLike) -> tuple[float, ...]:
     return tuple((np.round(np.asarray(array, dtype=float), SAME) + 0.0).ravel().tolist())
 
 
-def oddities(robot: Robot) -> tuple[str, ...]:
+def oddities(robot: Robot) -> Iterator[str]:
     """Describe implausible entries, a sentence each: links of 350 m, limits of 130 rad, a home outside the limits."""
-    return (*_lengths(robot), *_angles(robot), *_homes(robot))
+    placed: list[tuple[str, Placement]] = [(f"joint '{joint.name}'", joint.placement) for joint in robot.joints]
+    placed += [(f"home of platform '{platform.name}'", platform.home) for platform in robot.platforms]
+    for number, closure in enumerate(robot.closures, start=1):
+        placed += [(f"closure {number} on '{end.body}'", end.placement) for end in (closure.a, closure.b)]
+    for spring in robot.springs:
+        placed += [(f"spring '{spring.name}' on '{end.body}'", end.placement) for end in (spring.a, spring.b)]
+    sizes = [(what, np.linalg.norm(place.position)) for what, place in placed]
+    long = [f"{what} is placed {size:.4g} m away" for what, size in sizes if size > FAR]
+    slides = [joint for joint in robot.joints if not joint.turns and _reach(joint) > FAR]
+    long += [f"the position limits of joint '{joint.name}' are {_limits(joint)}" for joint in slides]
+    if long:
+        yield f"{'; '.join(long)}: lengths are in m, so check whether these are mm"
+    # except motor shafts before a gear
+    links = (joint for joint in robot.joints if joint.turns and joint.parameters != "drive")
+    if far := [f"joint '{joint.name}' ({_limits(joint)})" for joint in links if _reach(joint) > TURNS * 2 * pi]:
+        yield (
+            f"position limits of many turns: {', '.join(far)}; angles are in rad; if these are degrees, divide them by"
+            " 57.2958, or write deg(...) in a robot file"
+        )
+    outside = []
+    for joint in robot.joints:
+        low, high = joint.limits.position or (-np.inf, np.inf)
+        if not low - REACHED <= joint.home <= high + REACHED:
+            outside.append(f"joint '{joint.name}' ({joint.home:.4g} {joint.unit}, limits {_limits(joint)})")
+    if outside:
+        names = ", ".join(outside)
+        yield f"home lies outside the position limits of {names}; write a 'home' within them in the robot file"
 
 
 def tool_note(robot: Robot) -> tuple[str, ...]:
@@ -149,43 +175,6 @@ def massless(robot: Robot, parameters: Iterable[str]) -> tuple[str, ...]:
     bodies = [joint.name for joint in robot.joints if joint.has_mass]
     bodies += [platform.name for platform in robot.platforms]
     return tuple(body for body in bodies if body not in named)
-
-
-def _lengths(robot: Robot) -> Iterator[str]:
-    placed: list[tuple[str, Placement]] = [(f"joint '{joint.name}'", joint.placement) for joint in robot.joints]
-    placed += [(f"home of platform '{platform.name}'", platform.home) for platform in robot.platforms]
-    for number, closure in enumerate(robot.closures, start=1):
-        placed += [(f"closure {number} on '{end.body}'", end.placement) for end in (closure.a, closure.b)]
-    for spring in robot.springs:
-        placed += [(f"spring '{spring.name}' on '{end.body}'", end.placement) for end in (spring.a, spring.b)]
-    sizes = [(what, np.linalg.norm(place.position)) for what, place in placed]
-    long = [f"{what} is placed {size:.4g} m away" for what, size in sizes if size > FAR]
-    slides = [joint for joint in robot.joints if not joint.turns and _reach(joint) > FAR]
-    long += [f"the position limits of joint '{joint.name}' are {_limits(joint)}" for joint in slides]
-    if long:
-        yield f"{'; '.join(long)}: lengths are in m, so check whether these are mm"
-
-
-def _angles(robot: Robot) -> Iterator[str]:
-    # except motor shafts before a gear
-    links = (joint for joint in robot.joints if joint.turns and joint.parameters != "drive")
-    far = [f"joint '{joint.name}' ({_limits(joint)})" for joint in links if _reach(joint) > TURNS * 2 * pi]
-    if far:
-        yield (
-            f"position limits of many turns: {', '.join(far)}; angles are in rad; if these are degrees, divide them by"
-            " 57.2958, or write deg(...) in a robot file"
-        )
-
-
-def _homes(robot: Robot) -> Iterator[str]:
-    outside = []
-    for joint in robot.joints:
-        low, high = joint.limits.position or (-np.inf, np.inf)
-        if not low - REACHED <= joint.home <= high + REACHED:
-            outside.append(f"joint '{joint.name}' ({joint.home:.4g} {joint.unit}, limits {_limits(joint)})")
-    if outside:
-        names = ", ".join(outside)
-        yield f"home lies outside the position limits of {names}; write a 'home' within them in the robot file"
 
 
 def _reach(joint: Joint) -> float:

@@ -283,7 +283,7 @@ class System:
 
 def robot_notes(robot: Robot, loaded: bool) -> list[Finding]:
     """Note implausible parts of a robot's description, and, where ``loaded``, the body assumed to carry payloads."""
-    notes = oddities(robot) + (tool_note(robot) if loaded else ())
+    notes = (*oddities(robot), *(tool_note(robot) if loaded else ()))
     source = f"robot '{robot.name}'"
     return [Finding("robot description", text=note, grade=Grade.INFORMATION, source=source) for note in notes]
 

@@ -157,16 +157,12 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
     balls = [name_in(model, "joint", k) for k in sprung]
     if balls:
         yield f"springs of balls act in the simulator and are not modelled: joint {listed(balls)}"
-    if floating and _is_braked(model, int(model.body(floating).jntadr[0])):
+    free = int(model.body(floating).jntadr[0]) if floating else 0
+    start, brakes = int(model.jnt_dofadr[free]), (model.dof_damping, model.dof_frictionloss, model.dof_armature)
+    braked = np.any(model.jnt_stiffness[free]) or any(np.any(effect[start : start + 6]) for effect in brakes)
+    if floating and braked:  # for instance by defaults of its class
         yield f"damping, friction or armature of the floating '{floating}' acts in the simulator and is not modelled"
     yield from angle_notes(file.elements)
-
-
-def _is_braked(model: mujoco.MjModel, free: int) -> bool:
-    """Return whether damping, friction or armature act on a free joint, for instance by defaults of its class."""
-    start = int(model.jnt_dofadr[free])
-    effects = [model.dof_damping, model.dof_frictionloss, model.dof_armature]
-    return bool(np.any(model.jnt_stiffness[free])) or any(np.any(effect[start : start + 6]) for effect in effects)
 
 
 def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:

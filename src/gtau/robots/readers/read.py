@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from importlib.util import find_spec
@@ -24,7 +24,7 @@ from gtau.extensions import added, registered
 from gtau.robots.geometry import drawn_base, float_base
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
 from gtau.robots.placement import Placement, Pose, rounded
-from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, GivenLimits, RobotSource
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, RobotSource
 from gtau.robots.robot import Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
@@ -71,7 +71,10 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
         if source.joints or source.held:
             robot = select_joints(robot, source.joints, source.held)
         if source.limits:
-            robot = _limited(robot, source.limits)
+            given = {name: limits.model_dump(exclude_none=True) for name, limits in source.limits.items()}
+            new = {name: replace(robot.joint(name).limits, **limits) for name, limits in given.items()}
+            joints = (replace(joint, limits=new.get(joint.name, joint.limits)) for joint in robot.joints)
+            robot = replace(robot, joints=tuple(joints))
         if source.gravity is not None:
             robot = replace(robot, gravity=source.gravity)
         if source.base is None and not robot.floating and len(robot.joints) > 6 and (six := drawn_base(robot)):
@@ -98,14 +101,6 @@ def _fixed(robot: Robot, six: Sequence[str], base: Base) -> Robot:
     return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
 
 
-def _limited(robot: Robot, given: Mapping[str, GivenLimits]) -> Robot:
-    joints = {joint.name: joint for joint in robot.joints}
-    for name, limits in given.items():
-        joint = robot.joint(name)
-        joints[name] = replace(joint, limits=replace(joint.limits, **limits.model_dump(exclude_none=True)))
-    return replace(robot, joints=tuple(joints.values()))
-
-
 def _read(source: str | Path, written: RobotSource) -> Robot:
     base = written.base
     if source in {file.stem for file in CATALOG.glob("*.yaml")}:
@@ -119,8 +114,14 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
     if (written.xacro or written.packages) and path.suffix.lower() != ".xacro":
         raise GtauError(f"'xacro' and 'packages' are for xacro files, which '{written.file}' is not; remove them.")
     match path.suffix.lower():
+        case ".yaml" | ".yml" if is_loops_file(path):
+            from gtau.robots.readers.urdf import read_urdf_with_loops
+
+            return read_urdf_with_loops(path.with_suffix(".urdf"), path)
         case ".yaml" | ".yml":
-            return _from_yaml(path)
+            from gtau.robots.readers.native import read_native
+
+            return read_native(path)
         case ".urdf":
             return _from_urdf(path, base, path.parent)
         case ".xml" | ".mjcf":
@@ -156,16 +157,6 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
 def is_loops_file(path: Path) -> bool:
     """Decide whether the file at `path` exists and defines loops beside a URDF."""
     return path.is_file() and any(key in read_yaml(path).data for key in LOOPS)
-
-
-def _from_yaml(path: Path) -> Robot:
-    if is_loops_file(path):
-        from gtau.robots.readers.urdf import read_urdf_with_loops
-
-        return read_urdf_with_loops(path.with_suffix(".urdf"), path)
-    from gtau.robots.readers.native import read_native
-
-    return read_native(path)
 
 
 def _from_urdf(path: Path, base: BaseChoice, folder: Path) -> Robot:
@@ -253,13 +244,13 @@ def _link(body: str, link: str, file: str | Path | None) -> Placement:
         )
     from gtau.robots.readers.urdf_tree import read_urdf_tree
 
-    tree = read_urdf_tree(Path(file), {}, Base())
-    on_body = [name for name, frame in tree.frames.items() if frame.body == body]
-    if link not in tree.frames:
-        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {', '.join(on_body) or 'none'}.")
-    if link not in on_body:
+    frames = read_urdf_tree(Path(file), {}, Base()).frames
+    on_body = ", ".join(name for name, frame in frames.items() if frame.body == body)
+    if link not in frames:
+        raise GtauError(f"{file} has no link '{link}'; on '{body}' are {on_body or 'none'}.")
+    if frames[link].body != body:
         raise GtauError(
             f"link '{link}' of {file} is not fixed to '{body}', which carries the payload; choose from "
-            f"{', '.join(on_body) or 'none, and write the pose'}."
+            f"{on_body or 'none, and write the pose'}."
         )
-    return tree.frames[link].placement
+    return frames[link].placement

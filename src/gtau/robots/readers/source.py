@@ -5,6 +5,7 @@ A source names the file, the pose of the base and the selected joints; ``docs/lo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import isfinite
 from typing import Annotated, Any, Literal
 
@@ -56,15 +57,15 @@ def _base(value: Any) -> Any:
     return value
 
 
-def angle(value: Any) -> Any:
+def angle(value: Any, constants: Mapping[str, float] | None = None) -> Any:
     """Evaluate an angle, rad, written as a number or an expression; refuse what looks like degrees."""
-    number = evaluate(value) if isinstance(value, str) else value
+    number = evaluate(value, constants) if isinstance(value, str) else value
     if isinstance(number, int | float) and isfinite(number) and in_degrees(number):
         raise ValueError(f"{value} rad is more than a turn; {DEGREES_ADVICE}, such as deg({value})")
     return number
 
 
-Angle = Annotated[FiniteFloat, BeforeValidator(angle)]
+Angle = Annotated[FiniteFloat, BeforeValidator(lambda value: angle(value))]
 
 
 class Base(Keys):
@@ -130,17 +131,6 @@ AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("
 """Value of the key 'robot': a file or catalog name, or the group of a ``RobotSource``."""
 
 
-def _number(text: str, info: ValidationInfo) -> float:
-    return evaluate(text, info.context)
-
-
-def _angle(text: str, info: ValidationInfo) -> float:
-    angle = evaluate(text, info.context)
-    if in_degrees(angle):
-        raise ValueError(f"{text} rad is more than a turn; {DEGREES_ADVICE}, such as deg({text})")
-    return angle
-
-
 def _coordinate(text: str, info: ValidationInfo) -> AffineInQ:
     factor, constant = linear(text, info.context)
     if info.field_name == "theta" and in_degrees(constant):
@@ -148,8 +138,8 @@ def _coordinate(text: str, info: ValidationInfo) -> AffineInQ:
     return factor, constant
 
 
-Number = Annotated[float, BeforeValidator(_number)]
-WrittenAngle = Annotated[float, BeforeValidator(_angle)]
+Number = Annotated[float, BeforeValidator(lambda text, info: evaluate(text, info.context))]
+WrittenAngle = Annotated[float, BeforeValidator(lambda text, info: angle(text, info.context))]
 Coordinate = Annotated[AffineInQ, BeforeValidator(_coordinate)]
 """A number that may hold the joint coordinate ``q``."""
 Triple = tuple[Number, Number, Number]
