@@ -159,13 +159,15 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
         return {joint: columns[joint] for joint in self.position if joint in columns}
 
     @property
+    def modelled(self) -> tuple[str, ...]:
+        """Columns of the commands, then of the sensors on the link side."""
+        sensors = (column for kind in LINK_SIDE for column in self.sensors(kind).values())
+        return (*(self.command[joint] for joint in self.position), *sensors)
+
+    @property
     def measured(self) -> tuple[str, ...]:
         """Columns of the commands, then of the sensors on the link side, then of all wrenches."""
-        return (
-            *(self.command[joint] for joint in self.position),
-            *(column for kind in LINK_SIDE for column in self.sensors(kind).values()),
-            *(column for wrench in self.all_wrenches for column in wrench.columns),
-        )
+        return (*self.modelled, *(column for wrench in self.all_wrenches for column in wrench.columns))
 
     @property
     def all_wrenches(self) -> tuple[BodyWrench, ...]:

@@ -102,15 +102,6 @@ class NoColumns(GtauError):
     """Error raised for a log of which no columns are recognised."""
 
 
-def listed_units(units: Mapping[str, Any]) -> str:
-    """List units, by joint where they differ."""
-    by_joint = {
-        key: unit if isinstance(unit, str) else ", ".join(f"{one} ({joint})" for joint, one in unit.items())
-        for key, unit in units.items()
-    }
-    return ", ".join(f"{key} in {unit}" for key, unit in by_joint.items())
-
-
 LARGEST_CURRENT = 100.0  # A; commands of unknown kind with larger values are taken for torques, to be checked
 # Rad or m; positions with a larger range are in deg or mm, unless velocities or range say that joints turn many times:
 # no arm turns by more than two turns either way (deg) or faster than this (rad/s), as motors before their gears do.
@@ -180,10 +171,15 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
     unused, how = draft.unused, draft.reasons.position
     order = f", {how.partition(', ')[2]}" if " taken for " in how else " in order"
     columns = ", ".join(f"{joint}: {column}" for joint, column in draft.signals.position.items())
+    units = {key: unit if isinstance(unit, Mapping) else {"": unit} for key, unit in draft.units.items()}
     known = [
         is_unit(unit, "torque" if key == "joint_torque" else key)  # type: ignore[arg-type]
-        for key, units in draft.units.items()
-        for unit in (units.values() if isinstance(units, Mapping) else [units])
+        for key, by_joint in units.items()
+        for unit in by_joint.values()
+    ]
+    written = [
+        f"{key} in " + ", ".join(f"{unit} ({joint})" if joint else unit for joint, unit in by_joint.items())
+        for key, by_joint in units.items()
     ]
     computed = ": they are a straight line of the currents, from which they may be computed" * unused.computed
     several = any(len(masses) > 1 for masses in draft.payloads.values())
@@ -192,7 +188,7 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
         "mass": (draft.payloads, ""),
         "robot": ("file" not in draft.robot, ""),
         "unmatched": (unused.moving and "joints" in draft.robot, ""),
-        "counts": (not all(known), f"the log gives counts, shares or unknown units ({listed_units(draft.units)})"),
+        "counts": (not all(known), f"the log gives counts, shares or unknown units ({', '.join(written)})"),
         "joints": (not by_name, f"columns were assigned to the joints{order}: {columns}"),
         "torques": (unused.torques, f"{listed(unused.torques.values())} are not used{computed}"),
     }

@@ -222,10 +222,14 @@ WIDTH = 90  # characters of columns on one line
 def draft_text(draft: Draft, folder: Path) -> str:
     """Write the experiment file of a draft for ``folder``, each finding with its reason, guesses marked ``CHECK``."""
     doubt = _question(draft, "robot", "unmatched") or "the other joints are held at home" * ("joints" in draft.robot)
+    file = draft.robot.get("file", "NAME-OR-FILE")
+    if "file" in draft.robot and draft.urdf is None:
+        file = _entry_of(file, folder)
+    robot = {**draft.robot, "file": file} if "file" in draft.robot and len(draft.robot) > 1 else file
     lines = [
         f"# Drafted by gtau from {counted(len(draft.logs), 'log')}. Edit the lines marked CHECK, then run gtau check.",
         "",
-        _line(f"robot: {_flow(_robot_entry(draft, folder))}", doubt),
+        _line(f"robot: {_flow(robot)}", doubt),
         "",
         "signals:",
         *_signals(draft),
@@ -343,13 +347,6 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
 def _rounded(mass: float, named: Sequence[float]) -> bool:
     """Return whether a file name may state a mass, rounded to 5 %."""
     return any(isclose(mass, read, rel_tol=0.05) for read in named)
-
-
-def _robot_entry(draft: Draft, folder: Path) -> Any:
-    if "file" not in draft.robot:
-        return "NAME-OR-FILE"
-    file = draft.robot["file"] if draft.urdf is not None else _entry_of(draft.robot["file"], folder)
-    return {**draft.robot, "file": file} if len(draft.robot) > 1 else file
 
 
 def _entry_of(robot: str, folder: Path) -> str:

@@ -164,13 +164,15 @@ class LogContents:
             for name, count in Counter(table.columns).items()
             if name and count == 1
         ]
-        if not _kind_of(path) and all(name.kind != "position" for name in names):
+        kind = parse_column_name(path.stem).kind
+        kind_of_file = kind if kind in ("position", "current", "torque") else None
+        if not kind_of_file and all(name.kind != "position" for name in names):
             bare = [name.kind is None and BARE.fullmatch(name.stem) for name in names]
             names = [
                 replace(name, kind="position") if is_bare else name for name, is_bare in zip(names, bare, strict=True)
             ]
         groups = grouped(names)
-        is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not _kind_of(path)
+        is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not kind_of_file
         if table.numbered or is_matrix:  # one array whose name says nothing of its columns
             values, first = _values(path, table.columns, table), table.columns[:1]
             time = first if _grows(values[first[0]]) and np.ptp(values[first[0]]) else ()
@@ -191,7 +193,7 @@ class LogContents:
                 values[name.name] = register.signed(values[name.name])
         time = _time_columns(wanted, values)
         units = {name.name: name.unit for name in names if name.unit}
-        return cls(table, values, time, tuple(_classified(groups, values, path)), rate, units, tuple(elsewhere))
+        return cls(table, values, time, tuple(_classified(groups, values, kind_of_file)), rate, units, tuple(elsewhere))
 
     def stated(self, patterns: Mapping[str, str]) -> LogContents:
         """Return the contents with the groups that ``patterns`` of columns state by kind; raises GtauError.
@@ -416,10 +418,10 @@ def _grows(column: np.ndarray, forward: float = 1.0) -> bool:
     return len(step) > 0 and float((step >= 0).mean()) >= forward and float((step > 0).mean()) > 0.5
 
 
-def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path: Path) -> Iterator[Group]:
-    """Classify commands that are derivatives of the positions as velocities, and a lone group by the file's name."""
+def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], kind: str | None) -> Iterator[Group]:
+    """Classify commands that are derivatives of the positions as velocities, and a lone group by its file."""
     positions = next((group for group in groups if group.kind == "position" and not group.reference), None)
-    if len(groups) == 1 and groups[0].kind is None and (kind := _kind_of(path)):
+    if len(groups) == 1 and groups[0].kind is None and kind:
         groups = [replace(groups[0], kind=kind)]
     for group in groups:
         pairs = _pairs(positions, group if group.kind == "command" else None, values)
@@ -431,11 +433,6 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], path:
             yield replace(group, kind="position", reference=True)
         else:
             yield group
-
-
-def _kind_of(path: Path) -> str | None:
-    kind = parse_column_name(path.stem).kind
-    return kind if kind in ("position", "current", "torque") else None
 
 
 def _pairs(

@@ -199,7 +199,7 @@ def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
     if base is None and not acting:
         return values
     joints, pose = len(signals.position), len(base.pose) if base else 0
-    ends = np.cumsum([joints, pose, len(_modelled(signals))])
+    ends = np.cumsum([joints, pose, len(signals.modelled)])
     q, base_pose, commands, wrenches = np.split(values, ends, axis=1)
     wrenches = at_origins(acting, wrenches, base.yaw if base else 0.0)
     if base is None:
@@ -207,15 +207,11 @@ def _converted(signals: Signals, values: np.ndarray) -> np.ndarray:
     return np.hstack([base.positions(base_pose), q, np.zeros((len(values), len(base.joints))), commands, wrenches])
 
 
-def _modelled(signals: Signals) -> tuple[str, ...]:
-    return signals.measured[: len(signals.measured) - sum(len(wrench.columns) for wrench in signals.all_wrenches)]
-
-
 def _labels(signals: Signals) -> Iterator[str]:
     base = signals.base
     yield from (*(base.labels if base else ()), *signals.position.values())
     yield from ["no motor"] * (len(base.joints) if base else 0)
-    yield from _modelled(signals)
+    yield from signals.modelled
     yield from (label for wrench in signals.all_wrenches for label in wrench.labels)
 
 

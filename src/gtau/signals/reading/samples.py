@@ -174,15 +174,24 @@ def complete(
         text = f"left out {counted(without, 'row')} that hold only other signals"
         notes.append(reading("rows of other signals", text=text))
     if not numbers.all():
-        _refuse_without_numbers(name, columns[int(np.argmin(numbers))], columns[-1], table)
+        column = columns[int(np.argmin(numbers))]
+        entry, remedy = table.texts.get(column, ""), "give the column that holds them"
+        if column == columns[-1] and entry[:1].isdigit():  # the time
+            remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
+        begins = f" (it begins with '{entry}')" if entry else ""
+        raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
     lost = len(incomplete)
     if lost > MAX_MISSING * count:
         leading = int(rows[0]) - begin if len(rows) and not part.begin else 0
         remedy = "correct or delete them"
         if lost - leading <= MAX_MISSING * count:
             remedy = f"leave out its first rows (skip: {part.skip + leading})"
-        shares = f"{name} has {lost} of {count} rows"
-        raise _incomplete(shares, table, bad_column or columns[0], table.places(incomplete, 1), remedy)
+        column = bad_column or columns[0]
+        entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
+        raise GtauError(
+            f"{name} has {lost} of {count} rows with missing or non-numeric values (first in "
+            f"{table.places(incomplete, 1)}, column '{column}'{entry}); {remedy}, or record the log again."
+        )
     if lost:
         text = f"dropped {counted(lost, 'row')} with missing or non-numeric values ({table.places(incomplete, lost)})"
         notes.append(repair("rows without numbers", lost / count, text=text))
@@ -216,25 +225,6 @@ def _sorted_rows(
         for store, added in zip(stores, (*arrays, *places), strict=True):
             store.append(added)
     return [store.array() for store in stores], numbers, begin, bad_column
-
-
-def _incomplete(rows: str, table: LogTable, column: str, first: str, remedy: str) -> GtauError:
-    """Make the error for too many incomplete ``rows``, the ``first`` of them in this column."""
-    entry = f": '{table.texts[column]}'" if table.texts.get(column) else ""
-    return GtauError(
-        f"{rows} with missing or non-numeric values (first in {first}, column '{column}'{entry}); {remedy}, or record "
-        "the log again."
-    )
-
-
-def _refuse_without_numbers(name: str, column: str, time: str, table: LogTable) -> None:
-    """Refuse a column without numbers, with its first text; a ``time`` may be one."""
-    entry = table.texts.get(column, "")
-    remedy = "give the column that holds them"
-    if column == time and entry[:1].isdigit():
-        remedy = "convert it to seconds, or give the rate instead (time: {rate: HZ})"
-    begins = f" (it begins with '{entry}')" if entry else ""
-    raise GtauError(f"{name}, column '{column}' holds no number{begins}; {remedy}.")
 
 
 def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
