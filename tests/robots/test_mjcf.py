@@ -358,6 +358,49 @@ def test_fixed_tendons_of_a_length_couple_joints(tmp_path: Path) -> None:
     assert data.efc_pos[0] == pytest.approx(0.0, abs=1e-12)
 
 
+DIFFERENTIAL = """<mujoco><compiler angle="radian"/><worldbody>%s<body name="hip">%s
+  <joint name="roll" axis="1 0 0" ref="0.2"/><body name="trunk">%s<joint name="yaw" axis="0 0 1"/></body></body>
+  </worldbody><tendon>
+  <fixed name="sum" limited="true" range="0.3 0.302"><joint joint="m1" coef="1"/><joint joint="m2" coef="1"/>
+  <joint joint="roll" coef="-2"/></fixed>
+  <fixed name="difference" range="-0.002 0.002"><joint joint="m1" coef="1"/><joint joint="m2" coef="-1"/>
+  <joint joint="yaw" coef="-2"/></fixed>
+  <fixed name="wide" range="-1 1"><joint joint="m1" coef="1"/><joint joint="yaw" coef="1"/></fixed></tendon>
+  <actuator><motor joint="m1"/><motor joint="m2"/></actuator></mujoco>"""
+
+
+def test_narrow_limits_of_a_tendon_couple_joints(tmp_path: Path) -> None:
+    """Gears with play, as of the waist of a small humanoid: two motors turn it about two axes."""
+    text = DIFFERENTIAL % (body("m1") + body("m2"), INERTIAL_ELEMENT, INERTIAL_ELEMENT)
+    robot = load(text, tmp_path)
+    assert robot.couplings == (
+        Coupling("roll", (("m1", 0.5), ("m2", 0.5)), pytest.approx(-0.1505)),
+        Coupling("yaw", (("m1", 0.5), ("m2", -0.5)), pytest.approx(0.0)),
+    )
+    assert robot.actuated == ("m1", "m2")
+    assert "'roll' follows 'm1', 'm2' within the limits of tendon 'sum'; the play of 0.001 rad is not" in robot.notes[0]
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    data.qpos[:] = [0.7, 0.4, 0.5 * 1.1 - 0.1505, 0.5 * 0.3]
+    mujoco.mj_forward(model, data)
+    assert data.ten_length[:2] == pytest.approx([0.301, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "free"),
+    [
+        ('"0.3 0.302"', '"0.3 0.602"', "roll"),
+        ('range="-0.002 0.002"', 'range="-0.002 0.002" limited="false"', "yaw"),
+        ('<joint name="yaw"', '<joint type="slide" name="yaw"', "yaw"),
+    ],
+    ids=["wide", "unlimited", "play of a slide"],
+)
+def test_joints_that_a_tendon_leaves_free(old: str, new: str, free: str, tmp_path: Path) -> None:
+    text = DIFFERENTIAL % (body("m1") + body("m2"), INERTIAL_ELEMENT, INERTIAL_ELEMENT)
+    with pytest.raises(GtauError, match=f"no motor moves {free} and no closure holds it"):
+        _ = InverseDynamics(load(text.replace(old, new), tmp_path)).loops
+
+
 def test_springs_are_mujoco_s(tmp_path: Path, rng: np.random.Generator) -> None:
     text = """<mujoco><compiler angle="radian"/><worldbody><body><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
       <joint name="j" axis="0 1 0" stiffness="7" springref="0.4"/><body pos="1 0 0">

@@ -22,6 +22,7 @@ from gtau.robots.readers.mjcf_drives import (
     actuators,
     attached_site,
     efforts,
+    limited_tendons,
     read_motors,
     site_springs,
     tied_tendons,
@@ -62,9 +63,9 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     """Read a robot from an MJCF file; joint coordinates are MuJoCo's ``qpos``.
 
     A ball becomes three revolute joints, about x, y and z, with massless links in between; a free body held by closures
-    becomes a platform. Equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings. Joints
-    with an actuator are actuated, or, without actuators, all joints that are not coupled; joints that a fixed tendon
-    pulls are held. Stiff joints and straight tendons between two sites are springs.
+    becomes a platform. The equalities ``connect``, ``weld`` and ``joint`` (linear) become closures and couplings, as do
+    narrow limits of fixed tendons. Joints with an actuator are actuated, or, without actuators, all joints that are not
+    coupled; joints that a fixed tendon pulls are held. Stiff joints and straight tendons between two sites are springs.
     A ``base`` fixes free bodies that carry joints, as in the file, or, with ``rpy``, along the axes of the world;
     ``"floating"`` makes the one free body a floating base. Notes list what is left out.
     """
@@ -89,12 +90,13 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     ties += tied_tendons(file)
     held = {tie.joint: tie.offset for tie in ties if not tie.ratios}
     kinds = {joint.name: joint.kind for joint in bodies.joints}
+    limited = list(limited_tendons(file, kinds, {tie.joint for tie in ties}))
     motors, forces = read_motors(file, kinds), efforts(file.spec)
     joints = tuple(
         replace(joint, limits=replace(joint.limits, effort=forces.get(joint.name)))
         for joint in (*bodies.joints, *motors.shafts)
     )
-    couplings = [tie for tie in ties if tie.ratios] + motors.couplings
+    couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
     rows = set(base_rows(bodies.floating))
     has_motors = bool(actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
@@ -105,7 +107,7 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     notes += [*file.notes, *left_out, *bodies.notes]
     if loose:
         notes.append(f"free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)} attached to nothing: left out")
-    notes += [*motors.notes, *_simulated_alone(file, bodies.floating)]
+    notes += [*(note for _, note in limited), *motors.notes, *_simulated_alone(file, bodies.floating)]
     robot = Robot(
         path.stem,
         tuple(replace(joint, actuated=joint.name in driven | rows) for joint in joints),

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,13 @@ from gtau.robots.robot import (
     JointKind,
     Spring,
 )
+
+PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
+"""Largest play of a joint within the limits of a tendon at which the joint follows others.
+
+ToddlerBot's waist has 0.06 and 0.002 rad; the Shadow hands of Gymnasium, with 0.28 rad at the fingertips, are excluded.
+No file with slides was at hand; MuJoCo's grippers have joint limits of 20 to 50 mm.
+"""
 
 
 def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
@@ -124,6 +132,30 @@ def tied_tendons(file: MjcfFile) -> list[Coupling]:
         leading = next(name for name, value in terms.items() if value)
         couplings.append(Coupling.solved(terms, leading, constant))
     return couplings
+
+
+def limited_tendons(file: MjcfFile, kinds: Mapping[str, str], tied: AbstractSet[str]) -> Iterator[tuple[Coupling, str]]:
+    """Couple motorless joints, not ``tied`` yet, that a fixed tendon lets move only slightly against others."""
+    tendons = fixed_tendons(file.spec)
+    targets = {actuator.target for actuator in actuators(file.spec)}
+    known = targets | tied | {joint for target in targets for joint in tendons.get(target, {})}
+    for tendon in file.spec.tendons if targets else ():
+        terms = {name: value for name, value in tendons.get(tendon.name, {}).items() if value}
+        if len(terms) < 2 or not _is_limited(file.spec, tendon.limited, tendon.range):
+            continue
+        low, high = map(float, tendon.range)
+        for joint in [name for name in terms if name in kinds and name not in known]:
+            play, (most, unit) = (high - low) / abs(terms[joint]), PLAY[kinds[joint]]
+            if play <= most:
+                known |= {joint}
+                coupling = Coupling.solved(terms, joint, (low + high) / 2)
+                others = listed([name for name, _ in coupling.ratios])
+                yield (
+                    coupling,
+                    f"'{joint}' follows {others} within the limits of tendon '{tendon.name}'; the play of {play:g} "
+                    f"{unit} is not modelled",
+                )
+                break
 
 
 def _is_limited(spec: mujoco.MjSpec, limited: int, ends: np.ndarray) -> bool:
