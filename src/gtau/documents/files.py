@@ -275,7 +275,12 @@ def kind_of(path: str | Path) -> str | None:
         return {"model": MODEL, "design": DESIGNED}.get(schema[1]) if schema else None
     if text.startswith("<"):
         return ROBOT if re.search(r"<(robot|mujoco)\b", text) else None
-    if _is_table(text):
+    lines = text.splitlines()[1:-1]  # without the header and a truncated last line
+    numbers = 0
+    for line in lines[:LOG_LINES]:
+        with suppress(ValueError):
+            numbers += len([float(field) for field in re.split(r"[,;\t ]+", line.strip()) if field]) > 1
+    if len(lines) >= LOG_LINES and numbers >= 0.9 * LOG_LINES:
         return LOG
     keys = {match[2] for match in re.finditer(r"^([\"']?)([A-Za-z_]\w*)\1[ \t]*:(?:\s|$)", text, re.MULTILINE)}
     return next((kind for kind, unique in _KEYS if keys & unique), None)
@@ -293,13 +298,3 @@ def refuse_other_kind(path: str | Path, wanted: str) -> None:
         inside = sorted(file for file in Path(path).glob("*") if file.is_file() and kind_of(file) == wanted)
         advice += f", such as {inside[0]}" if inside else ""
     raise GtauError(f"{path} is {kind}, not {wanted}; {advice}.")
-
-
-def _is_table(text: str) -> bool:
-    """Return whether nearly all lines consist of two or more numbers, as in logs below the header."""
-    lines = text.splitlines()[1:-1]  # without the header and a truncated last line
-    numbers = 0
-    for line in lines[:LOG_LINES]:
-        with suppress(ValueError):
-            numbers += len([float(field) for field in re.split(r"[,;\t ]+", line.strip()) if field]) > 1
-    return len(lines) >= LOG_LINES and numbers >= 0.9 * LOG_LINES

@@ -68,7 +68,10 @@ class Document:
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             line = f", line {mark.line + 1}" if mark else ""
-            raise GtauError(f"{self.path}{line}: this is not valid YAML: {_syntax(error)}.") from None
+            reported = " ".join(filter(None, (error.context, error.problem)))
+            known = (sentence for part, sentence in SYNTAX if part in reported)
+            problem = next(known, f"{reported}; correct the line")
+            raise GtauError(f"{self.path}{line}: this is not valid YAML: {problem}.") from None
         except yaml.YAMLError:
             raise GtauError(f"{self.path} holds control characters; save it as plain text.") from None
         del self._events
@@ -155,12 +158,6 @@ SYNTAX = (
     ("control characters are not allowed", "it holds control characters; save it as plain text"),
 )
 """Parts of PyYAML's messages, and their meaning for users."""
-
-
-def _syntax(error: yaml.MarkedYAMLError) -> str:
-    reported = " ".join(filter(None, (error.context, error.problem)))
-    known = (sentence for part, sentence in SYNTAX if part in reported)
-    return next(known, f"{reported}; correct the line")
 
 
 class _Dumper(yaml.SafeDumper):

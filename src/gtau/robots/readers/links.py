@@ -15,7 +15,7 @@ import numpy as np
 from gtau.documents.files import read_at_most
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError
-from gtau.robots.parameter import RigidBody, lumped
+from gtau.robots.parameter import RigidBody
 from gtau.robots.readers.source import Base
 from gtau.robots.readers.urdf_tree import origin_of, read_urdf_tree
 from gtau.robots.readers.xml_document import line_of, numbers
@@ -105,13 +105,8 @@ def mesh_points(path: Path) -> np.ndarray | None:
     return np.unique(points, axis=0) if points.ndim == 2 and len(points) and np.isfinite(points).all() else None
 
 
-def urdf_inertias(root: Element, frames: Mapping[str, Attachment]) -> tuple[tuple[str, float], ...]:
-    """Read the inertial parameters of a URDF by the body that carries each link; none if no link has a mass."""
-    stated = lumped((frames[name], body) for name, body in _bodies(root) if name in frames)
-    return tuple(stated.items()) if any(stated.values()) else ()
-
-
-def _bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
+def urdf_bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
+    """Read the mass and inertia of each link that states them."""
     for link in root.findall("link"):
         if (inertial := link.find("inertial")) is not None:
             yield link.get("name", ""), _body(link.get("name", ""), inertial)
@@ -134,7 +129,7 @@ def _body(name: str, inertial: Element) -> RigidBody:
 def urdf_masses(root: Element, frames: Mapping[str, Attachment]) -> Iterator[str]:
     """Note implausible masses and inertias of a URDF file; ``frames`` say which body carries each link."""
     links = {link.get("name", ""): link for link in root.findall("link")}
-    bodies = dict(_bodies(root))
+    bodies = dict(urdf_bodies(root))
     carried = {link: at.body for link, at in frames.items() if link in links and at.body != GROUND}
     odd = []
     for name in bodies:

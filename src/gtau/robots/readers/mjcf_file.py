@@ -105,12 +105,6 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
     )
 
 
-def _states_masses(spec: mujoco.MjSpec) -> bool:
-    """Return whether a file states masses; MuJoCo gives shapes without them the density of water."""
-    said = spec.compiler.settotalmass > 0 or any(body.explicitinertial for body in spec.bodies[1:])
-    return said or any(geom.mass > 0 or geom.density not in (0.0, WATER) for geom in spec.geoms)
-
-
 def _weighs(geom: mujoco.MjsGeom, spec: mujoco.MjSpec) -> bool:
     """Return whether a shape adds to the inertia of a moving body."""
     body, rule = geom.parent, mujoco.mjtInertiaFromGeom
@@ -186,7 +180,8 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
             tendon.name = tendon.name or next(free)
         sites = set(chain(*straight_tendons(spec).values()))
         unread = list[str]()
-        if _states_masses(spec):
+        states_masses = spec.compiler.settotalmass > 0 or any(body.explicitinertial for body in spec.bodies[1:])
+        if states_masses or any(geom.mass > 0 or geom.density not in (0.0, WATER) for geom in spec.geoms):
             try:
                 return MjcfFile(spec, *_compiled(path, sites, masses=True), elements)
             except refusals as error:

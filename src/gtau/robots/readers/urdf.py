@@ -23,9 +23,10 @@ from gtau.documents.validation import unknown, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import drawn_base
+from gtau.robots.parameter import lumped
 from gtau.robots.parts import listed, without_idle_pins
 from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
-from gtau.robots.readers.links import urdf_inertias, urdf_masses
+from gtau.robots.readers.links import urdf_bodies, urdf_masses
 from gtau.robots.readers.source import BaseChoice
 from gtau.robots.readers.urdf_tree import WORLD, UrdfTree, axis_of, driven_joints, origin_of, read_urdf_tree
 from gtau.robots.readers.xml_document import all_numbers, attribute, line_of, numbers
@@ -75,7 +76,9 @@ def _file(tree: UrdfTree, source: str) -> RobotFile:
     # roll, pitch, yaw and the direction of the axis turn a joint
     rounding = replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
     notes = (*urdf_masses(tree.root, tree.frames), *tree.notes)
-    return RobotFile(source, notes, inertias=urdf_inertias(tree.root, tree.frames), rounding=rounding)
+    stated = lumped((tree.frames[name], body) for name, body in urdf_bodies(tree.root) if name in tree.frames)
+    inertias = tuple(stated.items()) if any(stated.values()) else ()
+    return RobotFile(source, notes, inertias=inertias, rounding=rounding)
 
 
 def _closed(tree: UrdfTree, joints: Sequence[Joint], closures: Sequence[Closure], file: RobotFile) -> Robot:

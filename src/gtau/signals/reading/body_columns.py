@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from gtau.documents.validation import Keys
 from gtau.errors import GtauError
@@ -201,15 +201,10 @@ class PoseColumns(Keys):
     quaternion: dict[Literal["w", "x", "y", "z"], str] | None = None
     rotation_vector: tuple[str, str, str] | None = None
 
-    @field_validator("quaternion")
-    @classmethod
-    def _complete(cls, quaternion: dict[str, str] | None) -> dict[str, str] | None:
-        if quaternion is not None and len(quaternion) < 4:
-            raise ValueError("a quaternion has four columns; give w, x, y and z")
-        return quaternion
-
     @model_validator(mode="after")
     def _each_column_once(self) -> PoseColumns:
+        if self.quaternion is not None and len(self.quaternion) < 4:
+            raise ValueError("a quaternion has four columns; give w, x, y and z")
         if (self.angles, self.quaternion, self.rotation_vector).count(None) < 2:
             raise ValueError("give the orientation once, as 'angles', as a 'quaternion' or as a 'rotation_vector'")
         if not self.columns:

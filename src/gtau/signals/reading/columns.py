@@ -246,7 +246,7 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
         return self
 
     @model_validator(mode="after")
-    def _bodies(self) -> Signals:
+    def _bodies_and_sensors(self) -> Signals:
         base, measured = self.base, list(self.measured)
         if self.pose is not None and base is not None:
             raise ValueError(
@@ -258,13 +258,9 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
             raise ValueError(
                 f"'wrenches' names the floating base '{base.body}'; describe wrenches on it under 'wrenches' of 'base'"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _sensors_and_their_calibration(self) -> Signals:
-        measured = {channel.kind.calibration for channel in self.channels[len(self.joints) :]}
+        calibrated = {channel.kind.calibration for channel in self.channels[len(self.joints) :]}
         for key, accuracy in self.calibration:
-            if accuracy is not None and key not in measured:
+            if accuracy is not None and key not in calibrated:
                 raise ValueError(f"'calibration' is given for '{key}', which the signals lack; remove it")
         sensors = [(name, *pair) for name in SENSORS for pair in (getattr(self, name) or {}).items()]
         for key, joint, column in sensors:

@@ -113,11 +113,6 @@ class LoggedRun(Part):
             )
         return placed
 
-    def per_match(self) -> list[LoggedRun]:
-        """List the runs, one for each match of the patterns."""
-        pairs = zip(*(_logs_at(path) for path in self.log), strict=True)
-        return [self.model_copy(update={"log": logs}) for logs in pairs]
-
 
 def _logs_at(path: Path) -> list[Path]:
     """List the files that a path or a pattern matches; patterns skip YAML files such as the experiment file."""
@@ -265,7 +260,8 @@ class Experiment(Keys):
     @classmethod
     def _each_log_once(cls, runs: tuple[LoggedRun, ...], info: ValidationInfo) -> tuple[LoggedRun, ...]:
         if info.context is not None:
-            runs = tuple(entry for run in runs for entry in run.per_match())
+            matches = ((run, logs) for run in runs for logs in zip(*map(_logs_at, run.log), strict=True))
+            runs = tuple(run.model_copy(update={"log": logs}) for run, logs in matches)
         for k, run in enumerate(runs):
             if any(run.overlaps(earlier) for earlier in runs[:k]):
                 raise ValueError(

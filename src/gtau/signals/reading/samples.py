@@ -284,10 +284,17 @@ def with_signs(
     joints, signed = samples.joints, dict[str, np.ndarray]()
     for kind, scale in zip(("position", "command"), scales, strict=True):
         array: np.ndarray = getattr(samples, kind)
-        counts = {j: scale[joint] for j, joint in enumerate(joints) if joint in scale}
-        if kind == "command":  # positions wrap by turns, which are not a register's range
-            counts = {j: _count(array, j, size) for j, size in counts.items()}
-        registers = _registers(array, counts)
+        low, high = extremes(array)
+        counts, bits = dict[int, float](), dict[int, int]()
+        for j, joint in enumerate(joints):
+            if joint in scale:  # positions wrap by turns, which are not a register's range
+                counts[j] = scale[joint] if kind == "position" else _count(array, j, scale[joint])
+                least, most = sorted((low[j] / counts[j], high[j] / counts[j]))
+                if least >= 0 and most >= LEAST:
+                    bits[j] = int(np.rint(most)).bit_length()
+        # One in the upper half of its range alone is a register if another joint's is.
+        common = {register.bits: register for j in bits if (register := register_of(_column(array, j) / counts[j]))}
+        registers = {j: common[width] for j, width in bits.items() if width in common}
         for register in set(registers.values()):
             names = tuple(joints[j] for j, same in registers.items() if same == register)
             half = 2 ** (register.bits - 1)
@@ -316,16 +323,6 @@ def _count(array: np.ndarray, j: int, scale: float) -> float:
 
 def _column(array: np.ndarray, j: int) -> np.ndarray:
     return np.concatenate([part[:, j] for part in blocks(array)])
-
-
-def _registers(array: np.ndarray, counts: Mapping[int, float]) -> dict[int, Register]:
-    """Recognise registers among columns; one in the upper half of its range alone is one if another joint's is."""
-    low, high = extremes(array)
-    ends = {j: sorted((low[j] / count, high[j] / count)) for j, count in counts.items()}
-    bits = {j: int(np.rint(most)).bit_length() for j, (least, most) in ends.items() if least >= 0 and most >= LEAST}
-    registers = (register_of(_column(array, j) / counts[j]) for j in bits)
-    common = {register.bits: register for register in registers if register}
-    return {j: common[width] for j, width in bits.items() if width in common}
 
 
 def _signed(part: np.ndarray, registers: Mapping[int, Register], counts: Mapping[int, float]) -> np.ndarray:

@@ -56,10 +56,6 @@ class Payload(Keys):
     def _possible(self) -> Payload:
         if problem := _no_body(self.parameters, self.mass):
             raise ValueError(f"{problem}, which no body has; correct the parameters (at the frame's origin, SI units)")
-        return self
-
-    @model_validator(mode="after")
-    def _mass_or_center(self) -> Payload:
         if self.mass is None and "mass_std" in self.model_fields_set:
             raise ValueError("'mass_std' is given without 'mass'; add the mass or remove it")
         if self.center is None:

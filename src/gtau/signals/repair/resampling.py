@@ -169,7 +169,7 @@ def uniform(
         )
     time = store(clock.time(*span) for span in spans(count))
     delay = max((channel.delay for channel in samples.channels), key=abs)
-    clock_notes = _clock_notes(clock, shortest, longest, given)
+    clock_notes = _notes(clock, holds, count, shortest, longest, given)
     if clock.regular and not (clock.gaps or delay or any(held.stale for held in holds.values())):
         # The samples are on the grid already.
         valid = store((_unclipped(part, clips) for part in blocks(samples.command)), (c,), bool)
@@ -194,7 +194,6 @@ def uniform(
         advice = "log every cycle of the controller"
         notes.append(repair("missing samples", missing / count, text=text, advice=advice))
     notes += clock_notes
-    notes += _held_notes(clock, holds, count)
     if delay:
         text = f"moved the commands {delay * 1e3:.4g} ms forward, as preparation.delay says"
         notes.append(reading("moved commands", text=text))
@@ -202,8 +201,23 @@ def uniform(
     return replace(samples, time=time, position=position, command=command), valid
 
 
-def _held_notes(clock: Clock, holds: Holds, count: int) -> Iterator[Finding]:
-    """Note the signals that repeat samples, among ``count`` in all."""
+def _notes(clock: Clock, holds: Holds, count: int, shortest: float, longest: float, given: bool) -> Iterator[Finding]:
+    """Note the clock, and the signals that repeat samples, among ``count`` in all."""
+    how, reason = "scatter", "which makes the positions smoother"
+    if clock.packets:
+        how, reason = "come in packets", "as packets are"
+    if not clock.regular:
+        reason = "the time stamps are used, because a regular clock makes the positions no smoother"
+    if given:
+        reason = "as preparation.clock says"
+    if not clock.regular:
+        steps = f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
+        yield reading("irregular steps", text=f"resampled from {steps}: {reason}")
+    elif clock.late:
+        advice = "if this rate is wrong, give the right one (time: {rate: HZ})" * clock.packets
+        regular = f"a regular {clock.rate:.2f} Hz instead, {reason}"
+        text = f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at {regular}"
+        yield reading("late time stamps", text=text, advice=advice)
     for signal, held in holds.items():
         if held.period > 1:
             rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
@@ -214,25 +228,6 @@ def _held_notes(clock: Clock, holds: Holds, count: int) -> Iterator[Finding]:
             text = f"{held.stale} samples of the {signal} are stale (repeat the previous one): interpolated"
             advice = "log in the controller's own cycle"
             yield repair("stale samples", held.stale / count, text=text, advice=advice)
-
-
-def _clock_notes(clock: Clock, shortest: float, longest: float, given: bool) -> list[Finding]:
-    if not clock.regular:
-        reason = "the time stamps are used, because a regular clock makes the positions no smoother"
-        irregular = (
-            f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
-        )
-        text = f"resampled from {irregular}: {'as preparation.clock says' if given else reason}"
-        return [reading("irregular steps", text=text)]
-    if not clock.late:
-        return []
-    how, reason, advice = "scatter", "which makes the positions smoother", ""
-    if clock.packets:
-        how, reason = "come in packets", "as packets are"
-        advice = "if this rate is wrong, give the right one (time: {rate: HZ})"
-    regular = f"a regular {clock.rate:.2f} Hz instead, {'as preparation.clock says' if given else reason}"
-    text = f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at {regular}"
-    return [reading("late time stamps", text=text, advice=advice)]
 
 
 def _resampled(

@@ -57,11 +57,11 @@ def open_json_lines(path: Path) -> LogTable:
     return _table(path, [path], partial(pl.scan_ndjson, infer_schema_length=None), "JSON lines")
 
 
-def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFrame], kind: str) -> LogTable:
+def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFrame], form: str) -> LogTable:
     import polars as pl
 
     def refused(error: Exception) -> GtauError:
-        return GtauError(f"{path} is not a readable {kind} file ({str(error).splitlines()[0]}); export the log again.")
+        return GtauError(f"{path} is not a readable {form} file ({str(error).splitlines()[0]}); export the log again.")
 
     try:
         tables = [scan(part) for part in parts]
@@ -74,7 +74,9 @@ def _table(path: Path, parts: Sequence[Path], scan: Callable[[Path], pl.LazyFram
 
     def frames(names: Sequence[str], rows: range) -> Iterator[tuple[pl.DataFrame, float]]:
         for name in names:
-            _refuse_unusable(path, name, schema.get(name))
+            kind = schema.get(name)
+            if kind is not None and not (kind.is_numeric() or kind.is_temporal() or kind in (pl.String, pl.Boolean)):
+                raise GtauError(f"{path}, column '{name}' holds {kind} values; write it as numbers.")
         first = 0  # row of the part
         for table, length in zip(tables, lengths, strict=True):
             begin, end = max(rows.start - first, 0), min(rows.stop - first, length)
@@ -125,13 +127,6 @@ def _episodes(parts: Sequence[pl.LazyFrame], schema: Mapping[str, pl.DataType]) 
     ends = runs["len"].cum_sum()
     episodes = zip(runs["value"], ends - runs["len"], ends, strict=True)
     return {int(number): range(start, stop) for number, start, stop in episodes if number is not None}
-
-
-def _refuse_unusable(path: Path, name: str, kind: pl.DataType | None) -> None:
-    import polars as pl
-
-    if kind is not None and not (kind.is_numeric() or kind.is_temporal() or kind in (pl.String, pl.Boolean)):
-        raise GtauError(f"{path}, column '{name}' holds {kind} values; write it as numbers.")
 
 
 def data_set(log: Path, columns: Sequence[str]) -> tuple[float | None, dict[str, str]]:
