@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
 from gtau.robots.parameter import Parameter, parameter_of, stated_inertias
+from gtau.robots.placement import Placement, Pose
 from gtau.robots.robot import (
     GROUND,
     INERTIAL,
@@ -25,8 +26,6 @@ from gtau.robots.robot import (
     Attachment,
     Closure,
     Joint,
-    Placement,
-    Pose,
     Robot,
     Spring,
     base_rows,

@@ -18,15 +18,7 @@ from gtau.robots.geometry import base_joints, turning
 from gtau.robots.parameter import Parameter, RigidBody, lumped
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
 from gtau.robots.placement import pose_of, rounded, turn
-from gtau.robots.readers.mjcf_drives import (
-    actuators,
-    attached_site,
-    efforts,
-    limited_tendons,
-    read_motors,
-    site_springs,
-    tied_tendons,
-)
+from gtau.robots.readers import mjcf_drives
 from gtau.robots.readers.mjcf_file import (
     MjcfFile,
     angle_notes,
@@ -87,23 +79,23 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
         left_out.append(f"keyframe '{HOME}' has {homes[0].size} positions for {model.nq} and was left out")
     bodies = _bodies(model, qpos, base)
     closures, ties = _equalities(model, bodies.carried)
-    ties += tied_tendons(file)
+    ties += mjcf_drives.tied_tendons(file)
     held = {tie.joint: tie.offset for tie in ties if not tie.ratios}
     kinds = {joint.name: joint.kind for joint in bodies.joints}
-    limited = list(limited_tendons(file, kinds, {tie.joint for tie in ties}))
-    motors, forces = read_motors(file, kinds), efforts(file.spec)
+    limited = list(mjcf_drives.limited_tendons(file, kinds, {tie.joint for tie in ties}))
+    motors, forces = mjcf_drives.read_motors(file, kinds), mjcf_drives.efforts(file.spec)
     joints = tuple(
         replace(joint, limits=replace(joint.limits, effort=forces.get(joint.name)))
         for joint in (*bodies.joints, *motors.shafts)
     )
     couplings = [tie for tie in ties if tie.ratios] + [tie for tie, _ in limited] + motors.couplings
     rows = set(base_rows(bodies.floating))
-    has_motors = bool(actuators(file.spec))
+    has_motors = bool(mjcf_drives.actuators(file.spec))
     driven = motors.driven if has_motors else {joint.name for joint in joints} - {tie.joint for tie in couplings}
     _check_motors(joints, driven - rows, bool(closures and not has_motors))
     tied = {end.body for tie in closures for end in (tie.a, tie.b)}
     loose = [platform.name for platform in bodies.platforms if platform.name not in tied]
-    springs, notes = site_springs(file, bodies.carried)
+    springs, notes = mjcf_drives.site_springs(file, bodies.carried)
     notes += [*file.notes, *left_out, *bodies.notes]
     if loose:
         notes.append(f"free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)} attached to nothing: left out")
@@ -323,7 +315,7 @@ def _ends(
     """Place the two frames that an equality ``connect`` or ``weld`` ties: sites, or points and poses on bodies."""
     data = model.eq_data[number]
     if model.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE:
-        return attached_site(model, ends[0], carried), attached_site(model, ends[1], carried)
+        return mjcf_drives.attached_site(model, ends[0], carried), mjcf_drives.attached_site(model, ends[1], carried)
     if model.eq_type[number] == mujoco.mjtEq.mjEQ_CONNECT:
         poses = pose_of(np.eye(3), data[:3]), pose_of(np.eye(3), data[3:6])
     else:

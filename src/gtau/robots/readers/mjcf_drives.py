@@ -12,18 +12,7 @@ from gtau.errors import GtauError
 from gtau.robots.parts import listed
 from gtau.robots.placement import rounded
 from gtau.robots.readers.mjcf_file import MjcfFile, mujoco, name_in, pose_in, straight_tendons
-from gtau.robots.robot import (
-    DAMPING,
-    GROUND,
-    PRELOAD,
-    SPRING,
-    STIFFNESS,
-    Attachment,
-    Coupling,
-    Joint,
-    JointKind,
-    Spring,
-)
+from gtau.robots.robot import GROUND, SPRING, Attachment, Coupling, Joint, JointKind, Spring
 
 PLAY = {"revolute": (0.1, "rad"), "prismatic": (1e-3, "m")}
 """Largest play of a joint within the limits of a tendon at which the joint follows others.
@@ -89,7 +78,7 @@ def site_springs(file: MjcfFile, carried: Mapping[int, Attachment]) -> tuple[lis
         k, c = np.ravel(tendon.stiffness), np.ravel(tendon.damping)
         rest = np.ravel(tendon.springlength)
         f0, by_length, by_speed = forces.get(tendon.name, np.zeros(3))
-        has = {PRELOAD: f0 or k[0], STIFFNESS: by_length or k[0], DAMPING: by_speed or c[0]}
+        has = dict(zip(SPRING, (f0 or k[0], by_length or k[0], by_speed or c[0]), strict=True))
         linear = not (k[1:].any() or c[1:].any() or tendon.frictionloss)
         linear &= bool(rest[0] == rest[-1])
         if tendon.name in straight and linear and any(has.values()):

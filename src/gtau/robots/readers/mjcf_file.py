@@ -17,19 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError, missing_extra
-from gtau.robots.placement import (
-    MEANT,
-    SHORT,
-    Digits,
-    digits_of,
-    exact_angle,
-    exact_rotation,
-    in_degrees,
-    largest_change,
-    pose_of,
-    short_angles_note,
-    smallest_unit,
-)
+from gtau.robots import placement
 from gtau.robots.readers.mjcf_guard import included, refuse_deadly
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of
 from gtau.robots.robot import Pose, refuse_many
@@ -81,26 +69,27 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
         kind, radian = element.alt.type, not spec.compiler.degree
         if kind == mujoco.mjtOrientation.mjORIENTATION_EULER and radian:
             given = np.array(element.alt.euler)
-            element.alt.euler = angles = np.array([exact_angle(angle) for angle in given])
-            return largest_change(given, angles)
+            element.alt.euler = angles = np.array([placement.exact_angle(angle) for angle in given])
+            return placement.largest_change(given, angles)
         if kind == mujoco.mjtOrientation.mjORIENTATION_AXISANGLE and radian:
             given = np.array(element.alt.axisangle)
-            element.alt.axisangle = meant = np.array([*given[:3], exact_angle(given[3])])
-            return largest_change(given, meant)
+            element.alt.axisangle = meant = np.array([*given[:3], placement.exact_angle(given[3])])
+            return placement.largest_change(given, meant)
         written = np.array(element.quat)
-        if kind != mujoco.mjtOrientation.mjORIENTATION_QUAT or (unit := smallest_unit(written)) > MEANT:
+        unit = placement.smallest_unit(written)
+        if kind != mujoco.mjtOrientation.mjORIENTATION_QUAT or unit > placement.MEANT:
             return 0.0
         rotation = rotation_in(written).as_matrix()
-        turned = exact_rotation(rotation)
+        turned = placement.exact_rotation(rotation)
         meant = type(rotation_in(written)).from_matrix(turned).as_quat(scalar_first=True)
         meant *= np.copysign(1.0, meant @ written)
         if np.abs(written - meant).max() >= unit:
             return 0.0
         element.quat = meant
-        return largest_change([np.linalg.norm(rotation - turned) / np.sqrt(2)], [0.0])
+        return placement.largest_change([np.linalg.norm(rotation - turned) / np.sqrt(2)], [0.0])
 
     placed = (*spec.bodies[1:], *spec.frames, *spec.sites)
-    return short_angles_note(
+    return placement.short_angles_note(
         {element.name or f"unnamed {k}": exact(element) for k, element in enumerate(placed, start=1)}
     )
 
@@ -223,23 +212,23 @@ def rotation_in(quaternion: np.ndarray) -> Rotation:
 
 def pose_in(position: np.ndarray, quaternion: np.ndarray) -> Pose:
     """Make the pose of a position (3,) and a quaternion (4,), w first."""
-    return pose_of(rotation_in(quaternion).as_matrix(), position)
+    return placement.pose_of(rotation_in(quaternion).as_matrix(), position)
 
 
 PLACED = ("body", "frame", "site", "joint", "connect", "weld")
 ORIENTATIONS = ("quat", "axisangle", "axis", "xyaxes", "zaxis")
 
 
-def mjcf_rounding(roots: list[Element]) -> Digits:
+def mjcf_rounding(roots: list[Element]) -> placement.Digits:
     """Find the digits of the placements in a file."""
     placed = [element for root in roots for element in root.iter() if element.tag in PLACED]
     radian = any(compiler.get("angle") == "radian" for root in roots for compiler in root.iter("compiler"))
     angles = all_numbers(placed, ["euler"])
     unit = 1.0 if radian else pi / 180
-    directions = digits_of(all_numbers(placed, ORIENTATIONS) + angles * radian)
+    directions = placement.digits_of(all_numbers(placed, ORIENTATIONS) + angles * radian)
     # twice the change of a quaternion's four numbers is a turn
-    turn = 4 * directions.half_unit(0.5) or 4 * unit * digits_of(angles).half_unit(1 / unit)
-    return replace(digits_of(all_numbers(placed, ["pos", "anchor"])), turn=turn)
+    turn = 4 * directions.half_unit(0.5) or 4 * unit * placement.digits_of(angles).half_unit(1 / unit)
+    return replace(placement.digits_of(all_numbers(placed, ["pos", "anchor"])), turn=turn)
 
 
 SHOWN = 4
@@ -250,7 +239,7 @@ def angle_notes(roots: list[Element]) -> Iterator[str]:
     units = [compiler.get("angle") for root in roots for compiler in root.iter("compiler") if compiler.get("angle")]
     if "radian" in units:
         for element, what, angle in _angles(roots, ("body", "frame")):
-            if in_degrees(angle):
+            if placement.in_degrees(angle):
                 raise GtauError(
                     f"line {line_of(element)}: {what} holds {angle:g}, but the file counts in radians (angle of "
                     "<compiler>); divide it by 57.2958 if it is in degrees."
@@ -271,7 +260,7 @@ def angle_notes(roots: list[Element]) -> Iterator[str]:
 def _in_radians(angle: float) -> bool:
     """Return whether an angle given in degrees is a multiple of pi/4 up to a turn."""
     eighths = round(angle / (pi / 4))
-    return 0 < abs(eighths) <= 8 and abs(angle - eighths * pi / 4) < SHORT
+    return 0 < abs(eighths) <= 8 and abs(angle - eighths * pi / 4) < placement.SHORT
 
 
 def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[Element, str, float]]:

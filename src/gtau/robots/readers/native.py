@@ -13,20 +13,9 @@ from gtau.documents.validation import validate
 from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import base_joints
-from gtau.robots.placement import exact_placement, short_angles_note
+from gtau.robots.placement import Mdh, Placement, Pose, exact_placement, short_angles_note
 from gtau.robots.readers.source import RobotEntry
-from gtau.robots.robot import (
-    SPRING_WORDS,
-    Attachment,
-    Coupling,
-    Joint,
-    Mdh,
-    Placement,
-    Platform,
-    Pose,
-    Robot,
-    RobotFile,
-)
+from gtau.robots.robot import SPRING_WORDS, Attachment, Coupling, Joint, Platform, Robot, RobotFile
 
 
 def read_native(path: str | Path) -> Robot:

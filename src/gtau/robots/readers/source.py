@@ -9,22 +9,11 @@ from collections.abc import Mapping
 from math import isfinite
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Discriminator,
-    Field,
-    FiniteFloat,
-    Tag,
-    ValidationInfo,
-    field_validator,
-    model_validator,
-)
+from pydantic import BeforeValidator, Discriminator, Field, FiniteFloat, Tag, field_validator, model_validator
 
 from gtau.documents.expressions import AffineInQ, evaluate, linear
 from gtau.documents.validation import Keys, Positive, text_or_group
-from gtau.robots.placement import DEGREES_ADVICE, in_degrees
+from gtau.robots.placement import DEGREES_ADVICE, Mdh, Placement, Pose, in_degrees
 from gtau.robots.robot import (
     INERTIAL,
     SPRING_WORDS,
@@ -34,9 +23,6 @@ from gtau.robots.robot import (
     Joint,
     JointKind,
     Limits,
-    Mdh,
-    Placement,
-    Pose,
     Spring,
 )
 
@@ -106,7 +92,7 @@ def gravity_of(value: Any) -> Any:
     return value
 
 
-class RobotSource(BaseModel):
+class RobotSource(Keys):
     """A robot's file or catalog name, with the selected joints and the pose of its base.
 
     ``base`` fixes a floating base, states how a fixed one is mounted, or lets it float. ``joints`` are patterns of the
@@ -115,15 +101,13 @@ class RobotSource(BaseModel):
     arguments of a xacro file, and ``packages`` folders that hold the packages that it names.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
     file: str
     base: Annotated[BaseChoice, BeforeValidator(_base)] = None
     joints: tuple[str, ...] = ()
-    held: dict[str, FiniteFloat] = {}
-    limits: dict[str, GivenLimits] = {}
+    held: dict[str, FiniteFloat] = Field(default_factory=dict)
+    limits: dict[str, GivenLimits] = Field(default_factory=dict)
     gravity: Annotated[tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None, BeforeValidator(gravity_of)] = None
-    xacro: dict[str, bool | int | float | str] = {}
+    xacro: dict[str, bool | int | float | str] = Field(default_factory=dict)
     packages: tuple[str, ...] = ()
 
 
@@ -131,7 +115,7 @@ AnySource = Annotated[Annotated[str, Tag("text")] | Annotated[RobotSource, Tag("
 """Value of the key 'robot': a file or catalog name, or the group of a ``RobotSource``."""
 
 
-def _coordinate(text: str, info: ValidationInfo) -> AffineInQ:
+def _coordinate(text: str, info: Any) -> AffineInQ:
     factor, constant = linear(text, info.context)
     if info.field_name == "theta" and in_degrees(constant):
         raise ValueError(f"{text} adds more than a turn, in rad; {DEGREES_ADVICE}, such as deg({constant:g})")
@@ -148,9 +132,7 @@ POSE_KEYS = ("xyz", "rpy")
 INERTIAL_KEYS = {"mass", "masses", "inertia", "inertial", "com", "cog", *INERTIAL}
 
 
-class _Entry(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+class _Entry(Keys):
     def written(self, *keys: str) -> bool:
         return not self.model_fields_set.isdisjoint(keys)
 
@@ -307,13 +289,13 @@ class RobotEntry(_Entry):
 
     robot: str = Field(min_length=1)
     source: str = ""
-    notes: list[str] = []
-    constants: dict[str, Any] = {}  # evaluated first
+    notes: tuple[str, ...] = ()
+    constants: dict[str, Any] = Field(default_factory=dict)  # evaluated first
     gravity: Annotated[Triple, BeforeValidator(gravity_of)] = (0.0, 0.0, -STANDARD_GRAVITY)
     joints: dict[str, _JointEntry]
-    platforms: dict[str, _PlatformEntry] = {}
-    closures: list[_ClosureEntry] = []
-    couplings: list[_CouplingEntry] = []
-    springs: dict[str, _SpringEntry] = {}
+    platforms: dict[str, _PlatformEntry] = Field(default_factory=dict)
+    closures: tuple[_ClosureEntry, ...] = ()
+    couplings: tuple[_CouplingEntry, ...] = ()
+    springs: dict[str, _SpringEntry] = Field(default_factory=dict)
     tool: str = Field("", min_length=1)
     floating: str = Field("", min_length=1)

@@ -17,9 +17,9 @@ from typing import Literal
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, field_validator
+from pydantic import field_validator
 
-from gtau.documents.validation import unknown, validate
+from gtau.documents.validation import Keys, unknown, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import drawn_base
@@ -137,14 +137,12 @@ def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
     return replace(robot, joints=joints)
 
 
-class _Loops(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    closed_loop: list[tuple[str, str]] = []
-    type: list[Literal["3d", "6d"]] = []
+class _Loops(Keys):
+    closed_loop: tuple[tuple[str, str], ...] = ()
+    type: tuple[Literal["3d", "6d"], ...] = ()
     name_mot: list[str]
-    joint_name: list[str] = []
-    joint_type: list[Literal["SPHERICAL", "CARDAN", "UJOINT_XY", "UJOINT_YZ", "UJOINT_ZX", "FIXED"]] = []
+    joint_name: tuple[str, ...] = ()
+    joint_type: tuple[Literal["SPHERICAL", "CARDAN", "UJOINT_XY", "UJOINT_YZ", "UJOINT_ZX", "FIXED"], ...] = ()
 
     @field_validator("type", mode="before")
     @classmethod
@@ -173,7 +171,7 @@ def read_urdf_with_loops(urdf: Path, loops: Path) -> Robot:
         for position, name in enumerate(getattr(entry, key)):
             if name not in known:
                 raise document.error((key, position), unknown(f"joint '{name}'", name, names))
-    types = entry.type or ["6d"] * len(entry.closed_loop)
+    types = entry.type or ("6d",) * len(entry.closed_loop)
     closures = list[Closure]()
     for k, (kind, pair) in enumerate(zip(types, entry.closed_loop, strict=True)):
         for position, name in enumerate(pair):

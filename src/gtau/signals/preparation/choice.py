@@ -9,15 +9,8 @@ from typing import Literal
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.signals.preparation import filters
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
-from gtau.signals.preparation.filters import (
-    MAX_FACTOR,
-    Decimator,
-    below_nyquist,
-    cutoff_frequency,
-    decimation_factor,
-    position_filter,
-)
 from gtau.signals.preparation.prepared_run import SPEED_FRACTION, Preparation, valid_samples
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
@@ -68,9 +61,9 @@ def choose_preparation(
     if settings.position_filter is None:
         end = max(spectrum.end for spectrum in moving) if settings.bandwidth is None else np.inf
         seconds = float(np.mean([len(run.time) / run.rate for run in runs]))
-        cutoff = cutoff_frequency(bandwidth, end, slowest, seconds, updates)
+        cutoff = filters.cutoff_frequency(bandwidth, end, slowest, seconds, updates)
     fraction = SPEED_FRACTION if settings.least_speed is None else settings.least_speed
-    chosen = Preparation(bandwidth, cutoff, Decimator(1, decimator), fraction, slowest, settings.given)
+    chosen = Preparation(bandwidth, cutoff, filters.Decimator(1, decimator), fraction, slowest, settings.given)
     chosen = _decimated(runs, run_spectra, chosen)
     if judge is None or chosen.given:
         return chosen
@@ -86,18 +79,19 @@ def _decimated(
     kind, rate, bandwidth = preparation.decimator.kind, preparation.rate, preparation.bandwidth
     factor = runs[0].log.settings.decimation
     if factor is None and kind == "chebyshev":
-        factor = decimation_factor(rate, bandwidth)
+        factor = filters.decimation_factor(rate, bandwidth)
     elif factor is None:
-        factor = _affordable(runs, run_spectra, preparation, decimation_factor(rate, bandwidth, LARGEST_FACTOR))
+        factor = _affordable(runs, run_spectra, preparation, filters.decimation_factor(rate, bandwidth, LARGEST_FACTOR))
         # Accelerations beyond the signal are noise. On six joints with 12 bits at 50 Hz (signal of 6 Hz, bandwidth 3.4
         # Hz) rows up to 10 Hz give gains of which one is 2.5 % off the others, z 6; rows up to 6.7 Hz 0.3 %.
         end = max(spectrum.end for joints in run_spectra for spectrum in joints if spectrum.moves)
         if end < 2 * bandwidth and runs[0].log.settings.bandwidth is None:
-            factor = max(factor, decimation_factor(rate, end / 2))
-    decimator = Decimator(factor, kind)
+            factor = max(factor, filters.decimation_factor(rate, end / 2))
+    decimator = filters.Decimator(factor, kind)
     cutoff = preparation.cutoff
     if cutoff is not None and "position_filter" not in preparation.given and factor > 1:
-        cutoff = below_nyquist(max(cutoff, ABOVE_ROWS * decimator.cutoff(rate)), rate, min(run.updates for run in runs))
+        highest = max(cutoff, ABOVE_ROWS * decimator.cutoff(rate))
+        cutoff = filters.below_nyquist(highest, rate, min(run.updates for run in runs))
     return replace(preparation, decimator=decimator, cutoff=cutoff)
 
 
@@ -126,13 +120,13 @@ def _affordable(
     while factor <= most:
         samples = np.zeros((2, len(runs[0].joints)))
         for j, ratio, lengths in blocks:
-            guard = Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).guard
+            guard = filters.Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).guard
             samples[:, j] += np.sum([np.maximum(lengths - 2 * guard, 0), lengths], axis=1) / ratio
         kept, total = samples[:, samples[1] > 0]
         if not total.size or (kept / total).mean() < KEPT or kept.min() / factor < FEWEST_ROWS:
             break
         chosen = factor
-        factor += max(1, factor // MAX_FACTOR)  # from there on in steps of some 5 %
+        factor += max(1, factor // filters.MAX_FACTOR)  # from there on in steps of some 5 %
     return chosen
 
 
@@ -140,7 +134,7 @@ def _usable_blocks(run: Run, preparation: Preparation) -> list[np.ndarray]:
     """List for each joint the lengths of blocks of valid samples in which it is fast enough."""
     parts = list(spans(len(run.time), 1 << 15))
     parts = [parts[k] for k in sorted({round(k) for k in np.linspace(0, len(parts) - 1, PARTS)})]
-    speeds = [np.abs(position_filter(run.position, run.rate, preparation.cutoff, *part)[1]) for part in parts]
+    speeds = [np.abs(filters.position_filter(run.position, run.rate, preparation.cutoff, *part)[1]) for part in parts]
     limit = preparation.speed_fraction * np.sqrt(np.mean([np.mean(speed**2, axis=0) for speed in speeds], axis=0))
     lengths: list[list[np.ndarray]] = [[] for _ in run.joints]
     for speed, part in zip(speeds, parts, strict=True):

@@ -12,17 +12,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
+from gtau.signals.preparation import filters
 from gtau.signals.preparation.bandwidth import JointSpectrum, spectra, widened
-from gtau.signals.preparation.filters import (
-    STENCIL,
-    Cutoff,
-    Decimator,
-    below_nyquist,
-    differentiate,
-    filter_edge,
-    position_filter,
-    smooth_path,
-)
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
 
@@ -47,7 +38,7 @@ class Preparation:
 
     bandwidth: float
     cutoff: float | None
-    decimator: Decimator
+    decimator: filters.Decimator
     speed_fraction: float = SPEED_FRACTION
     rate: float = 0.0
     given: tuple[str, ...] = ()
@@ -62,7 +53,7 @@ class Preparation:
         cutoff = self.cutoff
         if "position_filter" not in self.given:
             cutoff = max(10 * self.bandwidth, 5.0) if cutoff is None else cutoff
-        cutoff = None if cutoff is None else below_nyquist(cutoff, rate)
+        cutoff = None if cutoff is None else filters.below_nyquist(cutoff, rate)
         return replace(self, cutoff=cutoff, decimator=replace(self.decimator, factor=factor), rate=rate)
 
 
@@ -161,7 +152,7 @@ class PreparedRun:
         return replace(self, cutoffs=widened(self.run, cutoffs, noise)) if cutoffs else self
 
     @property
-    def _cutoff(self) -> Cutoff:
+    def _cutoff(self) -> filters.Cutoff:
         return self.cutoffs or self.preparation.cutoff
 
     def awake(self) -> tuple[np.ndarray, np.ndarray]:
@@ -179,16 +170,16 @@ class PreparedRun:
     def path(self, time: np.ndarray) -> np.ndarray:
         """Return positions (n, N) at consecutive samples, given by their times, without spurious reversals."""
         start = int(np.searchsorted(self.run.time, time[0]))
-        return smooth_path(self.run.position, self.run.rate, self._cutoff, start, start + len(time)).T
+        return filters.smooth_path(self.run.position, self.run.rate, self._cutoff, start, start + len(time)).T
 
     def samples(self, start: int = 0, stop: int | None = None) -> SampleWindow:
         """Prepare the used samples from ``start`` to before ``stop``, with their neighbours."""
         at, run, preparation = self.kept[start:stop], self.run, self.preparation
-        begin = max(0, at.start - STENCIL)
+        begin = max(0, at.start - filters.STENCIL)
         mine = slice(at.start - begin, at.stop - begin)
-        q, qd, qdd = position_filter(run.position, run.rate, self._cutoff, at.start, at.stop)
-        command = block(run.command, begin, min(len(run.time), at.stop + STENCIL))
-        command, command_d, command_dd = (array[mine] for array in (command, *differentiate(command, run.rate)))
+        q, qd, qdd = filters.position_filter(run.position, run.rate, self._cutoff, at.start, at.stop)
+        command = block(run.command, begin, min(len(run.time), at.stop + filters.STENCIL))
+        command, command_d, command_dd = (array[mine] for array in (command, *filters.differentiate(command, run.rate)))
         modelled = [channel for channel in run.channels if channel.kind.modelled]
         rows, c = [channel.row for channel in modelled], len(modelled)
         wrenches = [(frame, slice(c + 6 * k, c + 6 * k + 6)) for k, frame in enumerate(run.wrenches)]
@@ -196,7 +187,7 @@ class PreparedRun:
             if frame.body in run.base:
                 continue
             # noise of other wrenches is on the model's side of the equations, as the positions' noise is
-            along = position_filter(run.command[:, six], run.rate, preparation.cutoff, at.start, at.stop)
+            along = filters.position_filter(run.command[:, six], run.rate, preparation.cutoff, at.start, at.stop)
             for array, filtered in zip((command, command_d, command_dd), along, strict=True):
                 array[:, six] = filtered
         ratios = self.motor_to_joint_speed
@@ -239,7 +230,7 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     edges, peaks = _parts(samples), np.zeros((PARTS, n))
 
     def speed(start: int, stop: int) -> np.ndarray:
-        return position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
+        return filters.position_filter(run.position, run.rate, preparation.cutoff, start, stop)[1]
 
     def gram(start: int, stop: int) -> np.ndarray:
         qd = speed(start, stop)
@@ -259,7 +250,7 @@ def prepare(run: Run, preparation: Preparation, motor_to_joint_speed: np.ndarray
     first = next((int(moving[0]) for piece in pieces if (moving := awake(*piece)).size), None)
     last = next((int(moving[-1]) for piece in reversed(pieces) if (moving := awake(*piece)).size), None)
     if first is None or last is None:
-        edge = filter_edge(run.rate, preparation.cutoff)
+        edge = filters.filter_edge(run.rate, preparation.cutoff)
         given = "position_filter" in preparation.given
         remedy = "give a higher preparation.position_filter" if given else "give a longer log of a moving robot"
         raise GtauError(
@@ -324,8 +315,8 @@ def valid_samples(run: Run, preparation: Preparation, start: int, stop: int) -> 
     """Mark where speeds and accelerations depend on valid samples only (stop - start, n)."""
     from scipy.ndimage import minimum_filter1d
 
-    samples, edge = len(run.time), filter_edge(run.rate, preparation.cutoff)
-    begin, number = max(0, start - STENCIL), np.arange(start, stop)
-    valid = block(run.valid, begin, min(samples, stop + STENCIL))
-    near = minimum_filter1d(valid, 2 * STENCIL + 1, axis=0, mode="nearest")[start - begin : stop - begin]
+    samples, edge = len(run.time), filters.filter_edge(run.rate, preparation.cutoff)
+    begin, number = max(0, start - filters.STENCIL), np.arange(start, stop)
+    valid = block(run.valid, begin, min(samples, stop + filters.STENCIL))
+    near = minimum_filter1d(valid, 2 * filters.STENCIL + 1, axis=0, mode="nearest")[start - begin : stop - begin]
     return near & ((number >= edge) & (number < samples - edge))[:, None]

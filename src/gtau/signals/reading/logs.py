@@ -23,7 +23,7 @@ from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
 from gtau.signals.reading.body_columns import at_origins
 from gtau.signals.reading.column_names import split_name
 from gtau.signals.reading.columns import PRESETS, Signals
-from gtau.signals.reading.formats import ALL, LONGEST_STEP, MOST_COLUMNS, LogTable, interpolated, listed, reading
+from gtau.signals.reading.formats import ALL, MOST_COLUMNS, LogTable, interpolated, listed, reading
 from gtau.signals.reading.formats.columnar import INFO
 from gtau.signals.reading.formats.rosbag import LOG_FORMATS as BAGS
 from gtau.signals.reading.formats.text import open_text
@@ -296,7 +296,7 @@ def _aligned(
         if left_out := len(clock) - len(rows):
             text += f"; left out {left_out} positions before the first or after the last of them"
         notes.append(reading("aligned commands", text=text))
-    return rows, partial(interpolated, log, LONGEST_STEP * max(steps))
+    return rows, partial(interpolated, log, max(steps))
 
 
 def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: float, what: str) -> np.ndarray:

@@ -227,7 +227,11 @@ def _sorted_rows(
     return [store.array() for store in stores], numbers, begin, bad_column
 
 
-def extremes(array: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+Ends = tuple[np.ndarray, np.ndarray]
+"""Smallest and largest values of columns."""
+
+
+def extremes(array: np.ndarray) -> Ends:
     """Find the smallest and largest value of every column."""
     columns = (np.ascontiguousarray(part.T) for part in blocks(array))
     low, high = zip(*((part.min(axis=1), part.max(axis=1)) for part in columns), strict=True)

@@ -16,17 +16,10 @@ from gtau.errors import GtauError
 from gtau.findings import Finding, Grade, counted
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import listed_joints, reading, repair
-from gtau.signals.reading.samples import MAX_MISSING, MIN_SAMPLES, Samples, extremes, refuse_short
+from gtau.signals.reading.samples import MAX_MISSING, MIN_SAMPLES, Ends, Samples, extremes, refuse_short
 from gtau.signals.reading.units import COMMON
 from gtau.signals.repair.clock import Clock, Given, clock_of, sampled_steps
-from gtau.signals.repair.commands import (
-    Ends,
-    clipped,
-    refuse_held,
-    refuse_magnitudes,
-    whole_numbers,
-    window_of_commands,
-)
+from gtau.signals.repair.commands import clipped, refuse_held, refuse_magnitudes, whole_numbers, window_of_commands
 from gtau.signals.repair.faults import find_glitches, glitch_note, refuse_frozen, refuse_slips, without_glitches
 from gtau.signals.repair.resampling import FROZEN, MAX_GAP, POSITIONS, holds_of, uniform
 from gtau.signals.storage import block, blocks, rows_at, spans, steps, stored_like, stride_of

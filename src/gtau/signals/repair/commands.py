@@ -13,11 +13,10 @@ from gtau.errors import GtauError
 from gtau.findings import Finding, Grade, counted
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.columns import Signals
-from gtau.signals.reading.samples import Samples, extremes
+from gtau.signals.reading.samples import Ends, Samples, extremes
 from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds, long_runs
 from gtau.signals.storage import block, blocks, spans, steps
 
-Ends = tuple[np.ndarray, np.ndarray]  # smallest and largest values of the commands
 # A command stays where it is equal for more than FROZEN samples, twice as long as held signals are, and STAYS (s),
 # while its joint covers MOVED of its range. In 44 shared logs of ten robots none does: in motion, equal ones of up to
 # 38 samples last 0.03 s (sensors of a Rokae), spells of 0.1 s have 6 samples (an xMate 7 at 50 Hz). Nor does one of a

@@ -142,8 +142,8 @@ def common_length(path: Path, lengths: Mapping[str, int], more: int = 0) -> int:
 LONGEST_STEP = 3.0  # usual steps of a signal, beyond which it is not interpolated but missing
 
 
-def interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarray:
-    """Interpolate a ``log`` (K, 1 + c) at instants (M,): values (M, c), nan in steps longer than ``longest`` (s)."""
+def interpolated(log: np.ndarray, step: float, time: np.ndarray) -> np.ndarray:
+    """Interpolate a ``log`` (K, 1 + c) at instants (M,): values (M, c), nan in far longer steps than ``step`` (s)."""
     known = np.isfinite(time)
     commands = np.full((len(time), log.shape[1] - 1), np.nan)
     if not known.any():
@@ -154,7 +154,7 @@ def interpolated(log: np.ndarray, longest: float, time: np.ndarray) -> np.ndarra
     stamps, *logged = block(log, begin, end).T
     after = np.clip(np.searchsorted(stamps, at, side="left"), 0, len(stamps) - 1)
     before = np.maximum(after - (stamps[after] != at), 0)
-    between = (stamps[after] - stamps[before] <= longest) & (stamps[after] >= at) & (stamps[before] <= at)
+    between = (stamps[after] - stamps[before] <= LONGEST_STEP * step) & (stamps[after] >= at) & (stamps[before] <= at)
     values = np.column_stack([np.interp(at, stamps, command) for command in logged])
     commands[known] = np.where(between[:, None], values, np.nan)
     return commands

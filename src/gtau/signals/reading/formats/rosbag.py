@@ -23,16 +23,7 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.findings import Finding
-from gtau.signals.reading.formats import (
-    ALL,
-    LONGEST_STEP,
-    WIDEST,
-    LogTable,
-    common_length,
-    interpolated,
-    readable,
-    reading,
-)
+from gtau.signals.reading.formats import ALL, WIDEST, LogTable, common_length, interpolated, readable, reading
 from gtau.signals.storage import block_size, store
 
 if TYPE_CHECKING:
@@ -138,8 +129,8 @@ def open_rosbag(path: Path) -> LogTable:
             for values, row in _rows(bag, topic, [f"{topic}/{stamp}", *columns[topic]], rows):
                 frame = dict(zip(columns[topic], values.T[1:], strict=True))
                 for other, log in beside.items():
-                    longest = LONGEST_STEP * float(np.median(np.diff(log[:, 0]))) if len(log) > 1 else 0.0
-                    frame |= zip(columns[other], interpolated(log, longest, values[:, 0]).T, strict=True)
+                    step = float(np.median(np.diff(log[:, 0]))) if len(log) > 1 else 0.0
+                    frame |= zip(columns[other], interpolated(log, step, values[:, 0]).T, strict=True)
                 yield pl.DataFrame(frame).select(names), min(row / counts[topic], 1.0)
         if others and not notes:
             listed = ", ".join(others[:3]) + ", ..." * (len(others) > 3)
