@@ -18,17 +18,8 @@ from gtau.robots.geometry import base_joints, turning
 from gtau.robots.parameter import Parameter, RigidBody, lumped
 from gtau.robots.parts import hold_joints, listed, without_idle_pins
 from gtau.robots.placement import pose_of, rounded, turn
-from gtau.robots.readers import mjcf_drives
-from gtau.robots.readers.mjcf_file import (
-    MjcfFile,
-    angle_notes,
-    compile_mjcf,
-    mjcf_rounding,
-    mujoco,
-    name_in,
-    pose_in,
-    rotation_in,
-)
+from gtau.robots.readers import mjcf_drives, mjcf_file
+from gtau.robots.readers.mjcf_file import MjcfFile, mujoco, name_in, pose_in, rotation_in
 from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice
 from gtau.robots.readers.xml_document import position_limits, read_xml
 from gtau.robots.robot import (
@@ -65,7 +56,7 @@ def read_mjcf(path: str | Path, base: BaseChoice = None) -> Robot:
     with errors_at(path):
         if (root := read_xml(path)).tag != "mujoco":
             raise GtauError(f"the outermost element is <{root.tag}>, not <mujoco>; give an MJCF file.")
-        robot = as_written(compile_mjcf(root, path), path, base)
+        robot = as_written(mjcf_file.compile_mjcf(root, path), path, base)
         return without_idle_pins(replace(robot, name=root.get("model") or path.stem))
 
 
@@ -114,7 +105,7 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
             tuple(notes),
             home_given,
             inertias=_inertias(file, bodies.carried),
-            rounding=mjcf_rounding(file.elements),
+            rounding=mjcf_file.mjcf_rounding(file.elements),
         ),
     )
     return _without_idle_joints(robot, held, motors.pulled, base)
@@ -156,7 +147,7 @@ def _simulated_alone(file: MjcfFile, floating: str) -> Iterator[str]:
     braked = np.any(model.jnt_stiffness[free]) or any(np.any(effect[start : start + 6]) for effect in brakes)
     if floating and braked:  # for instance by defaults of its class
         yield f"damping, friction or armature of the floating '{floating}' acts in the simulator and is not modelled"
-    yield from angle_notes(file.elements)
+    yield from mjcf_file.angle_notes(file.elements)
 
 
 def _without_idle_joints(robot: Robot, held: Mapping[str, float], pulled: AbstractSet[str], base: BaseChoice) -> Robot:

@@ -28,22 +28,10 @@ from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
 from gtau.robots.robot import Robot
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS
+from gtau.signals.reading import statements
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.reading.samples import Part
-from gtau.signals.reading.statements import (
-    CHOSEN,
-    CarriedPayload,
-    Drive,
-    GainEntry,
-    Payload,
-    PreparationSettings,
-    Prior,
-    Requirements,
-    StatedGain,
-    Tolerances,
-    check_drives,
-)
 from gtau.signals.reading.units import Units, is_angle
 
 
@@ -77,7 +65,7 @@ class LoggedRun(Part):
         BeforeValidator(lambda value: (value,) if isinstance(value, (str, Path)) else value),
         Field(min_length=1, max_length=2),
     ]
-    payload: CarriedPayload = None
+    payload: statements.CarriedPayload = None
 
     def overlaps(self, other: LoggedRun) -> bool:
         """Decide whether both runs share rows."""
@@ -151,13 +139,13 @@ class Experiment(Keys):
     robot: AnySource
     signals: Signals
     units: Units = Units()
-    prior_gains: dict[str, GainEntry] = Field(default_factory=dict)
-    priors: dict[str, Prior] = Field(default_factory=dict)
+    prior_gains: dict[str, statements.GainEntry] = Field(default_factory=dict)
+    priors: dict[str, statements.Prior] = Field(default_factory=dict)
     prior_inertias: Positive | None = None
-    drives: dict[str, Drive] = Field(default_factory=dict)
-    preparation: PreparationSettings = CHOSEN
-    require: Requirements = Requirements()
-    tolerances: Tolerances = Tolerances()
+    drives: dict[str, statements.Drive] = Field(default_factory=dict)
+    preparation: statements.PreparationSettings = statements.CHOSEN
+    require: statements.Requirements = statements.Requirements()
+    tolerances: statements.Tolerances = statements.Tolerances()
     runs: tuple[LoggedRun, ...] = Field(min_length=1)
     validation: tuple[LoggedRun, ...] = ()
     _guesses: tuple[Finding, ...] = PrivateAttr(())
@@ -213,14 +201,14 @@ class Experiment(Keys):
 
     @field_validator("prior_gains")
     @classmethod
-    def _nonzero(cls, gains: dict[str, StatedGain]) -> dict[str, StatedGain]:
+    def _nonzero(cls, gains: dict[str, statements.StatedGain]) -> dict[str, statements.StatedGain]:
         if zero := [joint for joint, gain in gains.items() if gain.value == 0]:
             raise ValueError(f"the gain of joint '{zero[0]}' is zero; write the N m/A (or N per A) of its drive")
         return gains
 
     @field_validator("drives")
     @classmethod
-    def _stated_once(cls, drives: dict[str, Drive], info: ValidationInfo) -> dict[str, Drive]:
+    def _stated_once(cls, drives: dict[str, statements.Drive], info: ValidationInfo) -> dict[str, statements.Drive]:
         kind = info.data["signals"].kind if "signals" in info.data else ""
         for joint, drive in drives.items():
             if drive.gain is not None and kind == "torque":
@@ -240,10 +228,10 @@ class Experiment(Keys):
         return self._guesses
 
     @property
-    def stated_gains(self) -> dict[str, StatedGain]:
+    def stated_gains(self) -> dict[str, statements.StatedGain]:
         """Gains known beforehand, from ``prior_gains`` and data sheets."""
         gains = [(joint, drive.gain) for joint, drive in self.drives.items() if drive.gain is not None]
-        return self.prior_gains | {joint: StatedGain(value=gain, std=std) for joint, (gain, std) in gains}
+        return self.prior_gains | {joint: statements.StatedGain(value=gain, std=std) for joint, (gain, std) in gains}
 
     @property
     def expected_gains(self) -> dict[str, float]:
@@ -251,10 +239,11 @@ class Experiment(Keys):
         return {joint: gain.value for joint, gain in self.stated_gains.items()}
 
     @property
-    def expected_parameters(self) -> dict[str, Prior]:
+    def expected_parameters(self) -> dict[str, statements.Prior]:
         """Priors of standard parameters: ``priors``, and rotor inertias of data sheets."""
         sheets = [(joint, drive.inertia) for joint, drive in self.drives.items() if drive.inertia is not None]
-        return self.priors | {Parameter("ia", joint): Prior(value=ia, std=std) for joint, (ia, std) in sheets}
+        rotors = {Parameter("ia", joint): statements.Prior(value=ia, std=std) for joint, (ia, std) in sheets}
+        return self.priors | rotors
 
     @field_validator("runs", "validation")
     @classmethod
@@ -278,7 +267,7 @@ class Experiment(Keys):
                     f"the log '{run.log[0]}' is listed under 'runs' and under 'validation'; remove one of them, as "
                     "a run used for identification validates nothing"
                 )
-        payloads: dict[str, Payload] = {}
+        payloads: dict[str, statements.Payload] = {}
         for payload in (run.payload for run in (*self.runs, *self.validation)):
             if payload is not None and payloads.setdefault(payload.name, payload) != payload:
                 raise ValueError(
@@ -369,4 +358,4 @@ def check_robot(experiment: Experiment, robot: Robot) -> None:
                 f"units.position is '{unit}' for joint '{joint}', which is {kind}; write "
                 f"{'rad or deg' if kind == 'revolute' else 'm or mm'} (units may differ by joint: {{{joint}: ...}})."
             )
-    check_drives(experiment.drives, robot)
+    statements.check_drives(experiment.drives, robot)

@@ -14,17 +14,8 @@ import numpy as np
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
-from gtau.signals.reading.column_names import (
-    BARE,
-    MEASURED,
-    POSE,
-    ColumnName,
-    Group,
-    grouped,
-    has_word,
-    parse_column_name,
-    parse_item,
-)
+from gtau.signals.reading import column_names
+from gtau.signals.reading.column_names import MEASURED, POSE, ColumnName, Group, has_word, parse_column_name
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
@@ -158,7 +149,7 @@ class LogContents:
         table = find_columns(path)
         joints, (rate, labels) = robot.actuated if robot else (), data_set(path, table.columns)
         names = [
-            parse_item(name, labels[name], joints)
+            column_names.parse_item(name, labels[name], joints)
             if name in labels
             else parse_column_name(name, joints, table.units.get(name))
             for name, count in Counter(table.columns).items()
@@ -167,11 +158,11 @@ class LogContents:
         kind = parse_column_name(path.stem).kind
         kind_of_file = kind if kind in ("position", "current", "torque") else None
         if not kind_of_file and all(name.kind != "position" for name in names):
-            bare = [name.kind is None and BARE.fullmatch(name.stem) for name in names]
+            bare = [name.kind is None and column_names.BARE.fullmatch(name.stem) for name in names]
             names = [
                 replace(name, kind="position") if is_bare else name for name, is_bare in zip(names, bare, strict=True)
             ]
-        groups = grouped(names)
+        groups = column_names.grouped(names)
         is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not kind_of_file
         if table.numbered or is_matrix:  # one array whose name says nothing of its columns
             values, first = _values(path, table.columns, table), table.columns[:1]
@@ -184,7 +175,7 @@ class LogContents:
             main = next((topic for topic in suitable if topic not in but), None)
             positions = [name for name in names if name.kind == "position" and not name.reference]
             names = _of_topics(names, topics, main) or names[:1]
-            groups, known = grouped(names), {name.label for name in names}
+            groups, known = column_names.grouped(names), {name.label for name in names}
             elsewhere = [name.name for name in positions if name.label not in known]
         wanted = [name for name in names if name.kind not in (None, "other")] or names
         values = _values(path, [name.name for name in wanted], table)
