@@ -309,7 +309,15 @@ def _problems(robot: Robot) -> Iterator[str]:
         yield from _joint_problems(joint)
         known.add(joint.name)
     for platform in robot.platforms:
-        yield from _platform_problems(platform)
+        dof = platform.dof
+        if unknown := [component for component in dof if component not in TRANSLATIONS + ROTATIONS]:
+            yield f"platform '{platform.name}' has the degree of freedom '{unknown[0]}'; choose from x y z rx ry rz"
+        if len(set(dof)) < len(dof) or not dof:
+            which = f"the degrees of freedom of platform '{platform.name}'"
+            yield f"{which} must be one or more different ones of x y z rx ry rz"
+        if len(set(dof).intersection(ROTATIONS)) == 2:
+            advice = "give it none, one or all three (the closures constrain the rest)"
+            yield f"platform '{platform.name}' has two rotations; {advice}"
         if not any(platform.name in (closure.a.body, closure.b.body) for closure in robot.closures):
             yield f"no closure holds platform '{platform.name}'; add one or remove the platform"
     known.update(robot.bodies)
@@ -345,16 +353,6 @@ def _joint_problems(joint: Joint) -> Iterator[str]:
         value = getattr(joint.limits, quantity)
         if value is not None and not value > 0.0:
             yield f"the {quantity} limit of joint '{joint.name}' is {value:g}; write a positive number, or leave it out"
-
-
-def _platform_problems(platform: Platform) -> Iterator[str]:
-    name, dof = platform.name, platform.dof
-    if unknown := [component for component in dof if component not in TRANSLATIONS + ROTATIONS]:
-        yield f"platform '{name}' has the degree of freedom '{unknown[0]}'; choose from x y z rx ry rz"
-    if len(set(dof)) < len(dof) or not dof:
-        yield f"the degrees of freedom of platform '{name}' must be one or more different ones of x y z rx ry rz"
-    if len(set(dof).intersection(ROTATIONS)) == 2:
-        yield f"platform '{name}' has two rotations; give it none, one or all three (the closures constrain the rest)"
 
 
 def _tie_problems(what: str, tie: Closure | Spring, known: Collection[str]) -> Iterator[str]:

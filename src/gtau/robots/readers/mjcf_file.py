@@ -237,19 +237,17 @@ SHOWN = 4
 def angle_notes(roots: list[Element]) -> Iterator[str]:
     """Note orientations and limits that are multiples of pi/4 in a file in degrees."""
     units = [compiler.get("angle") for root in roots for compiler in root.iter("compiler") if compiler.get("angle")]
-    if "radian" in units:
-        for element, what, angle in _angles(roots, ("body", "frame")):
-            if placement.in_degrees(angle):
-                raise GtauError(
-                    f"line {line_of(element)}: {what} holds {angle:g}, but the file counts in radians (angle of "
-                    "<compiler>); divide it by 57.2958 if it is in degrees."
-                )
-        return
-    meant = [
-        f"{what} (line {line_of(element)}: {angle:g})"
-        for element, what, angle in _angles(roots, ("body", "frame", "joint"))
-        if _in_radians(angle)
-    ]
+    meant = []
+    for element, what, angle in _angles(roots):
+        if "radian" not in units:
+            eighths = round(angle / (pi / 4))
+            if 0 < abs(eighths) <= 8 and abs(angle - eighths * pi / 4) < placement.SHORT:
+                meant.append(f"{what} (line {line_of(element)}: {angle:g})")
+        elif element.tag != "joint" and placement.in_degrees(angle):
+            raise GtauError(
+                f"line {line_of(element)}: {what} holds {angle:g}, but the file counts in radians (angle of "
+                "<compiler>); divide it by 57.2958 if it is in degrees."
+            )
     if meant:
         yield (
             f"angles that look like radians, though the file counts in degrees (angle of <compiler>): "
@@ -257,15 +255,9 @@ def angle_notes(roots: list[Element]) -> Iterator[str]:
         )
 
 
-def _in_radians(angle: float) -> bool:
-    """Return whether an angle given in degrees is a multiple of pi/4 up to a turn."""
-    eighths = round(angle / (pi / 4))
-    return 0 < abs(eighths) <= 8 and abs(angle - eighths * pi / 4) < placement.SHORT
-
-
-def _angles(roots: Iterable[Element], tags: tuple[str, ...]) -> Iterator[tuple[Element, str, float]]:
+def _angles(roots: Iterable[Element]) -> Iterator[tuple[Element, str, float]]:
     """Iterate over the angles of orientations and of hinge limits, with their element and a description."""
-    for element in (part for root in roots for tag in tags for part in root.iter(tag)):
+    for element in (part for tag in ("body", "frame", "joint") for root in roots for part in root.iter(tag)):
         name = f"{element.tag} '{element.get('name', element.get('class', ''))}'"
         key = "range" if element.tag == "joint" else "euler"
         if element.tag == "joint" and element.get("type", "hinge") != "hinge":

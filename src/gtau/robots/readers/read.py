@@ -232,8 +232,8 @@ def links_on(body: str, file: str | Path) -> list[str]:
     from gtau.robots.readers.urdf_tree import read_urdf_tree
 
     tree = read_urdf_tree(Path(file), {}, Base())
-    links = (link.get("name", "") for link in tree.root.findall("link"))
-    return [link for link in links if link in tree.frames and tree.frames[link].body == body]
+    on_body = {name for name, frame in tree.frames.items() if frame.body == body}
+    return [name for link in tree.root.findall("link") if (name := link.get("name", "")) in on_body]
 
 
 def _link(body: str, link: str, file: str | Path | None) -> Placement:

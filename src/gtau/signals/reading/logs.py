@@ -287,7 +287,10 @@ def _aligned(
         )
     rows = range(int(inside[0]), int(inside[-1]) + 1)
     steps = [float(np.median(np.diff(time))) for time in (finite, stamps)]
-    apart = float(np.median([_distance(part, stamps) for part in blocks(finite)]))
+    after = (np.clip(np.searchsorted(stamps, part), 1, len(stamps) - 1) for part in blocks(finite))
+    pairs = zip(blocks(finite), after, strict=True)
+    gaps = (np.minimum(np.abs(part - stamps[k - 1]), np.abs(stamps[k] - part)) for part, k in pairs)
+    apart = float(np.median([np.median(gap) for gap in gaps]))
     if apart > CLOSE * min(steps) or len(rows) < len(clock):
         text = (
             f"aligned the {what} with the positions by linear interpolation between their stamps ({1 / steps[1]:.4g} "
@@ -322,11 +325,6 @@ def _stamped(path: Path, stamps: Sequence[str], commands: Sequence[str], scale: 
     if count < 2:
         raise GtauError(f"{path} has {count} complete rows of {what}; give the log and columns that hold them.")
     return store(parts, (1 + len(commands),))
-
-
-def _distance(time: np.ndarray, stamps: np.ndarray) -> float:
-    after = np.clip(np.searchsorted(stamps, time), 1, len(stamps) - 1)
-    return float(np.median(np.minimum(np.abs(time - stamps[after - 1]), np.abs(stamps[after] - time))))
 
 
 def logged_instants(path: Path, signals: Signals, scale: float) -> np.ndarray:
