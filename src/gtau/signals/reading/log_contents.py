@@ -17,55 +17,12 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading import column_names
 from gtau.signals.reading.column_names import MEASURED, POSE, ColumnName, Group, has_word, parse_column_name
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
+from gtau.signals.reading.derivatives import DERIVATIVE, correlation, rate_of_derivative
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.reading.samples import refuse_short, register_of
 from gtau.signals.reading.units import COMMON
-
-DERIVATIVE = 0.9  # correlation with a numerical derivative from which a column is taken for the velocity
-ADDED = 50  # samples over which velocities are integrated
-WRAPS = 5.0  # steps that 95 % stay below; a larger one by a turn is a wrap (300 to 1000 of a Gen3), not a motion in deg
-
-
-def _rate_of_derivative(position: np.ndarray, velocity: np.ndarray) -> float | None:
-    """Find the rate, Hz, at which velocities integrated over some samples match the positions; None where none does.
-
-    From one sample to the next a position moves little more than its noise, which makes the rate small: of 240 logs
-    simulated at 97 Hz with noise of up to a step, central differences found 56 to 97 Hz, this 96.8 to 97.3.
-    """
-    span, position = min(ADDED, len(position) // 4), _continuous(position)
-    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num((velocity[1:] + velocity[:-1]) / 2))])
-    moved, added = position[span:] - position[:-span], total[span:] - total[:-span]
-    finite = np.isfinite(moved)
-    moved, added = moved[finite], added[finite]
-    along = float(added @ moved)
-    if along <= 0 or along**2 < DERIVATIVE**2 * float(added @ added) * float(moved @ moved):
-        return None
-    return float(added @ added) / along
-
-
-def _continuous(position: np.ndarray) -> np.ndarray:
-    """Unwrap positions (N,) in rad or deg where they jump by a turn, WRAPS times as far as usual."""
-    step = np.diff(position, prepend=position[:1])
-    usual = np.nanquantile(np.abs(step), 0.95)
-    for turn in (2 * np.pi, 360.0):
-        wraps = (np.abs(np.abs(step) - turn) < 0.08 * turn) & (np.abs(step) > WRAPS * usual)
-        position = position - turn * np.cumsum(np.where(wraps, np.sign(step), 0.0))
-    return position
-
-
-def _correlation(position: np.ndarray, velocity: np.ndarray, time: np.ndarray | None = None) -> float:
-    """Correlate a column of velocities (N,) with the derivative of positions; 0 where one of them never changes."""
-    position = _continuous(position)
-    slope, value = (position[2:] - position[:-2]), velocity[1:-1]
-    if time is not None:
-        step = time[2:] - time[:-2]
-        slope = np.where(step > 0, slope / np.where(step > 0, step, 1.0), np.nan)
-    finite = np.isfinite(slope) & np.isfinite(value)
-    if finite.sum() < 10 or not np.ptp(slope[finite]) or not np.ptp(value[finite]):
-        return 0.0
-    return float(np.corrcoef(slope[finite], value[finite])[0, 1])
 
 
 def _unnamed_groups(
@@ -76,7 +33,7 @@ def _unnamed_groups(
     names, rest = table.columns, table.columns[len(time) :]
     widths = [joints] if joints else range(1, min(len(rest) // 2, 12) + 1)
     scores = {
-        n: float(np.median([_correlation(values[rest[k]], values[rest[n + k]], stamps) for k in range(n)]))
+        n: float(np.median([correlation(values[rest[k]], values[rest[n + k]], stamps) for k in range(n)]))
         for n in widths
         if 2 * n <= len(rest)
     }
@@ -99,7 +56,7 @@ def _unnamed_groups(
     blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
     for block in blocks[2:]:
         still = any(not np.ptp(values[name]) for name in block)
-        slopes = [_correlation(values[qd], values[column], stamps) for qd, column in zip(blocks[1], block, strict=True)]
+        slopes = [correlation(values[qd], values[column], stamps) for qd, column in zip(blocks[1], block, strict=True)]
         kinds.append("other" if still else "acceleration" if np.median(slopes) > DERIVATIVE else "command")
     groups = [
         Group(kind, f"block {k + 1}", {str(i + 1): name for i, name in enumerate(block)})
@@ -326,7 +283,7 @@ class LogContents:
 
     def _rates(self, positions: Group) -> list[float]:
         velocities = self.group("velocity")
-        rates = [_rate_of_derivative(*pair) for pair in _pairs(positions, velocities, self.values)]
+        rates = [rate_of_derivative(*pair) for pair in _pairs(positions, velocities, self.values)]
         return [rate for rate in rates if rate is not None]
 
     def slope(self, positions: Group) -> tuple[float | None, float]:
@@ -418,7 +375,7 @@ def _classified(groups: Sequence[Group], values: Mapping[str, np.ndarray], kind:
         pairs = _pairs(positions, group if group.kind == "command" else None, values)
         pairs = [(q, x) for q, x in pairs if np.isfinite(q - x).any()]
         distances = [(np.sqrt(np.nanmean((q - x) ** 2)), float(np.nanstd(q))) for q, x in pairs]
-        if pairs and np.median([_correlation(*pair) for pair in pairs]) > DERIVATIVE:
+        if pairs and np.median([correlation(*pair) for pair in pairs]) > DERIVATIVE:
             yield replace(group, kind="velocity")
         elif np.median([rms / std for rms, std in distances if std > 0] or np.inf) < FOLLOWED:
             yield replace(group, kind="position", reference=True)

@@ -31,8 +31,7 @@ from gtau.signals.reading.samples import WHOLE, Part, Samples, complete, with_si
 from gtau.signals.reading.units import SI, Units, si_factor
 from gtau.signals.storage import block, blocks, spans, store
 
-GROUP = "gtau.log_formats"
-"""Of the entry points of other distributions."""
+GROUP = "gtau.log_formats"  # of the entry points of other distributions
 
 
 def reader_of(ending: str) -> Callable[[Path], LogTable] | None:
