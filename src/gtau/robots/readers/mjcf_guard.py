@@ -23,6 +23,7 @@ import mujoco
 try:
     import resource
     resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    resource.setrlimit(resource.RLIMIT_CPU, (600, 600))  # s, where nobody waits any more
 except ImportError:  # Windows
     pass
 spec = mujoco.MjSpec.from_file(path)
