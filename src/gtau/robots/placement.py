@@ -176,12 +176,6 @@ def exact_placement(placement: Placement) -> tuple[Placement, float]:
     return rounded_pose(placement.xyz, angles), largest_change(placement.rpy, angles)
 
 
-def exact_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Round roll, pitch and yaw of a rotation (3, 3) to multiples of pi/12."""
-    roll, pitch, yaw = (round(angle / STEP) * STEP for angle in angles_of(rotation))
-    return Pose(rpy=(roll, pitch, yaw)).rotation
-
-
 def largest_change(given: Iterable[float], exact: Iterable[float]) -> float:
     """Return the largest difference of angles, zero if within double-precision rounding."""
     change = max((abs(a - b) for a, b in zip(given, exact, strict=True)), default=0.0)

@@ -91,13 +91,14 @@ def as_written(file: MjcfFile, path: Path, base: BaseChoice) -> Robot:
     if loose:
         notes.append(f"free {'bodies' if len(loose) > 1 else 'body'} {listed(loose)} attached to nothing: left out")
     notes += [*(note for _, note in limited), *motors.notes, *_simulated_alone(file, bodies.floating)]
+    x, y, z = map(rounded, model.opt.gravity.tolist())
     robot = Robot(
         path.stem,
         tuple(replace(joint, actuated=joint.name in driven | rows) for joint in joints),
         tuple(platform for platform in bodies.platforms if platform.name in tied),
         tuple(closures),
         tuple(couplings),
-        _gravity(model),
+        (0.0, 0.0, 0.0) if _weightless(model) else (x, y, z),
         tuple(spring for spring in springs if {spring.a.body, spring.b.body}.isdisjoint(loose)),
         bodies.floating,
         file=RobotFile(
@@ -118,11 +119,6 @@ def _check_motors(joints: Sequence[Joint], actuated: AbstractSet[str], loops_alo
         raise GtauError("it has no joints except joints of free bodies; give the file of a robot.")
     if actuated.isdisjoint(joint.name for joint in joints):
         raise GtauError("no actuator drives a joint (joint=...), so the actuated joints are unknown; add actuators.")
-
-
-def _gravity(model: mujoco.MjModel) -> tuple[float, float, float]:
-    x, y, z = map(rounded, model.opt.gravity.tolist())
-    return (0.0, 0.0, 0.0) if _weightless(model) else (x, y, z)
 
 
 def _weightless(model: mujoco.MjModel) -> bool:

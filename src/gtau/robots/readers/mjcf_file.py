@@ -80,7 +80,8 @@ def _with_exact_orientations(spec: mujoco.MjSpec) -> tuple[str, ...]:
         if kind != mujoco.mjtOrientation.mjORIENTATION_QUAT or unit > placement.MEANT:
             return 0.0
         rotation = rotation_in(written).as_matrix()
-        turned = placement.exact_rotation(rotation)
+        roll, pitch, yaw = (round(angle / placement.STEP) * placement.STEP for angle in placement.angles_of(rotation))
+        turned = Pose(rpy=(roll, pitch, yaw)).rotation
         meant = type(rotation_in(written)).from_matrix(turned).as_quat(scalar_first=True)
         meant *= np.copysign(1.0, meant @ written)
         if np.abs(written - meant).max() >= unit:

@@ -66,7 +66,12 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
             in_use = any(joint.name == "base" for joint in robot.joints)
             robot = float_base(robot, "floating_base" if in_use else "base")
         elif isinstance(source.base, Base):
-            robot = _fixed(robot, source.base)
+            if robot.base:
+                robot = hold_joints(robot, dict.fromkeys(robot.base, 0.0), "with the base")
+            if source.base.rpy is not None:  # in a world whose gravity points down
+                down = [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
+                x, y, z = map(rounded, Pose(rpy=source.base.rpy).rotation.T @ down)
+                robot = replace(robot, gravity=(x, y, z))
         if source.joints or source.held:
             robot = select_joints(robot, source.joints, source.held)
         if source.limits:
@@ -77,16 +82,6 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
         if source.gravity is not None:
             robot = replace(robot, gravity=source.gravity)
         return robot
-
-
-def _fixed(robot: Robot, base: Base) -> Robot:
-    """Fix a floating base, if any, and turn the base in a world whose gravity points down."""
-    if robot.base:
-        robot = hold_joints(robot, dict.fromkeys(robot.base, 0.0), "with the base")
-    if base.rpy is None:
-        return robot
-    x, y, z = Pose(rpy=base.rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
-    return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
 
 
 def _read(source: str | Path, written: RobotSource) -> Robot:
