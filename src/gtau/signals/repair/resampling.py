@@ -203,19 +203,17 @@ def uniform(
 
 def _notes(clock: Clock, holds: Holds, count: int, shortest: float, longest: float, given: bool) -> Iterator[Finding]:
     """Note the clock, and the signals that repeat samples, among ``count`` in all."""
-    how, reason = "scatter", "which makes the positions smoother"
-    if clock.packets:
-        how, reason = "come in packets", "as packets are"
     if not clock.regular:
         reason = "the time stamps are used, because a regular clock makes the positions no smoother"
-    if given:
-        reason = "as preparation.clock says"
-    if not clock.regular:
         steps = f"irregular steps of {shortest * 1e3:.3g} to {longest * 1e3:.3g} ms to a uniform {clock.rate:.2f} Hz"
-        yield reading("irregular steps", text=f"resampled from {steps}: {reason}")
+        text = f"resampled from {steps}: {'as preparation.clock says' if given else reason}"
+        yield reading("irregular steps", text=text)
     elif clock.late:
-        advice = "if this rate is wrong, give the right one (time: {rate: HZ})" * clock.packets
-        regular = f"a regular {clock.rate:.2f} Hz instead, {reason}"
+        how, reason, advice = "scatter", "which makes the positions smoother", ""
+        if clock.packets:
+            how, reason = "come in packets", "as packets are"
+            advice = "if this rate is wrong, give the right one (time: {rate: HZ})"
+        regular = f"a regular {clock.rate:.2f} Hz instead, {'as preparation.clock says' if given else reason}"
         text = f"time stamps {how}, up to {clock.late * 1e3:.3g} ms late: the samples were taken at {regular}"
         yield reading("late time stamps", text=text, advice=advice)
     for signal, held in holds.items():
