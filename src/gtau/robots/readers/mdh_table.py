@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from gtau.documents.expressions import RESERVED, AffineInQ, evaluate, linear
 from gtau.documents.files import read_at_most
 from gtau.errors import GtauError, errors_at
 from gtau.robots.placement import DEGREES_ADVICE, exact_placement, in_degrees, short_angles_note
-from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Placement, Robot, RobotFile, refuse_many
+from gtau.robots.robot import GROUND, Attachment, Joint, JointKind, Mdh, Robot, RobotFile, refuse_many
 
 COLUMNS = ("j", "a", "mu", "sigma", "gamma", "b", "alpha", "d", "theta", "r")
 MAX_BYTES = 1 << 20
-
-
-class _Row(NamedTuple):
-    """A frame of a table, placed in the frame of its antecedent; rounded angles are changed by at most ``short``, rad.
-
-    ``sigma`` is 0 for a revolute joint, 1 for a prismatic one and 2 for a fixed frame; ``mu`` is 1 for a motor.
-    """
-
-    name: str
-    antecedent: str
-    mu: int
-    sigma: int
-    placement: Placement
-    short: float
 
 
 def read_mdh_csv(path: str | Path) -> Robot:
@@ -44,28 +28,24 @@ def read_mdh_csv(path: str | Path) -> Robot:
         lines = _lines(path)
         refuse_many(len(lines), "rows")
         constants, header = _constants(lines)
-        rows = [_row(number, cells, header, constants) for number, cells in lines]
-        if not rows:
+        frames, joints, changes = {GROUND: Attachment(GROUND)}, list[Joint](), dict[str, float]()
+        for number, cells in lines:
+            name, antecedent, mu, sigma, placement = _row(number, cells, header, constants)
+            if antecedent not in frames:
+                raise GtauError(
+                    f"joint '{name}' has the antecedent '{antecedent}', which is not a joint of an earlier row; "
+                    "write 0 for the base, or move the antecedent's row up."
+                )
+            exact, changes[name] = exact_placement(placement)
+            at = frames[antecedent].at(exact)
+            if sigma != 2:  # else it becomes a part of a link
+                kind: JointKind = "prismatic" if sigma else "revolute"
+                joints.append(Joint(name, at.body, kind, at.placement, actuated=mu == 1))
+                at = Attachment(name)
+            frames[name] = at
+        if not lines:
             raise GtauError("no joint is listed; write a line for each below the header.")
-        notes = short_angles_note({row.name: row.short for row in rows})
-        return Robot(path.stem, tuple(_joints(rows)), file=RobotFile(path.name, notes))
-
-
-def _joints(rows: Sequence[_Row]) -> Iterator[Joint]:
-    """Make the joints of a table; fixed frames become parts of their links."""
-    frames = {GROUND: Attachment(GROUND)}
-    for row in rows:
-        if row.antecedent not in frames:
-            raise GtauError(
-                f"joint '{row.name}' has the antecedent '{row.antecedent}', which is not a joint of an earlier row; "
-                "write 0 for the base, or move the antecedent's row up."
-            )
-        at = frames[row.antecedent].at(row.placement)
-        if row.sigma != 2:
-            kind: JointKind = "prismatic" if row.sigma else "revolute"
-            yield Joint(row.name, at.body, kind, at.placement, actuated=row.mu == 1)
-            at = Attachment(row.name)
-        frames[row.name] = at
+        return Robot(path.stem, tuple(joints), file=RobotFile(path.name, short_angles_note(changes)))
 
 
 def _lines(path: Path) -> list[tuple[int, list[str]]]:
@@ -113,7 +93,10 @@ def _constants(lines: list[tuple[int, list[str]]]) -> tuple[dict[str, float], li
     raise GtauError(f"it has no header; write {','.join(COLUMNS)} above the joints.")
 
 
-def _row(number: int, cells: list[str], header: list[str], constants: dict[str, float]) -> _Row:
+def _row(
+    number: int, cells: list[str], header: list[str], constants: dict[str, float]
+) -> tuple[str, str, float, float, Mdh]:
+    """Read a row: names of joint and antecedent, mu, sigma, and the placement in the antecedent's frame."""
     if len(cells) != len(header):
         raise GtauError(f"line {number}: it has {len(cells)} cells; write {len(header)}, as in the header.")
     texts = dict(zip(header, cells, strict=True))
@@ -144,5 +127,4 @@ def _row(number: int, cells: list[str], header: list[str], constants: dict[str, 
                 f"line {number}, {column} of joint '{name}': write the coordinate q plainly, and only in theta "
                 "(sigma 0) or r (sigma 1)."
             )
-    antecedent = GROUND if texts["a"] == "0" else texts["a"]
-    return _Row(name, antecedent, int(mu), int(sigma), *exact_placement(Mdh(*parameters)))
+    return name, GROUND if texts["a"] == "0" else texts["a"], mu, sigma, Mdh(*parameters)
