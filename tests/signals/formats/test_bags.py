@@ -1,7 +1,8 @@
-"""Bags as drivers record them: publishers that differ, arrays of messages, a topic for each joint."""
+"""Bags as drivers record them: publishers that differ, arrays of messages, a topic for each joint, messages in JSON."""
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -178,8 +179,8 @@ def test_efforts_that_are_nan_give_way_to_a_topic_with_numbers(write: Callable[.
     assert draft.signals.torque == {joint: f"/arm/torques/data[{k}]" for k, joint in enumerate(JOINTS, 1)}
 
 
-def test_an_mcap_file_without_ros_is_refused(tmp_path: Path) -> None:
-    """As Foxglove's library writes messages in JSON: a header, a schema, a channel, and no index."""
+def mcap(path: Path, topic: str, messages: Iterator[tuple[float, Any]], encoding: str = "json") -> Path:
+    """Write messages in JSON, as Foxglove's library does: a header, a schema, a channel, and no index."""
 
     def text(value: str) -> bytes:
         return struct.pack("<I", len(value)) + value.encode()
@@ -188,10 +189,44 @@ def test_an_mcap_file_without_ros_is_refused(tmp_path: Path) -> None:
         return struct.pack("<BQ", kind, len(content)) + content
 
     schema = struct.pack("<H", 1) + text("State") + text("jsonschema") + text("{}")
-    channel = struct.pack("<HH", 1, 1) + text("/arm") + text("json") + struct.pack("<I", 0)
-    message = struct.pack("<HIQQ", 1, 0, 1, 1) + b'{"q": 1}'
-    records = record(1, text("") + text("")), record(3, schema), record(4, channel), record(5, message)
-    magic, end = b"\x89MCAP0\r\n", record(15, bytes(4)) + record(2, bytes(20))
-    (tmp_path / "a.mcap").write_bytes(magic + b"".join(records) + end + magic)
-    with pytest.raises(GtauError, match=r"a\.mcap cannot be read as a ROS bag \("):
-        find_columns(tmp_path / "a.mcap")
+    channel = struct.pack("<HH", 1, 1) + text(topic) + text(encoding) + struct.pack("<I", 0)
+    records = [record(1, text("") + text("")), record(3, schema), record(4, channel)]
+    for time, message in messages:
+        stamp = round(time * 1e9)
+        records.append(record(5, struct.pack("<HIQQ", 1, 0, stamp, stamp) + json.dumps(message).encode()))
+    magic = b"\x89MCAP0\r\n"
+    path.write_bytes(magic + b"".join(records) + record(15, bytes(4)) + record(2, bytes(20)) + magic)
+    return path
+
+
+def test_messages_in_json(tmp_path: Path) -> None:
+    """Two layouts: names beside arrays, and a list of joints."""
+    pytest.importorskip("mcap")
+
+    def arrays(time: float) -> dict[str, Any]:
+        stamp = {"sec": int(time), "nsec": round(1e9 * (time % 1))}
+        columns = {"position": [q(k, time) for k in (0, 1)], "current": [tau(k, time) for k in (0, 1)]}
+        return {"stamp": stamp, "name": [*JOINTS], **columns, "note": "x"}
+
+    bag = mcap(tmp_path / "a.mcap", "/arm", ((time, arrays(time)) for time in TIME))
+    signals = {
+        "time": "/arm/stamp",
+        "position": {joint: f"/arm/{joint}/position" for joint in JOINTS},
+        "current": {joint: f"/arm/{joint}/current" for joint in JOINTS},
+    }
+    run = read_run(bag, signals)
+    np.testing.assert_allclose(run.command, np.column_stack([tau(k, TIME) for k in (0, 1)]), atol=1e-12)
+    draft = discover([bag], ARM, "arm.yaml")
+    assert (draft.signals.position, draft.signals.current) == (signals["position"], signals["current"])
+    listed = ((time, {"joints": [{"q": q(k, time), "tau": tau(k, time)} for k in (0, 1)]}) for time in TIME)
+    values = read_log(mcap(tmp_path / "b.mcap", "/arm", listed), ["/arm/joints[2]/q"]).arrays()
+    np.testing.assert_allclose(values["/arm/joints[2]/q"], q(1, TIME))
+    broken = mcap(tmp_path / "c.mcap", "/arm", ((time, [1, 2]) for time in TIME))
+    with pytest.raises(GtauError, match=r"there is no column '/arm/q'; the columns are /arm/data\[1\], "):
+        read_log(broken, ["/arm/q"])
+    mcap(tmp_path / "d.mcap", "/arm", ((time, 1) for time in TIME), "protobuf")
+    with pytest.raises(GtauError, match="its messages are in 'protobuf'; record them by ROS 2, or in JSON"):
+        find_columns(tmp_path / "d.mcap")
+    (tmp_path / "e.mcap").write_bytes(bag.read_bytes()[:2000])
+    with pytest.raises(GtauError, match=r"e\.mcap cannot be read as a ROS bag \("):
+        find_columns(tmp_path / "e.mcap")

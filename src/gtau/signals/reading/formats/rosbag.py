@@ -2,16 +2,21 @@
 
 Columns are named as PlotJuggler names its curves: ``/joint_states/elbow/position`` for the joint ``elbow`` of a
 ``sensor_msgs/JointState`` (or ``control_msgs/DynamicJointState``), ``/TOPIC/FIELD``, ``/TOPIC/FIELD[1]`` or
-``/TOPIC/FIELD[1]/FIELD`` for the numbers of any other message. Every topic has its stamps:
+``/TOPIC/FIELD[1]/FIELD`` for the numbers of any other message, also in JSON. Every topic has its stamps:
 ``/TOPIC/header/stamp``, where its messages have a header, and ``/TOPIC/received``; both in s.
 """
 
 from __future__ import annotations
 
+import json
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import cache
+from io import BytesIO
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,6 +31,7 @@ if TYPE_CHECKING:
 
 STAMPED = 12  # bytes of a message before its frame and names: an encapsulation or a count, and the stamp
 LARGEST = 1 << 16  # bytes of a message, all messages like which are looked through
+MCAP, HEAD = b"\x89MCAP0\r\n\x01", 64  # the beginning of such a file, and bytes with its profile
 STRING = "std_msgs/msg/String"
 
 
@@ -35,7 +41,46 @@ def _reader(path: Path) -> Any:
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
         raise missing_extra(f"reading {path} (a ROS bag)", "rosbags", "ros") from None
+    with path.open("rb") if path.is_file() else nullcontext(BytesIO()) as file:
+        head = file.read(HEAD)
+    if head.startswith(MCAP) and not head[len(MCAP) + 12 :].startswith(b"ros2"):
+        return _mcap(path)
     return AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+
+
+@contextmanager
+def _mcap(path: Path) -> Iterator[Any]:
+    """Open an MCAP file of another profile than ROS 2, as AnyReader does; its messages must be in JSON."""
+    try:
+        from mcap.reader import make_reader
+    except ImportError:
+        raise missing_extra(f"reading {path} (an MCAP file without ROS)", "mcap", "ros") from None
+    with path.open("rb") as file:
+        read = make_reader(file).iter_messages
+        try:
+            channels = {channel.topic: (channel, schema) for schema, channel, _ in read()}
+        except OSError as error:  # of a file that was cut, as its end is looked up first
+            raise ValueError(f"its end is missing: {error.strerror}") from None
+        counts = Counter(channel.topic for _, channel, _ in read())
+        encodings = {channel.message_encoding for channel, _ in channels.values()}
+        if encodings and "json" not in encodings:
+            raise GtauError(f"its messages are in '{min(encodings)}'; record them by ROS 2, or in JSON.", source=path)
+        connections = {
+            topic: SimpleNamespace(
+                topic=topic,
+                msgtype=schema.name if schema else "",
+                msgcount=counts[topic],
+                ext=SimpleNamespace(serialization_format="json"),
+            )
+            for topic, (channel, schema) in channels.items()
+            if channel.message_encoding == "json"
+        }
+
+        def messages(connections: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
+            wanted = {connection.topic: connection for connection in connections}
+            return ((wanted[channel.topic], one.log_time, one.data) for _, channel, one in read(topics=[*wanted]))
+
+        yield SimpleNamespace(connections=[*connections.values()], messages=messages)
 
 
 def robot_description(path: Path) -> str | None:
@@ -45,7 +90,7 @@ def robot_description(path: Path) -> str | None:
             if connection.topic.split("/")[-1] != "robot_description" or connection.msgtype != STRING:
                 continue
             for _, _, raw in bag.messages(connections=[connection]):
-                text = bag.deserialize(raw, connection.msgtype).data
+                text = _message(bag, connection, raw).data
                 if "<robot" in text:
                     return str(text)
     return None
@@ -137,7 +182,7 @@ def _rows(bag: Any, topic: str, names: Sequence[str], rows: range = ALL) -> Iter
 
 def _values(bag: Any, connection: Any, received: int, raw: bytes) -> tuple[dict[str, float], str]:
     """Name the numbers in a message, and its receipt stamp; and return the last of the joints' names in it."""
-    fields = vars(bag.deserialize(raw, connection.msgtype))
+    fields = vars(_message(bag, connection, raw))
     joints: list[str] = next((fields[key] for key in ("name", "joint_names") if isinstance(fields.get(key), list)), [])
     values = dict[str, float]()
     for key, field in fields.items():
@@ -151,6 +196,13 @@ def _values(bag: Any, connection: Any, received: int, raw: bytes) -> tuple[dict[
         else:
             values |= _numbers(field, key)
     return values | {"received": received * 1e-9}, str(joints[-1]) if joints else ""
+
+
+def _message(bag: Any, connection: Any, raw: bytes) -> Any:
+    if getattr(connection.ext, "serialization_format", "") != "json":
+        return bag.deserialize(raw, connection.msgtype)
+    message = json.loads(raw, object_hook=lambda entries: SimpleNamespace(**entries))
+    return message if hasattr(message, "__dict__") else SimpleNamespace(data=message)
 
 
 def _numbers(value: Any, name: str) -> Iterator[tuple[str, float]]:
