@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -108,6 +109,47 @@ def test_a_urdf_file_that_floats(tmp_path: Path, rng: np.random.Generator) -> No
         found = pin.rnea(model, data, *pinocchio_state(state, q[k, 6:], qd[k, 6:], qdd[k, 6:]))
         tau[k] = [*state.six(found[:3], found[3:6]), *found[6:]]
     assert explained(free, (q, qd, qdd), tau) < 1e-10
+
+
+AXES = ("1 0 0", "0 1 0", "0 0 1")
+DRAWN = "".join(
+    f'<link name="s{k}">{{mass}}</link><joint name="base{k}" type="{kind}"><parent link="s{k}"/>'
+    f'<child link="{"bus" if k == 5 else f"s{k + 1}"}"/><axis xyz="{AXES[k % 3]}"/>'
+    '<limit lower="-9" upper="9" effort="{effort}" velocity="1"/></joint>'
+    for k, kind in enumerate(["prismatic"] * 3 + ["revolute"] * 3)
+)
+MOTOR = '<transmission name="of_{0}"><joint name="{0}"/></transmission>'
+ARM_MOTORS = MOTOR.format("a") + MOTOR.format("b")
+
+
+@pytest.mark.parametrize(
+    ("mass", "effort", "motors", "floats"),
+    [
+        ("", 9, "", True),  # links without masses
+        (MASS.format(1), 0, "", True),  # joints without effort
+        (MASS.format(1), 9, ARM_MOTORS, True),  # joints without transmissions
+        (MASS.format(1), 9, "", False),  # a gantry
+        ("", 0, ARM_MOTORS + "".join(MOTOR.format(f"base{k}") for k in range(6)), False),
+    ],
+)
+def test_six_joints_of_a_urdf_without_motors_are_a_floating_base(
+    mass: str, effort: int, motors: str, floats: bool, tmp_path: Path
+) -> None:
+    free = slice(ARM.index('  <joint name="free"'), ARM.index('  <joint name="a"'))
+    six = DRAWN.replace("{mass}", mass).replace("{effort}", str(effort))
+    text = ARM.replace(ARM[free], six).replace('<link name="world"/>', "").replace("</robot>", motors + "</robot>")
+    path = written(tmp_path, "drawn.urdf", text)
+    if not floats:
+        assert load_robot(path).actuated == (*(f"base{k}" for k in range(6)), "a", "b")
+        return
+    with pytest.raises(GtauError, match="have no motor and carry the rest, as a base that floats; write 'robot: "):
+        load_robot(path)
+    assert load_robot(path, base="fixed").actuated == ("a", "b")
+    drawn, known = load_robot(path, base="floating"), load_robot(written(tmp_path, "arm.urdf", ARM), base="floating")
+    assert (drawn.floating, drawn.motors) == ("base5", ("a", "b"))
+    assert [replace(joint, antecedent="") for joint in drawn.joints[6:]] == [
+        replace(joint, antecedent="") for joint in known.joints[6:]
+    ]
 
 
 def test_an_arm_of_seven_joints_keeps_its_motors(tmp_path: Path) -> None:

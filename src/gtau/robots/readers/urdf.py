@@ -22,6 +22,7 @@ from pydantic import field_validator
 from gtau.documents.validation import Keys, unknown, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
+from gtau.robots.geometry import drawn_base
 from gtau.robots.parameter import lumped
 from gtau.robots.parts import listed, without_idle_pins
 from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
@@ -65,7 +66,7 @@ def read_urdf(path: str | Path, base: BaseChoice = None) -> Robot:
         closures, said = _written_closures(tree)
         joints, motors = _with_motors(tree, closures)
         robot = _closed(tree, joints, closures, file).noted(*notes, *said, *motors)
-        return without_idle_pins(robot)
+        return _without_motors_of_base(without_idle_pins(robot), tree)
 
 
 def _file(tree: UrdfTree, source: str) -> RobotFile:
@@ -107,6 +108,33 @@ def _with_motors(tree: UrdfTree, closures: Sequence[Closure]) -> tuple[Sequence[
         "in a YAML file of the same name beside this one"
     )
     return [replace(joint, actuated=joint.name not in passive) for joint in tree.joints], [note]
+
+
+def _without_motors_of_base(robot: Robot, tree: UrdfTree) -> Robot:
+    """Remove the motors, unknown in a URDF, of six joints that carry all others and represent a floating base.
+
+    The six have none if all other joints have a transmission (or ros2_control interface), or else an effort limit, or
+    links with mass, and the six do not.
+    """
+    if len(robot.joints) <= 6:
+        return robot
+    joints = tuple(replace(joint, actuated=k >= 6) for k, joint in enumerate(robot.joints))
+    six = drawn_base(replace(robot, joints=joints))
+    rest = set(robot.actuated).difference(six)
+    driven = driven_joints(tree.root)
+    if not six or not rest:
+        return robot
+    if rest <= driven:
+        drawn = driven.isdisjoint(six)
+    else:
+        strong = {joint.name for joint in robot.joints if joint.limits.effort}
+        links = (link for link in tree.root.findall("link") if any(all_numbers(link.iter("mass"), ["value"])))
+        heavy = {tree.frames[name].body for link in links if (name := link.get("name", "")) in tree.frames}
+        drawn = (rest <= strong and strong.isdisjoint(six)) or (rest <= heavy and heavy.isdisjoint(six[:-1]))
+    if not drawn:
+        return robot
+    joints = tuple(replace(joint, actuated=joint.actuated and joint.name not in six) for joint in robot.joints)
+    return replace(robot, joints=joints)
 
 
 class _Loops(Keys):
