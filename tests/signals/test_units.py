@@ -67,7 +67,7 @@ def test_what_the_command_is_by_joint(log: Path) -> None:
 
 def test_motor_torques_are_those_of_the_joints_by_the_gear_ratio(log: Path) -> None:
     columns = {key: value for key, value in SIGNALS.items() if key != "current"}
-    signals = columns | {"torque": {"a": "100 * va", "b": "-45 * vb"}}
+    signals = columns | {"motor_torque": SIGNALS["current"], "gear_ratio": {"a": 100, "b": -45}}
     run = read_run(log, signals, units={"torque": {"a": "mN m"}})
     assert run.kind == "torque"
     np.testing.assert_allclose(run.command, TABLE[:, 3:] * [0.1, -45], rtol=1e-12)
@@ -79,11 +79,12 @@ def test_motor_torques_are_those_of_the_joints_by_the_gear_ratio(log: Path) -> N
         ({}, {"current": "%"}, "which is missing; add 'rated: {JOINT: ...}' in A"),
         ({}, {"current": "%", "rated": {"a": 2}}, "units, rated: joint 'b' has no rated current"),
         ({}, {"rated": {"a": 2}}, "'rated' is given, but no unit is '%' or '‰'; remove it"),
-        ({"torque": {"a": "va"}}, {}, "give the columns of either 'current' or 'torque'"),
+        ({"gear_ratio": {"a": 2}}, {}, "'gear_ratio' is given without 'motor_torque'"),
+        ({"motor_torque": {"a": "va"}}, {}, "give the columns of either 'current' or 'torque'"),
         (
-            {"motor_torque": {"a": "va"}},
+            {"current": None, "motor_torque": {"a": "va", "b": "vb"}, "gear_ratio": {"a": 2}},
             {},
-            "write the joint's torque, times the gear ratio, as in 'torque: {",
+            "joint 'b' has a motor torque but no gear ratio; add",
         ),
         ({"preset": "kuka"}, {}, "there is no preset 'kuka'; choose from ur_rtde, ur_rtde_torque, ur-current, "),
         ({"time": ["t"]}, {}, "signals, time:"),

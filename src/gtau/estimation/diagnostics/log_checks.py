@@ -163,8 +163,8 @@ def motor_side_torques(text: str, joints: tuple[str, ...] = ()) -> Finding:
     """Note, for the reason in ``text``, that torques are measured before the gears."""
     text = f"{text}: by their size they are motor-side torques (before the gear) or currents"
     advice = (
-        "write each column times the gear ratio of its joint (torque: {JOINT: 101 * COLUMN}), or 'current' if they are "
-        "in A, or correct the limits"
+        "write 'motor_torque' with the 'gear_ratio' of each joint instead of 'torque', or 'current' if they are in A, "
+        "or correct the limits"
     )
     return Finding(MOTOR_SIDE, joints, text=text, advice=advice, shown_as="unit")
 

@@ -45,7 +45,7 @@ def expanded(signals: Mapping[str, Any]) -> dict[str, Any]:
     if preset is None:
         raise ValueError(f"there is no preset '{signals['preset']}'; choose from {', '.join(PRESETS)}")
     wanted = preset.keys() & {"position", "current", "torque"} - given.keys()
-    if given.keys() & {"current", "torque"}:
+    if given.keys() & {"current", "torque", "motor_torque"}:
         wanted &= {"position"}
     joints = signals.get("joints")
     if wanted and (not isinstance(joints, Sequence) or isinstance(joints, str) or not joints):
@@ -107,11 +107,12 @@ Optional = dict.fromkeys(SENSORS, dict[str, str]) | {signal.key: OneOrByJoint fo
 class Signals(optional_keys(Optional)):  # type: ignore[misc]
     """Columns of a log: time, and the position and the current (or torque) of every actuated joint.
 
-    ``joint_torque`` are torque sensors on the link side of the gears, of all joints or some. A ``pose`` tests the
-    robot's geometry. Side signals, such as ``temperature``, have their keys, too; ``supply_current``, with a ``duty``,
-    may replace the current, and ``proportional_gain`` times the ``goal`` less the position is the duty, 1 at most.
-    ``base`` is the pose of a floating base with its wrenches; ``wrenches`` are external wrenches on other bodies;
-    ``calibration`` is the accuracy of the sensors. A ``preset`` fills in the columns of a manufacturer's log.
+    ``motor_torque`` times ``gear_ratio`` is the joint torque. ``joint_torque`` are torque sensors on the link side of
+    the gears, of all joints or some. A ``pose`` tests the robot's geometry. Side signals, such as ``temperature``, have
+    their keys, too; ``supply_current``, with a ``duty``, may replace the current, and ``proportional_gain`` times the
+    ``goal`` less the position is the duty, 1 at most. ``base`` is the pose of a floating base with its wrenches;
+    ``wrenches`` are external wrenches on other bodies; ``calibration`` is the accuracy of the sensors. A ``preset``
+    fills in the columns of a manufacturer's log.
     """
 
     time: Annotated[
@@ -121,6 +122,8 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
     position: dict[str, str] = Field(min_length=1)
     current: dict[str, str] | None = None
     torque: dict[str, str] | None = None
+    motor_torque: dict[str, str] | None = None
+    gear_ratio: dict[str, FiniteFloat] | None = None
     base: BaseColumns | None = None
     wrenches: tuple[BodyWrench, ...] = ()
     calibration: Calibration = Calibration()
@@ -135,13 +138,13 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
 
     @property
     def kind(self) -> Literal["current", "torque"]:
-        """Kind of the commands."""
+        """Kind of the commands; motor torques count as torques."""
         return "torque" if self.current is None else "current"
 
     @property
     def command(self) -> dict[str, str]:
         """Columns of the currents or torques by joint."""
-        return self.current or self.torque or {}
+        return self.current or self.torque or self.motor_torque or {}
 
     @property
     def rate(self) -> float | None:
@@ -206,18 +209,12 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
     @classmethod
     def _preset(cls, data: Any) -> Any:
         data = expanded(data) if isinstance(data, dict) and data.get("preset") else data
-        if not isinstance(data, dict):
-            return data
-        if "motor_torque" in data:
-            raise ValueError(
-                "'motor_torque' is not read; write the joint's torque, times the gear ratio, as in 'torque: {elbow: "
-                "101 * m3}', negative where motor and joint turn against each other"
-            )
-        if isinstance(data.get("supply_current"), dict) and not {"current", "torque"} & data.keys():
+        commands = {"current", "torque", "motor_torque"}
+        if isinstance(data, dict) and isinstance(data.get("supply_current"), dict) and not commands & data.keys():
             return data | {"current": data["supply_current"]}
         return data
 
-    @field_validator("position", "current", "torque", *SENSORS)
+    @field_validator("position", "current", "torque", "motor_torque", *SENSORS)
     @classmethod
     def _each_column_once(cls, columns: dict[str, str] | None) -> dict[str, str] | None:
         owners: dict[str, str] = {}
@@ -230,9 +227,12 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
 
     @model_validator(mode="after")
     def _one_command_per_joint(self) -> Signals:
-        kind = self.kind
-        if (self.current is None) == (self.torque is None):
-            raise ValueError("give the columns of either 'current' or 'torque', one of them")
+        kind, commands = self.kind, (self.current, self.torque, self.motor_torque)
+        if commands.count(None) != 2:
+            raise ValueError(
+                "give the columns of either 'current' or 'torque' (or of 'motor_torque', with a 'gear_ratio'), one of "
+                "them"
+            )
         missing = next((joint for joint in self.position if joint not in self.command), None)
         extra = next((joint for joint in self.command if joint not in self.position), None)
         if missing and extra:
@@ -277,13 +277,24 @@ class Signals(optional_keys(Optional)):  # type: ignore[misc]
         return self
 
     @model_validator(mode="after")
-    def _side_signals_of_joints(self) -> Signals:
+    def _side_signals_and_ratios(self) -> Signals:
+        ratios = self.gear_ratio or {}
+        if self.motor_torque is None and ratios:
+            raise ValueError(
+                "'gear_ratio' is given without 'motor_torque'; remove it, or name the torques 'motor_torque'"
+            )
+        for joint in self.motor_torque or {}:
+            if not ratios.get(joint):
+                raise ValueError(
+                    f"joint '{joint}' has a motor torque but no gear ratio; add 'gear_ratio: {{{joint}: ...}}', motor "
+                    "turns (or rad) for one turn (or m) of the joint, negative where they turn against each other"
+                )
         gains = self.proportional_gain or {}
         if gains and not self.goal:
             raise ValueError("'proportional_gain' is given without 'goal'; add the columns of the goals, or remove it")
         if self.supplied and not (self.duty or gains):
             raise ValueError("'supply_current' needs a 'duty'; add its columns, or 'goal' and 'proportional_gain'")
-        named: dict[str, Mapping[str, Any]] = {"proportional_gain": gains}
+        named: dict[str, Mapping[str, Any]] = {"gear_ratio": ratios, "proportional_gain": gains}
         named |= {signal.key: self.side_columns(signal) for signal in SIDE_SIGNALS}
         for key, joints in named.items():
             for joint in joints:

@@ -229,15 +229,16 @@ class Units(optional_keys(Optional)):  # type: ignore[misc]
 
     def _command_factor(self, joint: str, signals: Signals) -> float:
         unit = self.stated(signals.kind, joint)
+        ratio = (signals.gear_ratio or {}).get(joint, 1.0)
         if unit is None:
-            return 1.0
+            return ratio
         if unit not in SHARES:
-            return si_factor(unit, signals.kind)
+            return ratio * si_factor(unit, signals.kind)
         if joint not in self.rated:
             raise Document("units", {}).error(
                 ("rated",), f"joint '{joint}' has no rated {signals.kind}, to which its column is relative; add it"
             )
-        return SHARES[unit] * self.rated[joint]
+        return ratio * SHARES[unit] * self.rated[joint]
 
 
 SPELLINGS = {  # of units by what they measure; without blanks, dots and hyphens
