@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -813,14 +814,22 @@ TURNS = '<joint name="rx" axis="1 0 0"/><joint name="ry" axis="0 1 0"/><joint na
 
 
 @pytest.mark.parametrize("turns", [TURNS, '<joint name="trunk" type="ball"/>'], ids=["hinges", "ball"])
-def test_six_joints_without_motors_are_held_or_refused(turns: str, tmp_path: Path) -> None:
+def test_six_joints_without_motors_are_a_floating_base(turns: str, tmp_path: Path) -> None:
+    def loaded(text: str, base: str | None = None) -> Robot:
+        (tmp_path / "robot.xml").write_text(text)
+        return load_robot(tmp_path / "robot.xml", base=base)
+
+    free = loaded(DRAWN.format(joints="<freejoint/>"), "floating")
     text = DRAWN.format(joints=SLIDES + turns)
-    (tmp_path / "robot.xml").write_text(text)
-    assert load_robot(tmp_path / "robot.xml", base="fixed").actuated == ("a", "b")
-    with pytest.raises(GtauError, match="no motor moves x"):
-        _ = InverseDynamics(load_robot(tmp_path / "robot.xml")).loops
-    (tmp_path / "robot.xml").write_text(text.replace("<actuator>", '<actuator><motor joint="x"/>'))
-    assert "x" in load_robot(tmp_path / "robot.xml").actuated
+    drawn = loaded(text, "floating")
+    assert replace(drawn, name=free.name) == free
+    assert drawn.floating == "trunk"
+    assert drawn.notes[-1].endswith("were taken as the floating base 'trunk', as they have no motor and carry the rest")
+    assert loaded(text, "fixed").actuated == ("a", "b")
+    with pytest.raises(GtauError, match="have no motor and carry the rest, as a base that floats; write 'robot: "):
+        loaded(text)
+    gantry = text.replace("<actuator>", '<actuator><motor joint="x"/>')
+    assert "x" in loaded(gantry).actuated
 
 
 ATTACHED = (

@@ -229,6 +229,23 @@ def float_base(robot: Robot, name: str = "base") -> Robot:
     return floated.with_file(inertias=tuple(stated.items()))
 
 
+def drawn_base(robot: Robot) -> tuple[str, ...]:
+    """Find the three slides and three turns, unactuated and untied, that carry all other joints as a floating base."""
+    before, six = GROUND, list[Joint]()
+    while len(six) < 6:
+        following = [joint for joint in robot.joints if joint.antecedent == before]
+        if len(following) != 1 or following[0].actuated:
+            return ()
+        six.append(following[0])
+        before = following[0].name
+    names = tuple(joint.name for joint in six)
+    ends = {GROUND, *names[:-1]}.intersection(end.body for end in robot.ends)
+    coupled = {name for tie in robot.couplings for name in tie.terms}
+    axes = ([joint.axis for joint in six if joint.kind == kind] for kind in ("prismatic", "revolute"))
+    spanning = all(len(directions) == 3 and np.linalg.matrix_rank(directions) == 3 for directions in axes)
+    return names if spanning and not ends and coupled.isdisjoint(names) else ()
+
+
 def refuse_floating(robot: Robot, what: str) -> None:
     """Refuse a robot with a floating base where ``what`` ("exciting trajectories are") requires a fixed one."""
     if robot.floating:

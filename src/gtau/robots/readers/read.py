@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from difflib import get_close_matches
 from importlib.util import find_spec
@@ -20,10 +21,10 @@ from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
 from gtau.extensions import added, registered
-from gtau.robots.geometry import float_base
-from gtau.robots.parts import hold_joints, select_joints
+from gtau.robots.geometry import drawn_base, float_base
+from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
 from gtau.robots.placement import Placement, Pose, rounded
-from gtau.robots.readers.source import FLOATING, Base, BaseChoice, RobotSource
+from gtau.robots.readers.source import BASE_ADVICE, FLOATING, Base, BaseChoice, RobotSource
 from gtau.robots.robot import Robot
 
 CATALOG = Path(__file__).parents[1] / "catalog"
@@ -62,16 +63,11 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
         source = RobotSource(file=str(source))
     robot = _read(source.file, source)
     with errors_at(source.file):
-        if source.base == FLOATING and not robot.floating:
-            in_use = any(joint.name == "base" for joint in robot.joints)
-            robot = float_base(robot, "floating_base" if in_use else "base")
+        six = drawn_base(robot) if len(robot.joints) > 6 and not robot.floating else ()
+        if source.base == FLOATING:
+            robot = _floating(robot, six)
         elif isinstance(source.base, Base):
-            if robot.base:
-                robot = hold_joints(robot, dict.fromkeys(robot.base, 0.0), "with the base")
-            if source.base.rpy is not None:  # in a world whose gravity points down
-                down = [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
-                x, y, z = map(rounded, Pose(rpy=source.base.rpy).rotation.T @ down)
-                robot = replace(robot, gravity=(x, y, z))
+            robot = _fixed(robot, six or robot.base, source.base)
         if source.joints or source.held:
             robot = select_joints(robot, source.joints, source.held)
         if source.limits:
@@ -81,7 +77,28 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
             robot = replace(robot, joints=tuple(joints))
         if source.gravity is not None:
             robot = replace(robot, gravity=source.gravity)
+        if source.base is None and not robot.floating and len(robot.joints) > 6 and (six := drawn_base(robot)):
+            raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
         return robot
+
+
+def _floating(robot: Robot, six: Sequence[str]) -> Robot:
+    """Let the base float, in place of the ``six`` joints that represent it in the file, if any."""
+    if six:
+        note = f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
+        return float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]).noted(note)
+    in_use = any(joint.name == "base" for joint in robot.joints)
+    return robot if robot.floating else float_base(robot, "floating_base" if in_use else "base")
+
+
+def _fixed(robot: Robot, six: Sequence[str], base: Base) -> Robot:
+    """Fix the base that ``six`` joints represent, if any, and turn it in a world whose gravity points down."""
+    if six:
+        robot = hold_joints(robot, dict.fromkeys(six, 0.0), "with the base")
+    if base.rpy is None:
+        return robot
+    x, y, z = Pose(rpy=base.rpy).rotation.T @ [0.0, 0.0, -float(np.linalg.norm(robot.gravity))]
+    return replace(robot, gravity=(rounded(x), rounded(y), rounded(z)))
 
 
 def _read(source: str | Path, written: RobotSource) -> Robot:
