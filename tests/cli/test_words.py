@@ -43,6 +43,7 @@ def test_sentences_shorten_what_they_quote_and_nothing_else() -> None:
         ("r.urdf", '<robot name="r"><link name="a"/><joint name="&#10;{}" type="odd{}"/></robot>'),
         ("r.yaml", 'robot: r\njoints:\n  "j\\e\\n{}": {{antecedent: ground, theta: "{}"}}\n'),
         ("r.csv", "j,a,mu,sigma,gamma,b,alpha,d,theta,r\n\x1b{},0,1,0,{},0,0,0,q,0\n"),
+        ("r.par", "NL = \x1b{}\nNJ = {}\n"),
     ],
 )
 def test_robot_files_are_echoed_printable_and_short(name: str, content: str, tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_load_robot_accepts_what_people_have(tmp_path: Path) -> None:
         ),
         (
             __file__,
-            "ends in none of .yaml, .urdf, .xacro, .xml (MJCF) or .csv; give it the ending of its format.",
+            "ends in none of .yaml, .urdf, .xacro, .xml (MJCF), .par or .csv; give it the ending of its format.",
         ),
     ],
 )

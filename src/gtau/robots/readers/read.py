@@ -35,7 +35,7 @@ FILES = ("URDF_PATH", "MJCF_PATH")
 ASSIGNED = re.compile(r"^(\w+)(?:: *str)? *= *_?(clone_to_cache|path\.join)\(([^()]*)", re.MULTILINE)
 ARGUMENT = re.compile(r"(?:^|,)\s*(?:(\w+)|[\"']([^\"']*)[\"'])\s*(?=,|$)")  # no keyword
 REPOSITORY = re.compile(r"[\"']([^\"']+)[\"']: *\w+\([^()]*?cache_path *= *[\"']([^\"']+)[\"']")
-ENDINGS = ".yaml, .urdf, .xacro, .xml (MJCF) or .csv"
+ENDINGS = ".yaml, .urdf, .xacro, .xml (MJCF), .par or .csv"
 
 
 def catalog_names() -> tuple[str, ...]:
@@ -56,8 +56,8 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     ``source`` is a name in the catalog, a name in the package robot_descriptions if the file is on disk
     (``panda_description``), or the path of a file, recognised by its ending: a robot file (``.yaml``, ``.yml``), a URDF
     (``.urdf``) with its loops in a YAML file of the same name beside it, or that YAML file, or the folder of both if
-    they are called ``robot``; MJCF (``.xml``, ``.mjcf``), or a table of MDH parameters (``.csv``). A ``RobotSource``
-    also states the pose of the base and which joints move.
+    they are called ``robot``; MJCF (``.xml``, ``.mjcf``), a parameter file of OpenSYMORO (``.par``), or a table of MDH
+    parameters (``.csv``). A ``RobotSource`` also states the pose of the base and which joints move.
     """
     if not isinstance(source, RobotSource):
         source = RobotSource(file=str(source))
@@ -133,6 +133,10 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
                 f"{path} is an SDF file, which is not read; make an MJCF file of it by 'sdf2mjcf {path.name} "
                 f"{path.stem}.xml' of the package sdformat-mjcf, or give a URDF or a robot file."
             )
+        case ".par":
+            from gtau.robots.readers.mdh_table import read_par
+
+            return read_par(path)
         case ".csv":
             from gtau.robots.readers.mdh_table import read_mdh_csv
 
