@@ -19,7 +19,7 @@ from gtau.model.loop_closure import CLOSED, loop_errors
 from gtau.robots.parts import without_idle_pins
 from gtau.robots.readers.native import read_native, write_native
 from gtau.robots.readers.read import read_robot
-from gtau.robots.robot import Attachment, Closure, Joint, Limits, Mdh, Pose, Robot
+from gtau.robots.robot import Attachment, Closure, Coupling, Joint, Limits, Mdh, Pose, Robot
 
 MODELS = ("5bar_linkage", "robot_delta")
 
@@ -367,6 +367,21 @@ def test_mimic_joints_are_coupled(tmp_path: Path, rng: np.random.Generator) -> N
     ratio = np.array([[1.0, 0, 0], [0, 1.0, -2.5]])
     whole = tree_torques(robot, chi, q @ ratio + [0, 0, 0.3], qd @ ratio, qdd @ ratio, Pinocchio)
     assert InverseDynamics(robot).torques(q, qd, qdd, chi) == pytest.approx(whole @ ratio.T, rel=1e-9)
+
+
+@pytest.mark.parametrize("leader", ["joint", "jointName"])
+def test_joints_that_a_plugin_of_gazebo_couples(leader: str, tmp_path: Path) -> None:
+    """Without a <mimic> for them: the joint that follows is 'mimicJoint'."""
+    text = """<robot name="gripper"><link name="palm"/><link name="a"/><link name="b"/>
+      <joint name="one" type="revolute"><parent link="palm"/><child link="a"/><axis xyz="0 0 1"/></joint>
+      <joint name="two" type="revolute"><parent link="palm"/><child link="b"/><axis xyz="0 0 1"/></joint>
+      <gazebo><plugin name="m" filename="libroboticsgroup_gazebo_mimic_joint_plugin.so"><{0}>one</{0}>
+        <mimicJoint>two</mimicJoint><multiplier>-1.5</multiplier></plugin></gazebo></robot>"""
+    (tmp_path / "gripper.urdf").write_text(text.format(leader))
+    robot = load_robot(tmp_path / "gripper.urdf")
+    assert robot.couplings == (Coupling("two", (("one", -1.5),)),)
+    assert robot.actuated == ("one",)
+    assert "joints coupled as a plugin of <gazebo> moves them, without <mimic>: 'two' to 'one'" in robot.notes
 
 
 MIMIC = """<robot name="r"><link name="base"/><link name="a"/><link name="b"/>

@@ -71,6 +71,8 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         joints, frames = _moving(ordered, types)
         couplings = [coupling for edge in ordered if (coupling := _mimic(edge))]
         moving = {joint.name for joint in joints}
+        in_gazebo = _mimics_of_gazebo(root, moving - {tie.joint for tie in couplings})
+        couplings += in_gazebo
         _check_couplings(couplings, moving)
         slaves = {tie.joint for tie in couplings}
         joints = [replace(joint, actuated=joint.name not in slaves) for joint in joints]
@@ -78,6 +80,9 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         notes = [f"empty position limits were ignored: joint {empty}"] if empty else []
         notes += _transmission_notes(root, [joint.name for joint in joints if joint.actuated])
         notes += short_angles_note({edge.name: edge.short for edge in ordered})
+        if in_gazebo:
+            names = some_of([f"'{coupling.joint}' to '{coupling.ratios[0][0]}'" for coupling in in_gazebo], 4)
+            notes.append(f"joints coupled as a plugin of <gazebo> moves them, without <mimic>: {names}")
         return UrdfTree(root.get("name") or path.stem, tuple(joints), tuple(couplings), frames, root, notes)
 
 
@@ -193,9 +198,26 @@ def _mimic(edge: _Edge) -> Coupling | None:
         return None
     what = f"<mimic> of joint '{edge.name}'"
     master = attribute(mimic, "joint", what)
-    (ratio,) = numbers(mimic.get("multiplier", "1"), 1, f"multiplier of {what}")
-    (offset,) = numbers(mimic.get("offset", "0"), 1, f"offset of {what}")
-    return Coupling(edge.name, ((master, ratio),), offset)
+    return _coupling(edge.name, master, mimic.get("multiplier", "1"), mimic.get("offset", "0"), what)
+
+
+def _mimics_of_gazebo(root: Element, free: Collection[str]) -> list[Coupling]:
+    """Read couplings of ``free`` joints from Gazebo plugins: ``mimicJoint`` follows ``joint``."""
+    couplings = {}
+    for plugin in root.iterfind("gazebo/plugin"):
+        follower = (plugin.findtext("mimicJoint") or "").strip()
+        leader = (plugin.findtext("joint") or plugin.findtext("jointName") or "").strip()
+        if leader and follower in free:
+            what = f"<plugin> of mimicJoint '{follower}' (line {line_of(plugin)})"
+            ratio, offset = plugin.findtext("multiplier") or "1", plugin.findtext("offset") or "0"
+            couplings[follower] = _coupling(follower, leader, ratio, offset, what)
+    return list(couplings.values())
+
+
+def _coupling(joint: str, master: str, multiplier: str, offset: str, what: str) -> Coupling:
+    (ratio,) = numbers(multiplier, 1, f"multiplier of {what}")
+    (shift,) = numbers(offset, 1, f"offset of {what}")
+    return Coupling(joint, ((master, ratio),), shift)
 
 
 def _check_couplings(couplings: Sequence[Coupling], moving: Collection[str]) -> None:
