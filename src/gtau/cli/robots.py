@@ -29,7 +29,7 @@ RobotFile = Annotated[
     str | None,
     argument(
         "NAME_OR_FILE",
-        "Catalog name, robot file, URDF, xacro, MJCF or MDH table (.csv). Without it the catalog is listed.",
+        "Catalog name, robot file, URDF, xacro, MJCF, .par or MDH table (.csv). Without it the catalog is listed.",
     ),
 ]
 Base = Annotated[
