@@ -117,15 +117,19 @@ def test_the_posterior_is_generalised_least_squares(columns: list[np.ndarray]) -
     assert spread[0, 0] == pytest.approx(A[0, 0] + variance[0, 0] + 2 * cross, rel=1e-7)
 
 
-def simulated(rng: np.random.Generator, rows: int = 400) -> tuple[MixedModel, np.ndarray]:
-    """Two channels with effects of plausible sizes and correlated noise, and what d should be."""
+def simulated(rng: np.random.Generator, rows: int = 400, alike: float = 0.0) -> tuple[MixedModel, np.ndarray]:
+    """Two channels with effects of plausible sizes and correlated noise, and what d should be.
+
+    Columns of the shared effects that look ``alike`` those of d have no size.
+    """
     truth, columns = rng.standard_normal(FREE), []
-    shared = rng.standard_normal(SHARED)
+    shared = rng.standard_normal(SHARED) * (not alike)
     begins = np.zeros(rows, dtype=bool)
     begins[::100] = True
     for noise in NOISE:
         X = rng.standard_normal((rows, OWN + FREE + SHARED))
         X[:, :OWN] = np.cumsum(X[:, :OWN], axis=0) / 10
+        X[:, -SHARED:] += alike * X[:, OWN : OWN + SHARED]
         u = np.concatenate([rng.standard_normal(OWN), truth, shared])
         e = -X @ u + np.linalg.cholesky(covariance(noise, begins)) @ rng.standard_normal(rows)
         columns.append(lag_products(np.column_stack([X, e]), begins))
@@ -144,6 +148,27 @@ def test_intervals_hold_and_noise_is_found() -> None:
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.15)
     expected = [(noise.std, *noise.partial) for noise in NOISE]
     np.testing.assert_allclose(np.mean(noises, axis=0), expected, atol=0.03)
+
+
+def test_an_effect_that_is_absent_moves_averaged_estimates_less() -> None:
+    rng, errors, z, slopes = np.random.default_rng(2), [], [], np.eye(FREE, FREE + SHARED)
+    for _ in range(40):
+        model, truth = simulated(rng, alike=3.0)
+        fit = fit_mixed(model)
+        value, covariance = fit.averaged(slopes)
+        errors.append((fit.at.common[:FREE] - truth, value - truth))
+        z.append((value - truth) / np.sqrt(np.diag(covariance)))
+    likeliest, averaged = np.sqrt(np.mean(np.square(errors), axis=(0, 2)))
+    assert averaged < 0.9 * likeliest
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.1
+
+
+def test_an_effect_that_is_sure_is_not_averaged_away() -> None:
+    model, _ = simulated(np.random.default_rng(3))
+    fit = fit_mixed(model)
+    value, covariance = fit.averaged(np.eye(FREE, FREE + SHARED))
+    np.testing.assert_allclose(value, fit.at.common[:FREE], atol=2e-3)
+    np.testing.assert_allclose(np.diag(covariance), np.diag(fit.at.covariance)[:FREE], rtol=0.05)
 
 
 def test_the_evidence_for_an_effect_is_what_is_lost_without_it() -> None:

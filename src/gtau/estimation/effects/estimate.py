@@ -76,33 +76,21 @@ def _estimate(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
         model, slopes, origin = linear_at(rows, values, noise)
         mixed = near = fit_mixed(model, near)
         noise = mixed.model.noise
-        unmoved = [np.zeros((len(values), len(model.own_groups)))] * len(rows.products)
-        step, covariance = mixed.at.move(slopes @ np.diag(_scale(mixed)), unmoved)
-        gains, values = values[gain_rows], origin + step
-        moved = values[gain_rows]
-        if np.all(np.abs(moved - gains) <= STAYS * np.abs(gains)):
+        gains, values = values[gain_rows], origin + mixed.at_sizes(mixed.log_s, slopes)[0]
+        if np.all(np.abs(values[gain_rows] - gains) <= STAYS * np.abs(gains)):
             break
+    step, covariance = mixed.averaged(slopes)
+    values = origin + step
     # without effects the model has the delay of the plain fit: a lag stands for a part of it
     delays = fit.system.problem.unknowns.delays
     values = np.concatenate([values[: delays.start], fit.solution.values[delays]])
-    random = _random(mixed, slopes[:, : model.unknowns])
+    _, random, _ = mixed.at_sizes(np.full(len(mixed.log_s), BOUNDS[0] - 10.0), slopes)  # by the noise alone
     if fit.free_gains:
         known = np.diag(covariance)[gain_rows] == 0
         covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * values[gain_rows]) ** 2))
     total, alone = np.diag(covariance), np.diag(random)
     part = np.sqrt(np.divide(total, alone, out=np.ones_like(alone), where=alone > total))  # 1 but for rounding
     return Mixed(rows, mixed, slopes, values, covariance, random * part[:, None] * part)
-
-
-def _scale(mixed: MixedFit) -> np.ndarray:
-    return np.concatenate([np.ones(mixed.model.unknowns), mixed.sizes[mixed.model.shared_groups]])
-
-
-def _random(mixed: MixedFit, slopes: np.ndarray) -> np.ndarray:
-    """Compute the covariance (k, k) that the noise alone gives the values, by their ``slopes`` (k, k)."""
-    alone = posterior(mixed.model, np.full(len(mixed.log_s), BOUNDS[0] - 10.0))
-    k = mixed.model.unknowns
-    return np.asarray(slopes @ alone.covariance[:k, :k] @ slopes.T)
 
 
 def estimated_effects(result: Mixed) -> tuple[EstimatedEffect, ...]:

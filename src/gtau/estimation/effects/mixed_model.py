@@ -24,6 +24,8 @@ import numpy as np
 
 BOUNDS = (-7.0, 4.0)  # of log s: an effect from a thousandth to fifty times its plausible size
 START = -1.2  # of log s: all effects at a third of their plausible sizes
+ABSENT = 0.5  # probability before the data that an effect has no size: docs/evidence/coverage/averaged-sizes.csv
+AROUND = np.arange(-3.0, 3.0)  # of log s: steps about the likeliest size, over which estimates are averaged
 DETERMINED = 1e-9  # share of a column that no other one explains, below which nothing determines it
 ROUNDING = 1e-9  # of the squares of a column, which products of rows without noise may lack
 # Sizes below exp(SMALL) begin once more, at exp(LOW), where that would raise the likelihood by more than WORTH, to
@@ -274,6 +276,33 @@ class MixedFit:
     def sizes(self) -> np.ndarray:
         """Size of each group, in plausible sizes."""
         return np.exp(self.log_s)
+
+    def at_sizes(self, log_s: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """Estimate quantities (f,) by ``slopes`` (f, k + shared) at some sizes, with covariance and lost likelihood."""
+        at = self.at if log_s is self.log_s else posterior(self.model, log_s)
+        scaled = slopes * np.concatenate([np.ones(self.model.unknowns), np.exp(log_s)[self.model.shared_groups]])
+        return scaled @ at.common, scaled @ at.covariance @ scaled.T, at.loss - self.at.loss
+
+    def averaged(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Estimate quantities over the sizes of one effect after the other, each as likely as the data say.
+
+        Before the data an effect is absent with the probability ``ABSENT``; otherwise any log s is as likely.
+        """
+        value, covariance, _ = self.at_sizes(self.log_s, slopes)
+        mean, variance, step = value.copy(), np.diag(covariance), (1 - ABSENT) / np.ptp(BOUNDS)
+        prior = np.array([1 - step * len(AROUND)] + [step] * len(AROUND))
+        spread, factor = np.zeros_like(covariance), np.ones_like(value)  # of the variances, which stay positive
+        for group in np.flatnonzero(self.log_s > BOUNDS[0] + 1):
+            tried = np.tile(self.log_s, (len(prior), 1))
+            tried[:, group] = np.append(BOUNDS[0], self.log_s[group] + AROUND)
+            parts = zip(*(self.at_sizes(log_s, slopes) for log_s in tried), strict=True)
+            values, covariances, lost = map(np.array, parts)
+            weights = prior * np.exp(-lost)
+            mean += np.average(values, 0, weights) - value
+            within = np.average(np.diagonal(covariances, axis1=1, axis2=2), 0, weights)
+            factor *= np.divide(within, variance, out=np.ones_like(value), where=variance > 0)
+            spread += np.cov(values.T, aweights=weights, ddof=0)
+        return mean, covariance * np.sqrt(np.outer(factor, factor)) + spread
 
     def lost_without(self, groups: Sequence[int]) -> float:
         """Compute the log-likelihood that is lost without some groups, the sizes of the others being found again."""
