@@ -15,6 +15,12 @@ from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment
 
 UR10E = [f"{joint}_joint" for joint in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
+UR10E_LOADED = ("02_19_14harm50secLoad", "01_31-load")  # 19 February, 31 January
+UR10E_FREE = {  # unloaded runs beside them
+    "two days": ("02_19_14harm50sec", "01_31-unload"),
+    "free runs of 12 and 5 February": ("02_12-40sec_12harm", "02_05-20sec_8harm"),
+    "free runs of 10 and 6 February": ("02_10-30sec_12harm", "02_06-20sec_10harm"),
+}
 ORTHOGLIDE = ["11", "12", "13"]
 DVRK = ["yaw", "pitch", "insertion"]
 
@@ -30,8 +36,9 @@ class Pair:
 
 def pairs(data: Path) -> Iterator[Pair]:
     """All pairs of the logs in the folder ``data``."""
-    days = [_ur10e(data, *names) for names in (("02_19_14harm50sec", "Load"), ("01_31", "-load", "-unload"))]
-    yield Pair("UR10e, two days", *(day.drive_gains for day in days))
+    for name, free in UR10E_FREE.items():
+        days = [_ur10e(data, *logs) for logs in zip(free, UR10E_LOADED, strict=True)]
+        yield Pair(f"UR10e, {name}", *(day.drive_gains for day in days))
     halves = [_orthoglide(data, (k, k + 2)) for k in (1, 2)]
     yield Pair("Orthoglide, halves of the runs", *(half.drive_gains for half in halves))
     truth = json.loads((data / "orthoglide_sim" / "truth.json").read_text(encoding="utf-8"))["drive_gains"]
@@ -47,11 +54,11 @@ def _identified(text: str) -> Result:
         return identify(read_experiment(path))
 
 
-def _ur10e(data: Path, name: str, loaded: str, unloaded: str = "") -> Result:
+def _ur10e(data: Path, free: str, loaded: str) -> Result:
     logs = data / "ur10e"
     runs = [
-        (logs / f"ur-20_{name}{unloaded}.csv", ""),
-        (logs / f"ur-20_{name}{loaded}.csv", ", payload: {name: disc, mass: 2.805}"),
+        (logs / f"ur-20_{free}.csv", ""),
+        (logs / f"ur-20_{loaded}.csv", ", payload: {name: disc, mass: 2.805}"),
     ]
     currents = ("current", numbered("", UR10E, 14))
     return _identified(experiment_file("ur10e", "'1'", numbered("", UR10E, 2), currents, runs, []))
