@@ -94,9 +94,7 @@ def wrench_contradictions(fit: Fit) -> Iterator[Finding]:
 def base_misfit(fit: Fit) -> dict[str, float]:
     """Compute the unexplained shares (rms) of the forces and moments on a floating base, empty for a fixed one.
 
-    They are shares of everything measured together, wrenches on bodies included; of forces and moments in three
-    directions each, as a single component may be small. Where all are small, they are shares of a third of the model's
-    terms.
+    Three directions count together, as one may be small; all may be, and the shares are then of the model's terms.
     """
     problem, theta = fit.problem, fit.solution.theta
     rows = problem.base
@@ -111,11 +109,7 @@ def base_misfit(fit: Fit) -> dict[str, float]:
 
 
 def unexplained_signals(fit: Fit, wrong: Sequence[Finding]) -> Iterator[Finding]:
-    """Find joints of whose current or torque the model leaves too much unexplained.
-
-    Where gains are given and a wrong value of a payload (``wrong``: findings) leaves a joint unexplained, that is named
-    instead.
-    """
+    """Find joints whose current or torque is unexplained; where gains are given, by which ``wrong`` payload."""
     problem, kind, free = fit.problem, fit.kind, fit.free_gains
     advice = f"check the position and {kind} columns, their signs and units, the clock of the log, and 'preparation'"
     if free and len(problem.known) and not fit.system.payloads:
@@ -164,10 +158,7 @@ def all_negative(fit: Fit, better: Effects, judged: Judged, prior_gains: Mapping
 def refuted_descriptions(
     fit: Fit, better: Effects, judged: Judged, wrong: Sequence[Finding], accuracy: float
 ) -> Iterator[Finding]:
-    """Find descriptions that explain the data ``better``, and move a gain by more than the accuracy.
-
-    Where gains are given they explain more than ``wrong`` values of payloads do.
-    """
+    """Find descriptions that explain the data ``better`` (also than ``wrong`` payloads), and move a gain by enough."""
     least = min((finding.values["remains"] for finding in wrong), default=1.0)
     for part in better:
         for joint, gain in judged.items():
@@ -245,7 +236,6 @@ def unloaded_advice(fit: Fit) -> str:
 def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     """Find base parameters that no body or joint has, against the gain of their joint, or all where it has no motor.
 
-    Gains and parameters are estimated together: friction that drives a joint is what a wrong description looks like.
     A parameter counts where it has a share of a channel's signal, rms.
     """
     dataset, problem = fit.dataset, fit.problem

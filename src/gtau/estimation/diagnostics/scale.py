@@ -136,10 +136,9 @@ def scale_shares(fit: Fit) -> dict[str, np.ndarray]:
 
 
 def scale_uncertainty(system: System, again: Solve) -> np.ndarray:
-    """Compute the covariance of (theta, gains, delays) that the uncertainty of stated constants adds, (k, k).
+    """Compute the covariance (k, k) that uncertain constants add to estimates, which ``again`` finds with others.
 
-    Each is larger and smaller by its standard deviation, and ``again`` says how far the estimates move. The uncertainty
-    of known parameters is in the solution's own covariance.
+    The uncertainty of known parameters is in the solution's own covariance.
     """
     extra = np.zeros((len(system.problem.unknowns),) * 2)
     for *_, std, enlarged in sources(system):
@@ -212,8 +211,8 @@ def contradictory_payload(name: str, joints: tuple[str, ...], given: bool = Fals
 def contradictory_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
     """Find base parameters that differ without their prior by more than the ``accuracy`` (relative) from it.
 
-    Each estimate is a mean of what all else says and the prior, whose weight is its share in the information; a prior
-    that alone sets the scale has the weight 1. A prior on the mass of a floating robot is against all gains.
+    An estimate is a mean of all else and the prior, whose weight is its share in the information: 1 if it sets the
+    scale alone.
     """
     dataset, parameters, base = fit.dataset, fit.problem.parameters, fit.dataset.base.names
     mass = whole_mass(dataset.base, dataset.model.parameter_names) if dataset.robot.floating else ""
@@ -310,11 +309,10 @@ def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Fi
 
 
 def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Finding]:
-    """Estimate each known value of a payload in turn, with given gains or gains from the other constants.
+    """Judge payloads, by name: each known value is estimated in turn, with given gains or from the other constants.
 
-    Where the data contradict several values of a payload, the verdict names the one that leaves least when it alone is
-    freed. The mass of a single payload that sets the scale alone is not tested. Given gains are taken for exact to the
-    ``accuracy`` (relative). Returns verdicts by the names of the payloads that have a value to test.
+    A verdict names the value that leaves least when it alone is freed. The mass of a single payload that sets the scale
+    is not tested. Given gains are taken for exact to the ``accuracy`` (relative).
     """
     if (voltage := contradictory_voltage(fit, accuracy)) is not None:  # which tests no payload
         wrong = [motor for motor in fit.dataset.motors if motor.joint == voltage.subject]

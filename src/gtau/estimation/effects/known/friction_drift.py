@@ -25,9 +25,5 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "let the robot warm up before the runs, or split long runs"
 
 
-EFFECT = Effect(
-    "friction drift",
-    _torques,
-    lambda fit: [EffectColumn(PLAUSIBLE, about="viscous"), EffectColumn(PLAUSIBLE, about="Coulomb")],
-    _say,
-)
+COLUMNS = [EffectColumn(PLAUSIBLE, about="viscous"), EffectColumn(PLAUSIBLE, about="Coulomb")]
+EFFECT = Effect("friction drift", _torques, lambda fit: COLUMNS, _say)

@@ -41,9 +41,5 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "add runs at other speeds, or with other loads, to separate it from other effects"
 
 
-EFFECT = Effect(
-    "load-dependent friction",
-    _torques,
-    lambda fit: [EffectColumn(PLAUSIBLE, "of its load"), EffectColumn(ROTOR, "of its torque")],
-    _say,
-)
+COLUMNS = [EffectColumn(PLAUSIBLE, "of its load"), EffectColumn(ROTOR, "of its torque")]
+EFFECT = Effect("load-dependent friction", _torques, lambda fit: COLUMNS, _say)

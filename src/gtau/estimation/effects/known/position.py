@@ -29,6 +29,5 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     )
 
 
-EFFECT = Effect(
-    "torque of position", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS, _say, function=True
-)
+COLUMNS = [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS
+EFFECT = Effect("torque of position", _torques, lambda fit: COLUMNS, _say, function=True)

@@ -34,10 +34,5 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "add runs at other speeds to separate it from other effects"
 
 
-EFFECT = Effect(
-    "friction of any shape",
-    _torques,
-    lambda fit: [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS,
-    _say,
-    function=True,
-)
+COLUMNS = [EffectColumn(PLAUSIBLE, "of its torque")] * KNOTS
+EFFECT = Effect("friction of any shape", _torques, lambda fit: COLUMNS, _say, function=True)
