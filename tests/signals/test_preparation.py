@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.signals.preparation.choice import choose_preparation
+from gtau.signals.preparation.choice import choose_preparation, moving_spectra
 from gtau.signals.preparation.prepared_run import prepare
 from gtau.signals.run import Run, read_run
 
@@ -133,7 +133,7 @@ def test_ur10e_at_rest_and_one_joint_at_a_time(shared: Path) -> None:
     assert prepared.usable.any(axis=0).tolist() == [False, True, False, False, False, False]
 
 
-def test_rows_end_where_noise_takes_over_within_twice_the_bandwidth() -> None:
+def test_rows_end_where_noise_takes_over() -> None:
     """Twelve bits at 50 Hz: accelerations beyond some 6 Hz are noise, and rows up to 10 Hz bias what they hold."""
     time = np.arange(1500) / 50
     parts = ((0.6, 0.2), (0.2, 1.35), (0.05, 2.15), (0.03, 3.45))
@@ -147,3 +147,15 @@ def test_rows_end_where_noise_takes_over_within_twice_the_bandwidth() -> None:
     assert factors[0] > factors[1]
     chosen = choose_preparation([coarse])
     assert 1.2 * chosen.bandwidth < chosen.decimator.cutoff(50.0) < 2 * chosen.bandwidth
+
+
+def test_rows_end_where_noise_takes_over_although_reversals_cost_samples() -> None:
+    """18 bits at 200 Hz: accelerations are noise from three times the bandwidth on, where rows still reached."""
+    time, rng = np.arange(6000) / 200, np.random.default_rng(1)
+    harmonics, phases = np.arange(1, 16), 2 * np.pi * rng.random((6, 15))
+    parts = np.sin(0.4 * np.pi * np.multiply.outer(time, harmonics)[:, None] + phases)  # (N, 6, 15)
+    path, step = parts @ np.exp(-harmonics / 4), 2 * np.pi / 2**18
+    run = Run("r", tuple("abcdef"), time, np.round(path / step) * step, np.sin(9 * path))
+    chosen, end = choose_preparation([run]), max(spectrum.end for spectrum in moving_spectra(run))
+    assert end > 2 * chosen.bandwidth
+    assert chosen.decimator.cutoff(200.0) < 1.2 * end
