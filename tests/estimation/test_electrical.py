@@ -21,6 +21,7 @@ from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import MotorEquation
 from gtau.estimation.results.conclusions import headline
 from gtau.estimation.results.result import IdentifiedModel
+from gtau.findings import Grade
 from gtau.result import load
 from gtau.robots.robot import Robot
 from gtau.signals.reading.columns import Signals
@@ -110,6 +111,20 @@ def test_voltage_and_payload_together_are_better_than_either() -> None:
     assert "voltages of 2 motors (efficiency of commutation 0.2 %, stated)" in str(both.scale["left"])
     assert sum(both.scale["left"].values()) == pytest.approx(1)
     assert len(both.scale["left"]) == 2
+
+
+def test_an_assumed_efficiency_of_commutation_makes_no_good_gain_just_within_the_accuracy() -> None:
+    """Good where the efficiency is known to 1.5 %, but not where it is assumed."""
+    assumed, known = (
+        identify_subject(
+            Subject(load_robot("five-bar"), [run(1)], Options(accuracy=0.025, drives=dict.fromkeys(JOINTS, drive)))
+        ).drive_gains["left"]
+        for drive in (Drive(convention="dc"), Drive(commutation=0.015))
+    )
+    assert assumed.half_width == known.half_width < 2.5
+    assert assumed.verdict.outcome == Grade.WEAK
+    assert "rests on an assumed efficiency of commutation" in assumed.verdict.finding.what
+    assert known.verdict.outcome == Grade.GOOD
 
 
 @pytest.mark.parametrize("mass", [1.14, 1.2, 1.26])

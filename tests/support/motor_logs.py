@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from gtau.signals.channel import SideValues
 from gtau.signals.run import Run
@@ -17,7 +18,7 @@ class Motors:
 
     ``resistance`` (ohm) grows by ``warming`` along a run; ``convention`` is c; ``dead`` is the voltage that the dead
     time of the bridge takes, a share of ``supply`` (V), which sags by ``sag`` ohm; ``bits`` of the duty; ``rate`` (Hz)
-    of the recorder; ``commutation`` is the torque constant over the back-EMF constant.
+    of the recorder; ``commutation`` is the torque constant over the back-EMF constant; ``seed`` draws the ``noise``.
     """
 
     gains: Sequence[float]
@@ -32,12 +33,14 @@ class Motors:
     commutation: Sequence[float] | float = 1.0
     inductance: float = 1e-3
     noise: float = 0.0
+    seed: int = 0
 
     def logged(self, run: Run, kind: str = "voltage") -> Run:
         """Return the run with voltages, or with ``duty`` and supply voltage, and with ``supply`` currents too."""
-        time, rng = run.time, np.random.default_rng(len(run.time))
+        time, rng = run.time, np.random.default_rng([self.seed, len(run.time)])
         step = float(time[1] - time[0])
-        i, qd = run.command[:, : len(self.gains)], np.gradient(run.position, step, axis=0)
+        # np.gradient would be 0.07 % too slow at 2 Hz and 200 Hz
+        i, qd = run.command[:, : len(self.gains)], CubicSpline(time, run.position)(time, 1)
         ke = np.array(self.gains) / self.commutation
         R = self.resistance * (1 + self.warming * (1 - np.exp(-2 * (time - time[0]) / (time[-1] - time[0]))))
         u = R[:, None] * i + self.inductance * np.gradient(i, step, axis=0) + ke / self.convention * qd

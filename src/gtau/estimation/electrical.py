@@ -6,9 +6,8 @@ the joint, current i, voltage u and speed qd
     u = R i + L di/dt + (g / c) qd + u_0,
 
 c is 1 for a DC motor and the power-invariant q axis, 3/2 for the amplitude-invariant one. Rows are filtered and
-decimated as the equations of motion are, so that filters cancel, and keep samples that rest: friction is not in them.
-What bridges and windings add is estimated beside, in the mixed model of all effects. g then is an equation beside the
-equations of motion (:class:`gtau.estimation.regression.problem.MotorEquation`).
+decimated as the equations of motion are, and keep samples that rest: friction is not in them. What bridges and windings
+add is estimated beside. g then is an equation beside the equations of motion.
 """
 
 from __future__ import annotations
@@ -26,14 +25,13 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding, Grade, percent
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import SIDE_SIGNALS
-from gtau.signals.preparation.filters import Decimator, position_filter
+from gtau.signals.preparation.filters import position_filter
 from gtau.signals.preparation.prepared_run import PreparedRun, valid_samples
 from gtau.signals.reading.column_names import has_word
 from gtau.signals.reading.statements import Drive
 
 CONVENTIONS = {"dc": 1.0, "power": 1.0, "amplitude": 1.5}
-# Relative standard deviation of the torque constant over the back-EMF constant: assumed, the middle of 1 to 2 %, not
-# measured. ``commutation`` under ``drives`` states another; summaries say "assumed" where it is this one.
+# Relative standard deviation of the torque constant over the back-EMF constant: assumed, not measured (1 to 2 %).
 COMMUTATION = 0.015
 FEWEST = 50  # rows of a joint
 WIDTHS = 0.05, 0.3  # of the change of the sign of a current, in its standard deviation: ripple, and dead time
@@ -61,17 +59,15 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
         notes.append(Finding("voltage", (joint,), text=text, advice=advice, grade=Grade.INFORMATION))
 
     for joint in dataset.robot.motors:
-        rows, drive = [], drives.get(joint)
-        for prepared in dataset.prepared:
-            decimator = dataset.preparation.at(prepared.run.rate).decimator
-            if (part := _rows(prepared, decimator, joint, drive)) is not None:
-                rows.append(part)
+        drive = drives.get(joint) or Drive(convention="dc")
+        parts = (_rows(prepared, joint, drive) for prepared in dataset.prepared)
+        rows = [part for part in parts if part is not None]
         signals = dataset.runs[0].log.signals
         if signals is not None and has_word(signals.command.get(joint, ""), NO_CURRENT):
             text = f"the current of '{joint}' is a voltage or duty: its gain is the torque constant over the resistance"
             note(joint, f"{text}, and its viscous friction contains the back-EMF", "log the current, too")
-        logged = (run.side[key] for run in dataset.runs for key in ("voltage", "duty") if key in run.side)
-        if not any(joint in values.by_joint for values in logged):
+        logged = [run.side[key].by_joint for run in dataset.runs for key in ("voltage", "duty") if key in run.side]
+        if not any(joint in columns for columns in logged):
             continue
         if sum(part.shape[1] for part in rows) < FEWEST:
             text = f"the duty of '{joint}' gives no gain: neither its supply voltage nor its resistance is known"
@@ -90,21 +86,20 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
     return replace(dataset, motors=tuple(equations), remarks=tuple(notes))
 
 
-def _rows(prepared: PreparedRun, decimator: Decimator, joint: str, drive: Drive | None) -> np.ndarray | None:
+def _rows(prepared: PreparedRun, joint: str, drive: Drive) -> np.ndarray | None:
     """Filter and decimate the rows of a joint, (10, K); None where it rests, or its voltage was not logged.
 
-    They are y, x with its rate, speed, acceleration, the columns of the offset and of two signs of the current, the
-    place along the run, 0 to 1, and whether a row begins a stretch without gaps. y are voltages and x currents, or R i
-    and duties where R is stated and the supply voltage unknown. A supply's current is the motor's times the duty, and
-    so are all rows then.
+    They are y, x with its rate, speed, acceleration, columns of the offset and of two signs of the current, the place
+    along the run, 0 to 1, and where a stretch without gaps begins. y are voltages and x currents, or R i and duties
+    where R is stated and the supply voltage unknown; all are times the duty where a supply's current is logged.
     """
-    run, kept = prepared.run, prepared.kept
+    run, kept, decimator = prepared.run, prepared.kept, prepared.preparation.decimator
     j = run.joints.index(joint)
     logged = {key: values.si(joint, run.time) for key, values in run.side.items() if joint in values.by_joint}
     u, duty, i = logged.get("voltage"), logged.get("duty"), run.command[:, j]
     if u is None and duty is not None and "supply_voltage" in logged:
         u = duty * logged["supply_voltage"]
-    resistance = drive.resistance if drive else None
+    resistance = drive.resistance
     if (u is None and (duty is None or resistance is None)) or not prepared.moves[j]:
         return None
     signals = run.log.signals
@@ -122,13 +117,14 @@ def _rows(prepared: PreparedRun, decimator: Decimator, joint: str, drive: Drive 
     return np.vstack([decimator.apply(columns)[:, used], along, begins])
 
 
-def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> MotorEquation:
+def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive) -> MotorEquation:
     """Fit ``[ke, R, offset]`` of a joint, with what bridge and winding add as effects of unknown size.
 
     Where R is stated, the supply voltage U is in its place: ``R i = U duty - (ke / c) qd - u_0``.
     """
+    from scipy.linalg import block_diag
+
     y, x, x_d, qd, qdd, w, sharp, gradual, _, begins = np.hstack(parts)
-    drive = drive or Drive(convention="dc")
     stated = drive.resistance
     c = CONVENTIONS[drive.convention] * (1.0 if stated is None else -1.0)
     A = np.column_stack([qd / c, x, w])
@@ -139,7 +135,8 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> M
     left = y - A @ values
     level, noise = float(np.std(y)), float(np.std(left)) or 1e-9
     size = float(np.sqrt(np.mean(x**2))) or 1.0
-    along_runs, supplied, bent = _hats(parts), np.ptp(w) > 0, x * np.abs(x) / size
+    knots, supplied, bent = np.linspace(0.0, 1.0, KNOTS)[:, None], np.ptp(w) > 0, x * np.abs(x) / size
+    along_runs = block_diag(*(hats(part[8][:, None], knots)[:, 0].T for part in parts))
     bridge = DEAD * level * np.column_stack([sharp, gradual])
     effects = [
         bridge,
@@ -168,14 +165,6 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive | None) -> M
     explained = 1 - float(np.var(rest) / max(np.var(y), 1e-300))
     commutation, known = drive.commutation or COMMUTATION, drive.commutation is not None
     return MotorEquation(joint, float(ke), float(R), covariance, commutation, known, explained)
-
-
-def _hats(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """Build hat functions (K, runs KNOTS) along each run."""
-    from scipy.linalg import block_diag
-
-    knots = np.linspace(0.0, 1.0, KNOTS)
-    return block_diag(*(hats(part[8][:, None], knots[:, None])[:, 0].T for part in parts))
 
 
 def motor_estimates(dataset: Dataset, estimates: Estimates) -> dict[Parameter, Estimate]:

@@ -37,6 +37,7 @@ Effects = Sequence[EstimatedEffect]
 
 LOST_GAIN = 0.5  # relative random standard deviation of a gain
 NAMED_SHARE = 0.5  # share of the model part in a gain's variance from which its cause is named
+ASSUMED = 4 / 3  # how much worse an assumed efficiency of commutation, 1.5 % where 1 to 2 % are common, may be
 IMPOSSIBLE_SHARE = 0.02  # share of a joint's rms torque with an impossible sign, below which an effect explains it
 OTHER_SCALE = 0.2  # other scale of one joint's torques, beyond three standard deviations, that contradicts them
 
@@ -263,21 +264,24 @@ def wide_gains(fit: Fit, effects: Effects, estimates: Estimates, judged: Judged,
     """Find gains whose intervals are wider than the accuracy, with the largest contribution to each."""
     sized, interval = [effect for effect in effects if effect.std], "the 95 % interval is {own}"
     for joint, gain in judged.items():
-        if gain.half <= accuracy:
-            continue
         causes: tuple[str, ...] = ()
         row = estimates.unknowns.places[Parameter("gain", joint)]
         random, scale, model = (part[row, row] for part in (estimates.random, estimates.scale, estimates.model))
+        assumed = _by_commutation(fit, estimates, row) / max(random + model, 1e-300)
+        if gain.half * np.sqrt(1 + assumed * (ASSUMED**2 - 1)) <= accuracy:
+            continue
         most = max(sized, key=lambda effect: abs(effect.moves[joint] * effect.std / effect.size), default=None)
         kind, text, advice = WIDE_RANDOM, interval, unloaded_advice(fit)
         if scale > NAMED_SHARE * (random + model):
-            kind = WIDE_SCALE
-            text = f"{interval}, limited by the uncertainty of the scale reference"
+            kind, text = WIDE_SCALE, f"{interval}, limited by the uncertainty of the scale reference"
             advice = "calibrate the sensors, or weigh the payload, more accurately"
             if fit.dataset.scaled_by_file:
                 stated = fit.dataset.prior_inertias or 0.0
                 text += f": the inertias of the robot's file, to {100 * stated:.3g} % (standard deviation)"
                 advice = "carry a payload of known mass in some runs"
+        elif gain.half <= accuracy or assumed > NAMED_SHARE:
+            kind, text = WIDE_SCALE, f"{interval}, and rests on an assumed efficiency of commutation"
+            advice = "state 'commutation' under 'drives', or carry a payload of known mass in some runs"
         elif model >= NAMED_SHARE * (random + model) and most is not None:
             kind, causes = "wide by an effect", (most.cause.kind,)
             text = f"{interval}, because the data cannot exclude {most.subject}"
@@ -289,3 +293,11 @@ def wide_gains(fit: Fit, effects: Effects, estimates: Estimates, judged: Judged,
             )
         width = f"+-{percent_text(100 * gain.half, 100 * accuracy)} %"
         yield Finding(kind, (joint,), causes=causes, text=text, own=width, advice=advice, grade=Grade.WEAK)
+
+
+def _by_commutation(fit: Fit, estimates: Estimates, row: int) -> float:
+    """Compute the part of a gain's variance that follows from assumed efficiencies of commutation."""
+    motors = [motor for motor in fit.dataset.motors if not motor.stated]
+    at = [estimates.unknowns.places[Parameter("gain", motor.joint)] for motor in motors]
+    slopes = [motor.commutation * motor.ke / motor.std**2 for motor in motors]
+    return float(np.sum((estimates.covariance[row, at] * slopes) ** 2))
