@@ -139,6 +139,17 @@ def test_a_payload_stated_wrong_by_five_per_cent_is_found(mass: float) -> None:
     assert f"the payload {4 * mass / 1.2:.3g}" in headline(result)
 
 
+def test_iron_that_saturates_makes_no_payload_wrong() -> None:
+    """Currents of a payload grow with those beside it, as if it were heavier than the voltages say."""
+    runs = []
+    for seed, mass in ((1, None), (2, 1.2)):
+        plain = Plant(noise=0.01).run(f"run {seed}", 16.0, STEEL if mass else None, seed)
+        saturated = replace(plain, command=plain.command * (1 + 0.02 * np.abs(plain.command)))
+        payload = Payload(name="steel", mass=mass) if mass else None
+        runs.append(replace(MOTORS.logged(saturated, "duty"), payload=payload))
+    assert stated(runs, 0.002).believable
+
+
 def test_one_voltage_that_contradicts_all_else_is_named() -> None:
     """The voltages of one motor count between two lines: its gain would be 1.7 times as large."""
     runs = [run(1), run(2, mass=1.2)]

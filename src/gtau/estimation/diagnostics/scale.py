@@ -26,6 +26,7 @@ from gtau.estimation.diagnostics.verdict import (
     motors,
     unexplained_shares,
 )
+from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.effects.rows import weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve
 from gtau.estimation.estimators.newton import solve
@@ -337,8 +338,9 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     other = refitted(fit, [changed if load and load.name == payload.name else load for load in stated], method=method)
     if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # without this value nothing gives the scale, or it cannot be separated from what is not declared
-    problem = other.problem
-    theta = other.solution.theta
+    if fit.dataset.motors and (mixed := estimate_effects(other)) is not None:  # iron that saturates adds to a payload
+        other = mixed.applied(other)
+    problem, theta = other.problem, other.solution.theta
     stds = np.sqrt(np.diag(other.solution.jackknife))
     columns = [
         problem.unknowns.places[label]
@@ -367,7 +369,8 @@ def _contradicted(fit: Fit, other: Fit, payload: Payload, kind: str, value: floa
     if kind == "m":
         wrong = PAYLOAD_MASS
         text = f"all other data give it a mass of {value:.4g} kg (standard deviation {std:.2g}), not {declared:.4g} kg"
-        text += _against_voltages(fit, other)
+        if fit.dataset.motors and fit.free_gains:
+            text += _against_voltages(fit, other, declared / value)
         advice = "reweigh the payloads: a mass is wrong, or a run carries a payload other than declared"
         advice += ", or 'convention' of drives is wrong" * bool(fit.dataset.motors)
         if not fit.free_gains:
@@ -393,15 +396,12 @@ def _contradicted(fit: Fit, other: Fit, payload: Payload, kind: str, value: floa
     return contradiction(wrong, joints, text, advice, payload.name, values=values, size=size, shown_as="model")
 
 
-def _against_voltages(fit: Fit, freed: Fit) -> str:
-    """Continue a sentence with a gain by voltages, a payload ``freed``, and by the payload; empty without voltages."""
-    motors = fit.dataset.motors
-    alone = _without_voltages(fit, motors) if motors and fit.free_gains else None
-    if alone is None:
-        return ""
-    joint = min(motors, key=lambda motor: motor.std / abs(motor.ke)).joint
-    k, unit = fit.problem.joints.index(joint), gain_unit(fit.dataset.robot, joint, "current")
-    return f": the voltages say {freed.gains[k]:.3g} {unit} at '{joint}', the payload {alone.gains[k]:.3g} {unit}"
+def _against_voltages(fit: Fit, freed: Fit, ratio: float) -> str:
+    """Continue a sentence with a gain by voltages, and ``ratio`` times it, by the payload."""
+    joint = min(fit.dataset.motors, key=lambda motor: motor.std / abs(motor.ke)).joint
+    gain = float(freed.gains[fit.problem.joints.index(joint)])
+    unit = gain_unit(fit.dataset.robot, joint, "current")
+    return f": the voltages say {gain:.3g} {unit} at '{joint}', the payload {gain * ratio:.3g} {unit}"
 
 
 def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:
