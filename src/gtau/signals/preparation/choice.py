@@ -80,9 +80,8 @@ def _decimated(
     if factor is None and kind == "chebyshev":
         factor = filters.decimation_factor(rate, bandwidth)
     elif factor is None:
-        # Accelerations beyond the signal are noise. Six joints with 12 bits at 50 Hz (signal up to 6 Hz): rows up to 10
-        # Hz give a gain 2.5 % off the others, up to 6.7 Hz 0.3 %. Ten UR10e with 18 bits at 200 Hz (8.5 Hz): squares of
-        # z of gains are 2.8 with rows up to 27 Hz, 0.8 up to 8.9 Hz.
+        # Accelerations beyond the signal are noise. 12 bits at 50 Hz (signal to 6 Hz): rows to 10 Hz put a gain 2.5 %
+        # off. Ten UR10e, 18 bits at 200 Hz (to 8.5 Hz): squares of z are 2.8 with rows to 27 Hz, 0.8 to 8.9 Hz.
         end = max(spectrum.end for joints in run_spectra for spectrum in joints if spectrum.moves)
         given = runs[0].log.settings.bandwidth is not None
         least, most = (filters.decimation_factor(rate, f, LARGEST_FACTOR) for f in (end / 2, bandwidth))
