@@ -116,6 +116,14 @@ def test_an_undeclared_load_of_a_validation_run_is_named(
     assert (high - low) / 2 < 0.1
 
 
+def test_a_validation_run_too_short_to_name_a_load_is_predicted_all_the_same(model: Result) -> None:
+    run = Plant(noise=0.01).run("check", payload=LEAD, seed=7)
+    short = Run("short", run.joints, run.time[:200], run.position[:200], run.command[:200])
+    errors = model.validate(short)
+    assert max(error.rms for error in errors) > 2 * max(error.rms for error in model.residuals)
+    assert undeclared_load(model, short, errors, silent) is None
+
+
 def with_prior_gains(model: Result, folder: Path, left: object, right: object) -> Estimate:
     gains = f"{{left: {left}, right: {right}}}".replace("'", "")
     return weighed(model, folder, (HEAD + UNKNOWN).replace("{left: 2.5, right: 4.0}", gains), "prior").parameters["m"]

@@ -267,7 +267,10 @@ def undeclared_load(
         return None
     solve = partial(wls, gains=model.gains)
     dataset = replace(_reduced(model, [run], progress), reference=reference_of(model))
-    load = other_loads(fit_by(solve, select_friction(dataset, solve, progress), free_gains=False))
+    try:
+        load = other_loads(fit_by(solve, select_friction(dataset, solve, progress), free_gains=False))
+    except GtauError:  # too few usable samples; the prediction holds without
+        return None
     if load is None:
         return None
     return Finding(
