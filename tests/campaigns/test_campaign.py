@@ -427,7 +427,9 @@ def test_a_campaign_that_cannot_begin_leaves_nothing(
 def test_what_a_robots_file_lacks_is_to_be_stated_in_the_design_file_that_was_begun(tmp_path: Path) -> None:
     (tmp_path / "arm.xml").write_text(ARM.format(wall=2))
     for given in ({"robot": tmp_path / "arm.xml", "payload": 2.0}, {}):
-        with pytest.raises(GtauError, match=r"camp/design\.yaml: joint 'a' has no velocity limit; add it under limits"):
+        with pytest.raises(
+            GtauError, match=r"camp/design\.yaml: the robot's file has no velocity limit of a, b; add 'limits"
+        ):
             campaign(tmp_path / "camp", **given)
 
 

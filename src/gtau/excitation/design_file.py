@@ -292,8 +292,9 @@ def _limits(entry: LimitsEntry, robot: Robot) -> MotionLimits:
         np.array([getattr(limit, key) or np.inf for limit in limits]) for key in ("velocity", "acceleration", "effort")
     )
     if np.isinf(velocity).any():
-        name = robot.actuated[int(np.argmax(np.isinf(velocity)))]
-        raise GtauError(f"joint '{name}' has no velocity limit; add it under limits.velocity.")
+        lacking = [name for name, most in zip(robot.actuated, velocity, strict=True) if np.isinf(most)]
+        form = f"limits: {{velocity: {{{some_of([f'{name}: ...' for name in lacking], 8)}}}}}"
+        raise GtauError(f"the robot's file has no velocity limit of {some_of(lacking, 8)}; add '{form}', rad/s or m/s.")
     current, jerk = (
         np.array([stated.get(name, np.inf) for name in robot.actuated]) for stated in (entry.current, entry.jerk)
     )

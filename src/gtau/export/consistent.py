@@ -56,7 +56,7 @@ def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
     if consistency is None:
         raise GtauError(
             f"an export to {target} needs the parameters of every body, but the model has base parameters alone; "
-            "identify it with --consistent."
+            "identify it with --consistent (in Python consistent=True)."
         )
     values, straight = dict(consistency.standard), []
     terms = {name: term.value or 0.0 for name, term in result.friction_parameters.items()}

@@ -58,6 +58,7 @@ def summary_page(result: IdentifiedModel) -> Page:
     doubts = [*map(_in_short, reasons(result)), *map(str, _urgent(result)), *corrections(result.audit)]
     more = f"{len(doubts) - MOST} more findings, all" if len(doubts) > MOST + 1 else "All"
     cost = "" if result.consistency is None else _growth(*result.consistency.loss.values())
+    cost += "; no rigid bodies have such parameters: check payloads and priors" if cost.endswith("times") else ""
     return Page(
         "",
         Section("", Text(headline(result))),
@@ -302,7 +303,8 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
 def _growth(*losses: float) -> str:
     """Describe the growth of torque residuals, of several joints together, by losses in per cent."""
     loss = 100 * (np.sqrt(np.mean([(1 + loss / 100) ** 2 for loss in losses])) - 1)
-    return "do not grow" if loss < VISIBLE else f"grow by {loss:.2g} %"
+    growth = f"by {loss:.2g} %" if loss < 100 else f"{1 + loss / 100:.1f} times"
+    return "do not grow" if loss < VISIBLE else f"grow {growth}"
 
 
 def write_identification(
