@@ -6,7 +6,24 @@ import lazy_loader
 
 __version__ = "0.1.0"
 # imports a name of __init__.pyi when it is first used, so that ``import gtau`` stays light
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_first_used, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_CALLS = dict.fromkeys(("load_urdf", "buildModelFromUrdf"), "gtau.load_robot('arm.urdf')") | {
+    "rnea": "gtau.InverseDynamics(robot).torques(q, qd, qdd, parameters)",
+    "computeJointTorqueRegressor": "gtau.InverseDynamics(robot).regressor(q, qd, qdd)",
+    "read_log": "gtau.read_run(log, signals)",
+    "predict": "result.predict(run)",
+    "validate": "result.validate(run)",
+    "payload": "gtau.weigh(result, robot, runs)",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _CALLS:
+        from gtau.errors import OtherSpelling
+
+        raise OtherSpelling(f"gtau has no '{name}'; did you mean {_CALLS[name]}?")
+    return _first_used(name)
+
 
 if (_ipython := sys.modules.get("IPython")) and (_shell := _ipython.get_ipython()):
     from gtau.ipython import register as _register

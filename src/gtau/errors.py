@@ -78,7 +78,8 @@ def spelled(**calls: str) -> Callable[[Class], Class]:
     def decorate(owner: Class) -> Class:
         def refuse(self: Any, name: str) -> Any:
             if name in calls:
-                raise OtherSpelling(f"a {owner.__name__} has no '{name}'; did you mean {calls[name]}?")
+                kind = f"{'an' if owner.__name__[0] in 'AEIOU' else 'a'} {owner.__name__}"
+                raise OtherSpelling(f"{kind} has no '{name}'; did you mean {calls[name]}?")
             return object.__getattribute__(self, name)  # for its own error, also that of a property
 
         owner.__getattr__ = refuse  # type: ignore[attr-defined]

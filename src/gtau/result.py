@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gtau.documents.validation import FUNCTION, MASSES, NUMBER, PATH, TEXT, TRUTH, takes
-from gtau.errors import GtauError, UnknownName
+from gtau.errors import GtauError, UnknownName, spelled
 from gtau.estimation import check_logs
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.compare import compare as compare_estimators
@@ -39,6 +39,12 @@ if TYPE_CHECKING:
 OF_ALL = {"progress": FUNCTION, "prior_inertias": NUMBER, "robot": PATH, "payload": MASSES}
 
 
+@spelled(
+    **dict.fromkeys(("rnea", "rne"), "result.torques(q, qd, qdd)"),
+    **dict.fromkeys(("crba", "mass_matrix"), "result.inertia(q)"),
+    gravload="result.gravity(q)",
+    joints="result.robot.actuated",
+)
 class Result(IdentifiedModel):
     """An identified model, with what is done with it: predict, validate, plot, report, save."""
 
@@ -363,6 +369,8 @@ def _described(
     if not isinstance(source, (list, tuple)):
         if robot or payload:
             raise GtauError("'robot' and 'payload' go with logs; give their paths, ['empty.csv', 'loaded.csv'].")
+        if isinstance(source, str) and isinstance(runs, (list, tuple)) and isinstance(next(iter(runs), None), str):
+            raise GtauError(f"logs are runs themselves; did you mean gtau.{call}(logs, robot={source!r})?")
         return source
     if any(isinstance(run, Run) for run in source):
         raise GtauError(f"runs go with their robot; did you mean gtau.{call}(gtau.load_robot(...), runs)?")

@@ -74,7 +74,7 @@ class Stopped(GtauError):
 
 
 @takes(
-    task=("what gtau.read_design returns first", (DesignProblem,)),
+    task=("gtau.read_design(...)[0]", (DesignProblem,)),
     criterion=TEXT,
     starts=WHOLE,
     seed=WHOLE,

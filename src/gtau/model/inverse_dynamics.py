@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.documents.validation import TEXT, takes
-from gtau.errors import GtauError, UnknownName
+from gtau.errors import GtauError, UnknownName, spelled
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.kinematics import Coordinates
 from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, displaced, follow, numbers
@@ -109,6 +109,10 @@ def one_or_many(compute: Callable[P, np.ndarray]) -> Callable[P, np.ndarray]:
     return computed
 
 
+@spelled(
+    **dict.fromkeys(("rnea", "rne", "gravity", "gravload"), "idm.torques(q, qd, qdd, parameters)"),
+    computeJointTorqueRegressor="idm.regressor(q, qd, qdd)",
+)
 class InverseDynamics:
     """``tau_idm = IDM_st(q, qd, qdd) chi_st`` of a serial, tree or parallel robot.
 

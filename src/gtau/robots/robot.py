@@ -174,7 +174,13 @@ class RobotFile:
     rounding: Digits | None = field(default=None, compare=False)
 
 
-@spelled(plot="gtau.plot(robot)")
+@spelled(
+    plot="gtau.plot(robot)",
+    **dict.fromkeys(("rnea", "rne", "gravload"), "gtau.InverseDynamics(robot).torques(q, qd, qdd, parameters)"),
+    regressor="gtau.InverseDynamics(robot).regressor(q, qd, qdd)",
+    **dict.fromkeys(("n", "nq", "nv"), "len(robot.actuated)"),
+    joint_names="robot.actuated",
+)
 @dataclass(frozen=True, repr=False)
 class Robot:
     """A spanning tree of joints, platforms and closures, and springs between its bodies.
