@@ -146,7 +146,10 @@ class Simulation(Keys):
     @model_validator(mode="after")
     def _model_or_parameters(self) -> Simulation:
         if self.model is None and not self.parameters:
-            raise ValueError("the robot has no parameters; give 'parameters', or a 'model' of 'gtau identify'")
+            raise ValueError(
+                "the robot has no parameters; give 'parameters' (a URDF's: gtau.load_robot('arm.urdf').inertias), or a "
+                "'model' of 'gtau identify'"
+            )
         if self.model is not None and (self.parameters or self.curves):
             raise ValueError(
                 "'model' states all parameters and friction; remove 'parameters' and 'curves', or the model"
