@@ -351,6 +351,15 @@ def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["simulation.yaml"]
 
 
+def test_bodies_that_cannot_be_are_refused_before_they_move(tmp_path):
+    bodies = {"m_left": 1.0, "zz_left": 0.03, "m_right": 1.0, "zz_right": 0.03, "m_right_forearm": 0.5}
+    lever = {"mx_right_forearm": 0.7, "zz_right_forearm": 0.021}  # beyond what 0.5 kg can have
+    drives, runs = {"left": {"gain": 2.7}, "right": {"gain": 3.8}}, [{"name": "a", "trajectory": {"sines": {}}}]
+    described = {"robot": "five-bar", "parameters": bodies | lever, "drives": drives, "rate": 250, "runs": runs}
+    with pytest.raises(GtauError, match=r"run 'a': the inertia matrix is not positive definite along the motion"):
+        simulate(described, tmp_path)
+
+
 def test_passive_joints_keep_to_their_limits_too(tmp_path):
     narrow = native_text(load_robot("orthoglide")).replace("31: {", "31: {limits: {position: [-0.1, 0.1]}, ", 1)
     (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")

@@ -261,6 +261,11 @@ def make_run(
     for row, joint in enumerate(model.robot.joints):  # passive joints too
         check_positions(c[row], joint, f"run '{described.name}'")
     inertia = np.stack([plant.mass_matrix(pose) for pose in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
+    if np.linalg.eigvalsh(inertia + inertia.transpose(0, 2, 1)).min() <= 0:
+        raise GtauError(
+            f"run '{described.name}': the inertia matrix is not positive definite along the motion, so the masses and "
+            "inertias are of no rigid bodies; 'gtau robot ROBOT --verbose' lists those that have an effect."
+        )
     controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
     simulated = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
