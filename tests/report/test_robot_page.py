@@ -124,7 +124,7 @@ def test_what_takes_long_is_said() -> None:
 @pytest.mark.parametrize("name", catalog_names())
 def test_nothing_is_odd_in_the_catalog(name: str) -> None:
     robot = load_robot(name)
-    assert oddities(robot) == tool_note(robot) == ()
+    assert tuple(oddities(robot)) == tool_note(robot) == ()
 
 
 # Oddities
@@ -159,7 +159,7 @@ def test_what_is_hardly_meant_is_noted(robot: Robot, note: str) -> None:
     ],
 )
 def test_what_may_well_be_meant_is_not_noted(robot: Robot) -> None:
-    assert oddities(robot) == ()
+    assert tuple(oddities(robot)) == ()
 
 
 def test_identification_says_what_is_odd_in_the_robot() -> None:

@@ -235,6 +235,12 @@ class EstimatedEffect:
 # Levels of a fit's joints, (n,) each, by which the columns of effects are scaled
 
 
+def encoders(fit: Fit) -> dict[str, int]:
+    """List the actuated joints with encoders, all but the joints of a floating base, with their places."""
+    actuated = fit.dataset.model.actuated
+    return {joint: place for place, joint in enumerate(actuated) if joint not in fit.dataset.robot.base}
+
+
 def plain_friction(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Return viscous coefficients and Coulomb torques of the actuated joints; 0 where they are not estimated."""
     estimates = zip(fit.system.problem.parameters, fit.solution.theta, strict=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words, encoders
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.5  # degrees or mm: experience; xMate7 Pro: joint 2 +1.05 +- 0.15 deg against its file
@@ -12,18 +12,19 @@ LARGEST = {"deg": 12.0, "mm": 100.0}  # a Sawyer's zero off by 5.73 degrees is f
 SI = {"deg": np.pi / 180, "mm": 1e-3}
 
 
-def _units(fit: Fit) -> list[str]:
-    return ["deg" if fit.dataset.robot.joint(joint).turns else "mm" for joint in fit.dataset.model.actuated]
-
-
 def _torques(at: FitWindow) -> Torques:
-    window, steps = at.window, np.diag([STEP * SI[unit] for unit in _units(at.fit)])
+    window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
+    steps = [STEP * SI[_unit(at.fit, joint)] * joints[place] for joint, place in encoders(at.fit).items()]
     return at.with_positions((window.q + step, window.qd, window.qdd) for step in steps)
 
 
+def _unit(fit: Fit, joint: str) -> str:
+    return "deg" if fit.dataset.robot.joint(joint).turns else "mm"
+
+
 def _columns(fit: Fit) -> list[EffectColumn]:
-    joints = zip(fit.dataset.model.actuated, _units(fit), strict=True)
-    return [EffectColumn(PLAUSIBLE, unit, joint, largest=LARGEST[unit]) for joint, unit in joints]
+    units = ((joint, _unit(fit, joint)) for joint in encoders(fit))
+    return [EffectColumn(PLAUSIBLE, unit, joint, largest=LARGEST[unit]) for joint, unit in units]
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:

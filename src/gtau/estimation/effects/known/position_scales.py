@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words, encoders
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 1.0  # per cent: 5 widened the intervals of an AIRBOT Play, whose positions are noisy, by 60 %
@@ -14,12 +14,12 @@ PER_CENT = 1e-2
 
 def _torques(at: FitWindow) -> Torques:
     window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
-    factors = 1 + STEP * PER_CENT * joints
+    factors = 1 + STEP * PER_CENT * joints[list(encoders(at.fit).values())]
     return at.with_positions((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
-    return [EffectColumn(PLAUSIBLE, "%", joint, largest=LARGEST) for joint in fit.dataset.model.actuated]
+    return [EffectColumn(PLAUSIBLE, "%", joint, largest=LARGEST) for joint in encoders(fit)]
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
