@@ -14,7 +14,7 @@ import polars as pl
 
 import gtau
 from gtau.excitation.forecast import forecast
-from gtau.report.design import write_trajectories
+from gtau.report.design import write_trajectory
 
 # %%
 # Two runs of one motion, without and with a disc, 0.3 m along the forearm; the parameters may come from CAD.
@@ -39,7 +39,7 @@ prior:
 task, assumed = gtau.read_design(folder / "design.yaml")
 design = gtau.excite(task, starts=1)
 expected = forecast(task, design.x)
-(path,) = write_trajectories(design, folder)
+path = write_trajectory(design, folder)
 
 # %%
 # Simulate the robot with other gains than the design knew, and identify.

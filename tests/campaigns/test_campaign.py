@@ -35,7 +35,7 @@ from gtau.estimation.effects.known.friction_drift import EFFECT as FRICTION_DRIF
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import make_task, read_design
-from gtau.excitation.forecast import sampled_motions
+from gtau.excitation.forecast import sampled_run
 from gtau.excitation.nlp import Programme, random_start
 from gtau.excitation.prior import KnownGain
 from gtau.excitation.task import DesignProblem
@@ -433,14 +433,6 @@ def test_what_a_robots_file_lacks_is_to_be_stated_in_the_design_file_that_was_be
             campaign(tmp_path / "camp", **given)
 
 
-def test_runs_with_motions_of_their_own_are_refused_before_the_search(tmp_path: Path) -> None:
-    (tmp_path / "design.yaml").write_text(f"{DESIGN}motions: each run\n")
-    with pytest.raises(
-        GtauError, match=r"design\.yaml, line 6, motions: all runs of a round follow one motion; remove"
-    ):
-        campaign(tmp_path)
-
-
 def test_a_round_that_was_not_played_cannot_be_set_aside(copied: Path) -> None:
     """It would be designed at every call, and its logs never used."""
     (copied / "01" / "set-aside.txt").write_text("not yet\n")
@@ -576,7 +568,7 @@ def test_a_motion_that_was_played_is_always_there(tmp_path: Path) -> None:
     heavy = replace(task, prior=replace(prior, known=known, chi=4 * prior.chi, cautious=4 * prior.cautious))
     assert max(usage.excess for usage in check(heavy, x)) > 1.5  # and so do all others
     refusal = GtauError("no motion within the limits was found")
-    ((time_of, joints),) = sampled_motions(task, x)
+    time_of, joints = sampled_run(task, x)
     (tmp_path / "01").mkdir()
     write_table(trajectory_table(task, time_of, joints), tmp_path / "01" / "motion.csv")
     motion = {"series": {"period": 3.0, "repetitions": 1, "x": x.tolist()}}
@@ -589,7 +581,7 @@ def test_a_motion_that_was_played_is_always_there(tmp_path: Path) -> None:
     # no torque is beyond the limit and beyond what was played, which is less at half the speed
     slow = replace(task, series=done.task.series, prior=replace(prior, cautious=heavy.prior.cautious))
     regressor, most = slow.model.columns(slow.base.standard), []
-    for q, qd, qdd in ((joints[0], joints[1] / 2, joints[2] / 4), sampled_motions(done.task, done.x)[0][1][:3]):
+    for q, qd, qdd in ((joints[0], joints[1] / 2, joints[2] / 4), sampled_run(done.task, done.x)[1][:3]):
         motion = slow.model.motion(q, qd, qdd)
         loads = (regressor.torques_along(slow.model.layout, motion, load) for load in slow.information.cautious)
         most.append(np.max([np.abs(load).max(axis=1) for load in loads], axis=0))

@@ -18,7 +18,7 @@ from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage
 from gtau.excitation.design import Design, Stopped, check, excite
 from gtau.excitation.design_file import read_design
-from gtau.excitation.forecast import Expected, Outlook, Weak, forecast, sampled_motions, weak_unknowns
+from gtau.excitation.forecast import Expected, Outlook, Weak, forecast, sampled_run, weak_unknowns
 from gtau.excitation.information import root_covariance
 from gtau.excitation.nlp import Programme, information, random_start
 from gtau.excitation.prior import KnownGain
@@ -90,7 +90,7 @@ def test_all_limits_hold_on_a_grid_ten_times_finer(designed: Design) -> None:
     kinds = {load.what.split()[0] for load in every}
     assert {"position", "velocity", "acceleration", "jerk", "torque", "x", "z", "condition", "time"} <= kinds
     # counted once more, without the design's own code, at the rate of the controller
-    ((time, joints),) = sampled_motions(designed.task, designed.x)
+    time, joints = sampled_run(designed.task, designed.x)
     limits = designed.task.limits
     assert np.all(joints[0] >= limits.position[:, :1])
     assert np.all(joints[0] <= limits.position[:, 1:])
@@ -163,28 +163,6 @@ def test_values_that_are_only_assumed_are_not_printed_as_results(tmp_path: Path)
     assert not any(entry["assumed"] for entry in design_document(Outlook(start, known))["gains"])
 
 
-@pytest.mark.slow
-def test_runs_may_have_motions_of_their_own(tmp_path: Path) -> None:
-    path, out = write(tmp_path, DESIGN + "motions: each run\n"), tmp_path / "out"
-    done = CliRunner().invoke(app, ["excite", str(path), "--out", str(out), "--starts", "1"])
-    assert done.exit_code == 0, done.output
-    assert "one for each run" in done.output
-    logs = [read_log(out / f"trajectory_{run}.csv", ("t", "q_left", "q_right")).arrays() for run in (1, 2)]
-    assert np.abs(logs[0]["q_left"][:2000] - logs[1]["q_left"][:2000]).max() > 0.1
-    assert (out / "trajectory_2.png").exists()
-    document = json.loads((out / "design.json").read_text())
-    used = {entry["limit"]: entry["used"] for entry in document["limits"]}
-    assert max(used.values()) <= 1.0
-    assert {f"z of the tool's frame in run {run}" for run in (1, 2)} <= set(used)
-    assert "torque of joint 'left' with payload 'disc' in run 1" not in used
-    task, _ = read_design(path)
-    one = replace(task, one_motion=True)
-    shared = np.array(document["x"][: one.size])
-    # the same motion written twice tells what one motion of both runs tells
-    apart, together = (forecast(entry, x) for entry, x in ((task, np.tile(shared, 2)), (one, shared)))
-    assert [entry.std for entry in apart.gains] == pytest.approx([entry.std for entry in together.gains], rel=1e-9)
-
-
 def test_the_design_criterion_agrees_with_the_forecast(designed: Design) -> None:
     unknowns = designed.task.information
     gains = [unknowns.names.index(f"gain_{joint}") for joint in designed.task.model.actuated]
@@ -230,7 +208,7 @@ def test_loops_that_cannot_be_closed_on_the_way_are_left_to_the_search(
     task, _ = read_design(write(tmp_path, f"robot: wide.yaml\nrate: 100\nperiod: 3\nharmonics: 2\n{runs}\n"))
     designed = excite(task, starts=1, seed=seed)
     assert max(usage.excess for usage in check(task, designed.x)) <= 1.0
-    ((_, joints),) = sampled_motions(task, designed.x)  # at the controller's rate
+    _, joints = sampled_run(task, designed.x)  # at the controller's rate
     assert np.isfinite(task.model.motion(*joints[:3]).c).all()
 
 

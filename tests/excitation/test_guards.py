@@ -14,10 +14,10 @@ import pytest
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.excitation.clearance import FLOOR, Capsule, bounding_capsule
-from gtau.excitation.constraints import usages_of_motion
+from gtau.excitation.constraints import constraint_usages
 from gtau.excitation.design import Design, check, excite
 from gtau.excitation.design_file import read_design
-from gtau.excitation.forecast import Outlook, sampled_motions
+from gtau.excitation.forecast import Outlook, sampled_run
 from gtau.excitation.guards import speed_of_tool
 from gtau.excitation.nlp import random_start
 from gtau.excitation.prior import COULOMB, ERROR, ROTOR, VISCOUS, KnownGain, identified_gains
@@ -98,7 +98,7 @@ def least_distance(designed: Design, names: list[str]) -> float:
     ]  # fmt: skip
     moving = [k for k, owner in enumerate(owners) if owner not in ("ground", "turret")]
     halves = np.where(model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE, model.geom_size[:, 1], 0)
-    ((_, joints),) = sampled_motions(designed.task, designed.x)
+    _, joints = sampled_run(designed.task, designed.x)
     for q in joints[0].T[::4]:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
@@ -199,7 +199,7 @@ def test_the_tool_is_no_faster_than_its_limit(tmp_path: Path) -> None:
         assert any(said.startswith(f"tool: at most {limit:g} m/s") for said in task.guards)
     x = np.zeros((4, 5))
     x[1, 0] = 0.7  # lifts the arm, and does not move there
-    ((time, joints),) = sampled_motions(task, x.ravel())
+    time, joints = sampled_run(task, x.ravel())
     place = task.tool[0](joints[0])
     speed = np.linalg.norm(np.gradient(place, time, axis=1), axis=0).max()
     assert 0.2 < speed <= 0.3
@@ -316,13 +316,13 @@ def test_torques_are_limited_with_the_inertias_of_the_file(tmp_path: Path) -> No
     assert any(said.startswith("torque: with the inertias of the robot's file and 25 %") for said in task.guards)
     x = random_start(task, np.random.default_rng(0), 0.5)
     assert x is not None
-    (point,) = evaluate(task, x, design_grid(task))
+    point = evaluate(task, x, design_grid(task))
     q, qd, qdd = point.joints[:3]
     model = pin.buildModelFromUrdf(str(tmp_path / "arm.urdf"))
     data, effort = model.createData(), 0.8 * 50
     rigid = np.array([pin.rnea(model, data, *state) for state in zip(q.T, qd.T, qdd.T, strict=True)]).T
     expected = ERROR * rigid + ROTOR * effort * qdd + VISCOUS * effort / 1.6 * qd + COULOMB * effort * np.sign(qd)
-    usages = {usage.what: usage for usage in usages_of_motion(point)}
+    usages = {usage.what: usage for usage in constraint_usages(point)}
     for j, joint in enumerate(task.model.actuated):
         fast = np.abs(qd[j]) > 0.3 * np.abs(qd[j]).max()
         counted = effort * usages[f"torque of joint '{joint}'"].values
@@ -359,7 +359,7 @@ def test_limits_hold_at_the_worst_end_of_a_gain(tmp_path: Path) -> None:
     assert x is not None
     gains = tuple(KnownGain(10.0, (8.0, 12.0), "weak") for _ in range(4))
     exact, ranged = (
-        {usage.what: usage for usage in usages_of_motion(evaluate(entry, x, design_grid(entry))[0])}
+        {usage.what: usage for usage in constraint_usages(evaluate(entry, x, design_grid(entry)))}
         for entry in (task, replace(task, prior=replace(task.prior, known=gains)))
     )
     assert {usage.unit for what, usage in exact.items() if what.startswith("torque")} == {"N m"}

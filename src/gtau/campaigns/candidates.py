@@ -22,7 +22,7 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design import Design, check, redesign
 from gtau.excitation.design_file import DesignFile, make_task
-from gtau.excitation.forecast import sampled_motions
+from gtau.excitation.forecast import sampled_run
 from gtau.excitation.prior import DesignPrior
 from gtau.excitation.task import DesignProblem, Point, along
 from gtau.model.program import single_threaded_blas
@@ -137,7 +137,7 @@ def expected_width(
 def _simulated(candidate: Candidate, result: IdentifiedModel, seed: int) -> Iterator[Run]:
     """Simulate logs of a candidate with the identified model, friction included, and white noise."""
     design = candidate.design
-    ((time, joints),) = sampled_motions(design.task, design.x)
+    time, joints = sampled_run(design.task, design.x)
     q, qd, qdd = (rows.T for rows in joints[:3])
     for k, payload in enumerate(design.task.payloads):
         carried = _carried(payload, result)
@@ -208,7 +208,7 @@ def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, pro
     task = replace(task, prior=replace(task.prior, known=known))
     for round_ in reversed(used):
         x = np.array(round_.motion.get("series", {}).get("x", ()))
-        if round_.played is None or x.size != task.size:
+        if round_.played is None or x.size != task.series.size:
             continue
         series = round_.motion["series"]
         played = _as_played(task, round_.folder, round_.played.speed)
@@ -228,4 +228,4 @@ def _as_played(task: DesignProblem, folder: Path, speed: float) -> Point:
     log = read_log(folder / CSV, ("t", *columns)).arrays()
     table = np.array([log[name] for name in columns]).reshape(3, -1, len(log["t"]))
     joints = np.stack([table[0], speed * table[1], speed**2 * table[2], 0 * table[0]])
-    return along(task, joints, (log["t"][1] - log["t"][0]) / speed, task.motions[0])
+    return along(task, joints, (log["t"][1] - log["t"][0]) / speed)

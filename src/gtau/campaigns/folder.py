@@ -126,11 +126,7 @@ def begin(folder: Path, robot: str | Path | None, payload: float | None) -> None
 
 def read_design_file(folder: Path) -> DesignFile:
     """Read the design file of a campaign."""
-    document = read_yaml(folder / DESIGN)
-    file = validate(DesignFile, document, context=folder)
-    if file.motions != "one":
-        raise document.error(("motions",), "all runs of a round follow one motion; remove it")
-    return file
+    return validate(DesignFile, read_yaml(folder / DESIGN), context=folder)
 
 
 def read_rounds(folder: Path) -> list[Round]:

@@ -15,7 +15,7 @@ from gtau.documents.files import folder_of, write_table
 from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import DesignFile
-from gtau.excitation.forecast import Outlook, sampled_motions
+from gtau.excitation.forecast import Outlook, sampled_run
 from gtau.excitation.prior import PriorModel, file_parameters, rough_parameters, with_drives
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -76,7 +76,7 @@ def rehearse(design: Design, file: DesignFile, model: Path | None, progress: Pro
                 f"in the rehearsal joint '{joint}' strays by {error:.3g} from the motion, {allowed[joint]:.3g} is "
                 f"allowed; limit its acceleration or jerk in the design file."
             )
-    ((time, joints),) = outlook.motions
+    time, joints = outlook.run
     if unseen := check_contacts(Path(file.robot), task.model, time, joints):
         notes.append(f"contacts in MuJoCo: not checked, {unseen}")
     robot = load_robot(file.robot)
@@ -98,7 +98,7 @@ def _under_control(
     task = design.task
     loads = [payload for payload in task.payloads if payload is not None]
     heaviest = max(loads, key=lambda payload: payload.mass or 0.0, default=None)
-    ((time, joints),) = sampled_motions(task, design.x)
+    time, joints = sampled_run(task, design.x)
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         write_table(trajectory_table(task, time, joints), out / CSV)
@@ -136,7 +136,7 @@ def _stated(design: Design, mass: float) -> dict[str, float]:
 
 def tolerances(design: Design) -> dict[str, float]:
     """Tracking tolerances of all joints, rad or m."""
-    ((_, joints),) = sampled_motions(design.task, design.x)
+    _, joints = sampled_run(design.task, design.x)
     robot = design.task.model.robot
     return {
         name: max(PART * float(np.ptp(row)), STRAY[robot.joint(name).turns])
@@ -153,7 +153,7 @@ def write_motion(
     a warm-up run comes first.
     """
     task, robot = design.task, design.task.model.robot
-    ((time, joints),) = sampled_motions(task, design.x)
+    time, joints = sampled_run(task, design.x)
     write_table(trajectory_table(task, time, joints), folder_of(folder) / CSV)
     allowed = tolerances(design)
     names = [*([WARM_UP] if decided["warm_up"] else []), *(f"run{k + 1}" for k in range(len(task.payloads)))]

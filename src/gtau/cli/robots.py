@@ -136,7 +136,7 @@ def excite(
 
         def keep(best: Design) -> None:
             if not (out / pages.DESIGN).exists():  # an older design stays complete until the new one is finished
-                pages.write_trajectories(best, folder_of(out))
+                pages.write_trajectory(best, folder_of(out))
 
         try:
             with stop_request(STOPPING) as stop:

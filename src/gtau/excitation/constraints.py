@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -71,24 +71,8 @@ class ConstraintUsage:
         return self.limit * float(self.values.min()) if self.least else self.limit * self.excess
 
 
-def constraint_usages(points: Sequence[Point], shares: Sequence[np.ndarray] = ()) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits by all motions, with Jacobians (N, task.size)."""
-    for k, point in enumerate(points):
-        where = f" in run {k + 1}" if len(points) > 1 else ""
-        for usage in usages_of_motion(point, shares[k] if shares else None):
-            rows = partial(_padded, usage.rows, k, len(points))
-            yield replace(usage, what=usage.what + where, rows=rows)
-
-
-def _padded(rows: Callable[[], np.ndarray], number: int, motions: int) -> np.ndarray:
-    """Add zero derivatives by the numbers of the other motions."""
-    part = rows()
-    size = part.shape[1]
-    return np.pad(part, ((0, 0), (number * size, (motions - 1 - number) * size)))
-
-
-def usages_of_motion(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
-    """Compute the usage of all limits by one motion, with Jacobians (N, series.size).
+def constraint_usages(point: Point, share: np.ndarray | None = None) -> Iterator[ConstraintUsage]:
+    """Compute the usage of all limits by a motion, with Jacobians (N, series.size).
 
     ``share`` (n,), the counted share of samples away from reversals, replaces the smooth estimate if given.
     """
@@ -138,9 +122,8 @@ def _drives(point: Point) -> Iterator[ConstraintUsage]:
     """Compute the usage of torque limits, and of stated current limits, at the worst end of the gain's interval."""
     task, payloads = point.task, point.task.payloads
     torques = np.broadcast_to(task.limits.torque, len(task.model.actuated))
-    for run in point.runs:
-        payload = payloads[run]
-        if payloads.index(payload) in point.runs[: point.runs.index(run)]:
+    for run, payload in enumerate(payloads):
+        if payload in payloads[:run]:
             continue
         carried = "" if payload is None else f" with payload '{payload.name}'"
         for j, joint in enumerate(task.model.actuated):
@@ -230,7 +213,7 @@ def _approach(point: Point) -> Point | None:
         motion = close(task.model, joints)
     except GtauError:  # the check of the whole run reports it
         return None
-    return Point(task, Grid(point.grid.step, way), point.runs, joints, motion, None, point.W[:, :APPROACH])
+    return Point(task, Grid(point.grid.step, way), joints, motion, None, point.W[:, :APPROACH])
 
 
 def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[ConstraintUsage]:
@@ -256,20 +239,20 @@ def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
     if task.rest is None:
         return periods
     home, start = task.rest, joints[0, :, 0]
-    count = int(np.ceil(_approach_duration(task, home, start, period.runs) * rate))
+    count = int(np.ceil(_approach_duration(task, home, start) * rate))
     time = np.arange(count) / rate
     there = quintic(home, start, count / rate, time)
     back = quintic(start, home, count / rate, time + 1 / rate)
     return np.concatenate([there, periods, back], axis=2)
 
 
-def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray, runs: tuple[int, ...]) -> float:
+def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray) -> float:
     """Compute the duration, s, of an approach within the limits of tool speed and, if slowing down helps, torque."""
     span = approach_duration(start - home, task.limits.rates)
 
     def lasting(duration: float) -> Point:
         joints = quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH))
-        return along(task, joints, duration, runs)
+        return along(task, joints, duration)
 
     span *= max((usage.excess / MARGIN for usage in tool_speed(lasting(span)) if usage.excess > MARGIN), default=1.0)
     for slower in SLOWER:

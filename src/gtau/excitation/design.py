@@ -282,9 +282,8 @@ def require_rest(task: DesignProblem) -> None:
         return
     joints = np.zeros((4, len(task.rest), 2))
     joints[0] = task.rest[:, None]
-    points = [along(task, joints, 1.0, runs) for runs in task.motions]
-    moving = [np.full(len(task.rest), np.inf)] * len(points)  # reversals depend on the motion
-    if worst := _most_exceeded(constraint_usages(points, moving), 1e-6):
+    moving = np.full(len(task.rest), np.inf)  # reversals depend on the motion
+    if worst := _most_exceeded(constraint_usages(along(task, joints, 1.0), moving), 1e-6):
         raise GtauError(
             f"robot '{task.model.robot.name}': no motion can begin or end at rest there: the {worst.what} must be "
             f"{worst.allowed}, and is {worst.reached:.4g}; start from another pose ('rest'), or relax the limit."
@@ -292,15 +291,13 @@ def require_rest(task: DesignProblem) -> None:
 
 
 def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:
-    """Compute the usage of limits by whole runs, with approach and return, on a grid ``finer`` times finer."""
+    """Compute the usage of limits by a whole run, with approach and return, on a grid ``finer`` times finer."""
     grid = design_grid(task, finer)
-    points, shares = [], []
-    for period in evaluate(task, x, grid):
-        joints = whole_run(task, period, 1 / grid.step)
-        points.append(along(task, joints, grid.step, period.runs))
-        rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))
-        shares.append(share_away(task, period.joints[1], grid.step, rms))
-    return tuple(constraint_usages(points, shares))
+    period = evaluate(task, x, grid)
+    joints = whole_run(task, period, 1 / grid.step)
+    rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))
+    share = share_away(task, period.joints[1], grid.step, rms)
+    return tuple(constraint_usages(along(task, joints, grid.step), share))
 
 
 def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:

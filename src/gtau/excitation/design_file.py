@@ -108,7 +108,6 @@ class DesignFile(Keys):
     approach: bool = True
     rest: dict[str, FiniteFloat] = Field(default_factory=dict)
     runs: tuple[PlannedRun, ...] = Field(min_length=1)
-    motions: Literal["one", "each run"] = "one"
     limits: LimitsEntry = LimitsEntry()
     prior: DesignPrior = DesignPrior()
     drives: dict[str, Drive] = Field(default_factory=dict)
@@ -196,10 +195,9 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
             np.isfinite(limits.position).all(axis=1)[:, None], limits.position, np.add(home, (-TURN, TURN))
         )
         series = FourierSeries(reach.mean(axis=1), np.ptp(reach, axis=1) / 2, 1 / period, file.harmonics)
-    start, one_motion = rest if file.approach else None, file.motions == "one"
-    return DesignProblem(
-        model, base, series, file.rate, file.repetitions, start, file.payloads, one_motion, limits, prior
-    ), assumed
+    start = rest if file.approach else None
+    problem = DesignProblem(model, base, series, file.rate, file.repetitions, start, file.payloads, limits, prior)
+    return problem, assumed
 
 
 def _rest(robot: Robot, rest: np.ndarray, file: DesignFile, limits: MotionLimits) -> Iterator[str]:

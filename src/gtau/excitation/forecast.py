@@ -53,25 +53,22 @@ class Forecast:
     std: Mapping[str, float]
 
 
-def sampled_motions(task: DesignProblem, x: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """Sample a run of every motion at the controller's rate: instants (N,), s; q, qd, qdd and jerk (4, n, N)."""
-    samples = round(task.series.period * task.rate)
-    time = np.arange(samples) / task.rate
-    periods = evaluate(task, x, Grid(1 / task.rate, task.series.basis(time)))
-    runs = [whole_run(task, period, task.rate) for period in periods]
-    return tuple((np.arange(joints.shape[2]) / task.rate, joints) for joints in runs)
+def sampled_run(task: DesignProblem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sample a run at the controller's rate: instants (N,), s; q, qd, qdd and jerk (4, n, N)."""
+    time = np.arange(round(task.series.period * task.rate)) / task.rate
+    period = evaluate(task, x, Grid(1 / task.rate, task.series.basis(time)))
+    joints = whole_run(task, period, task.rate)
+    return np.arange(joints.shape[2]) / task.rate, joints
 
 
 def expected_runs(task: DesignProblem, x: np.ndarray) -> tuple[Run, ...]:
     """Simulate noise-free logs of the runs at the prior values."""
-    regressor, runs = task.model.columns(task.base.standard), []
-    for (time, joints), followed in zip(sampled_motions(task, x), task.motions, strict=True):
-        motion = task.model.motion(*joints[:3])
-        for k in followed:
-            torques = regressor.torques_along(task.model.layout, motion, task.information.load[k])
-            currents = (torques / task.prior.gains[:, None]).T
-            name, payload = f"run{k + 1}", task.payloads[k]
-            runs.append(Run(name, task.model.actuated, time, joints[0].T, currents, payload=payload))
+    time, joints = sampled_run(task, x)
+    regressor, motion, runs = task.model.columns(task.base.standard), task.model.motion(*joints[:3]), []
+    for k, payload in enumerate(task.payloads):
+        torques = regressor.torques_along(task.model.layout, motion, task.information.load[k])
+        currents = (torques / task.prior.gains[:, None]).T
+        runs.append(Run(f"run{k + 1}", task.model.actuated, time, joints[0].T, currents, payload=payload))
     return tuple(runs)
 
 
@@ -167,9 +164,9 @@ def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
     fast in the middle of it, for the duration of a run, with all payloads.
     """
     task = design.task
-    points = evaluate(task, design.x, design_grid(task))
-    unknowns, R = task.information, information(points)
-    middle = np.mean([point.joints[0].mean(axis=1) for point in points], axis=0)
+    point = evaluate(task, design.x, design_grid(task))
+    unknowns, R = task.information, information(point)
+    middle = point.joints[0].mean(axis=1)
     before = _relative(task, R)
     relative = {
         k: expected.std.get(name, np.inf) / unknowns.scale[k]
@@ -200,7 +197,6 @@ def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
 def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
     """Compute the information factor of joint j moving alone about the pose ``middle`` (n,); None if it cannot."""
     limits, (speed_limit, acceleration_limit, _) = task.limits, task.limits.rates[:, j]
-    runs = tuple(range(len(task.payloads)))
     low, high = limits.position[j]
     if not np.isfinite(high - low):
         low, high = middle[j] - np.pi, middle[j] + np.pi
@@ -214,11 +210,11 @@ def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: 
         joints[0] = middle[:, None]
         joints[:3, j] = center + sine, omega * amplitude * np.cos(angle), -(omega**2) * sine
         with suppress(GtauError):  # not reachable
-            alone = along(task, joints, period / samples, runs)
+            alone = along(task, joints, period / samples)
             within = all(usage.excess <= 1 for usage in tool_speed(alone))
             if within and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
                 # the rows of one cycle count for all cycles in the duration of a run
-                return information([alone]) * np.sqrt(task.series.period / period)
+                return information(alone) * np.sqrt(task.series.period / period)
         span /= 2
         center = (center + middle[j]) / 2
     return None
@@ -243,9 +239,9 @@ class Outlook:
         return self.task.model.robot
 
     @cached_property
-    def motions(self) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-        """Runs at the controller's rate, see :func:`sampled_motions`."""
-        return sampled_motions(self.task, self.design.x)
+    def run(self) -> tuple[np.ndarray, np.ndarray]:
+        """A run at the controller's rate, see :func:`sampled_run`."""
+        return sampled_run(self.task, self.design.x)
 
     @cached_property
     def forecast(self) -> Forecast:
@@ -260,12 +256,10 @@ class Outlook:
     @cached_property
     def tool(self) -> tuple[float, np.ndarray]:
         """Largest speed, m/s, and smallest and largest coordinates (2, 3), m, of the tool's frame in the base."""
-        places, speeds = [], []
-        for time, joints in self.motions:
-            places.append(self.task.tool[0](close(self.task.model, joints).c))
-            speeds.append(np.linalg.norm(np.gradient(places[-1], time, axis=1), axis=0).max())
-        path = np.concatenate(places, axis=1)
-        return float(max(speeds)), np.array([path.min(axis=1), path.max(axis=1)])
+        time, joints = self.run
+        path = self.task.tool[0](close(self.task.model, joints).c)
+        speed = np.linalg.norm(np.gradient(path, time, axis=1), axis=0).max()
+        return float(speed), np.array([path.min(axis=1), path.max(axis=1)])
 
     @cached_property
     def variants(self) -> tuple[Outlook, ...]:
@@ -276,8 +270,8 @@ class Outlook:
 
     @property
     def duration(self) -> float:
-        """Duration of the longest run, s."""
-        return max(float(time[-1]) for time, _ in self.motions)
+        """Duration of a run, s."""
+        return float(self.run[0][-1])
 
     @property
     def rms(self) -> float:

@@ -10,9 +10,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.regression.factors import triangle
-from gtau.excitation.constraints import WAY, ConstraintUsage, constraint_usages, usages_of_motion
+from gtau.excitation.constraints import WAY, ConstraintUsage, constraint_usages
 from gtau.excitation.information import Criterion, criterion
-from gtau.excitation.task import DesignProblem, Grid, Point, close, design_grid, evaluate, evaluate_one
+from gtau.excitation.task import DesignProblem, Point, close, design_grid, evaluate
 from gtau.model.program import single_threaded_blas
 
 ITERATIONS = 100
@@ -34,15 +34,16 @@ IPOPT: Mapping[str, int | float | str] = {
 }
 
 
-def information(points: Sequence[Point]) -> np.ndarray:
-    """Compute the triangular factor (P, P) of the information of all runs of all motions."""
-    weighted = [(_counts(point), rows) for point in points for rows in _jacobians(point)]
-    return triangle(*((np.sqrt(counts)[:, :, None] * A).reshape(-1, A.shape[2]) for counts, A in weighted))
+def information(point: Point) -> np.ndarray:
+    """Compute the triangular factor (P, P) of the information of all runs."""
+    size = np.sqrt(_counts(point))[:, :, None]
+    return triangle(*((size * A).reshape(-1, A.shape[2]) for A in _jacobians(point)))
 
 
 def _jacobians(point: Point) -> list[np.ndarray]:
-    """Compute the Jacobian rows (n, N, P) of every run of a motion."""
-    return [point.task.information.jacobians(point.W, run, point.grid.step) for run in point.runs]
+    """Compute the Jacobian rows (n, N, P) of every run."""
+    task = point.task
+    return [task.information.jacobians(point.W, run, point.grid.step) for run in range(len(task.payloads))]
 
 
 def _counts(point: Point) -> np.ndarray:
@@ -51,16 +52,15 @@ def _counts(point: Point) -> np.ndarray:
     return task.window(step).weights(point.joints[1]) * (task.information.counts * step)[:, None]
 
 
-def objective(points: Sequence[Point], criterion: Criterion, on_regressor: bool) -> tuple[float, np.ndarray]:
-    """Compute the logarithm of a criterion of the information or the regressor, and its gradient (task.size,) by x."""
+def objective(point: Point, criterion: Criterion, on_regressor: bool) -> tuple[float, np.ndarray]:
+    """Compute the logarithm of a criterion of the information or the regressor, and its gradient by x."""
     if on_regressor:
-        value, F, f = criterion(triangle(*(point.W.reshape(-1, point.W.shape[2]) for point in points)))
-        by_joints = [_by_columns(point, 2 * (point.W @ F * f) @ F.T) for point in points]
+        value, F, f = criterion(triangle(point.W.reshape(-1, point.W.shape[2])))
+        by_joints = _by_columns(point, 2 * (point.W @ F * f) @ F.T)
     else:
-        value, F, f = criterion(information(points))
-        by_joints = [_by_information(point, F, f) for point in points]
-    by_x = [point.to_rows(by).sum(axis=0) for point, by in zip(points, by_joints, strict=True)]
-    return value, np.concatenate(by_x)
+        value, F, f = criterion(information(point))
+        by_joints = _by_information(point, F, f)
+    return value, point.to_rows(by_joints).sum(axis=0)
 
 
 def _by_columns(point: Point, by_W: np.ndarray) -> np.ndarray:
@@ -72,7 +72,7 @@ def _by_information(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
     """Differentiate a criterion of the information by q, qd and qdd, (3, n, N)."""
     info, step, counts = point.task.information, point.grid.step, _counts(point)
     by_W, by_counts = np.zeros_like(point.W), np.zeros_like(counts)
-    for run, A in zip(point.runs, _jacobians(point), strict=True):
+    for run, A in enumerate(_jacobians(point)):
         along = A @ F
         by_W += info.back(2 * counts[:, :, None] * ((along * f) @ F.T), run, step)
         by_counts += along**2 @ f
@@ -97,44 +97,43 @@ class Programme:
         self.best: np.ndarray | None = None
         self.best_value = np.inf
         self._x = np.array([])
-        self._last: tuple[Point, ...] = ()
-        self._closed: tuple[Point, ...] = ()  # the last motions with closed loops
+        self._last: Point | None = None
+        self._closed: Point | None = None  # the last motion with closed loops
         self._usages: tuple[ConstraintUsage, ...] | None = None
         self._value: tuple[float, np.ndarray] | None = None
 
-    def points(self, x: np.ndarray) -> tuple[Point, ...]:
-        """Evaluate the motions for x; empty if they leave the reachable workspace."""
+    def point(self, x: np.ndarray) -> Point | None:
+        """Evaluate the motion for x; None if it leaves the reachable workspace."""
         if not np.array_equal(self._x, x):
             self._x = x.copy()
             try:
                 self._last = self._closed = evaluate(self.task, x, self.grid, self._closed)
             except GtauError:
-                self._last = ()
+                self._last = None
             self._usages = self._value = None
         return self._last
 
     def constraint_usages(self, x: np.ndarray) -> tuple[ConstraintUsage, ...]:
         """Compute the usage of all limits; empty if the motion is not reachable."""
-        points = self.points(x)
+        point = self.point(x)
         if self._usages is None:
-            usages = constraint_usages(points)
+            usages = () if point is None else constraint_usages(point)
             self._usages = tuple(usage for usage in usages if not self.tightness or usage.what in self.tightness)
         return self._usages
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Compute the logarithm of the criterion and its gradient (task.size,) by x; nan if x is not reachable."""
-        points = self.points(x)
-        if not points:
+        """Compute the logarithm of the criterion and its gradient by x; nan if x is not reachable."""
+        if (point := self.point(x)) is None:
             return float("nan"), np.full(len(x), np.nan)
         if self._value is None:
-            self._value = value, _ = objective(points, self.criterion, self.on_regressor)
+            self._value = value, _ = objective(point, self.criterion, self.on_regressor)
             if self.tightness and value < self.best_value and self.excess(x) <= 1.0 + 1e-6:
                 self.best, self.best_value = x.copy(), value
         return self._value
 
     def excess(self, x: np.ndarray) -> float:
         """Compute the largest usage relative to the tightness; infinite if x is not reachable."""
-        if not self.points(x):
+        if self.point(x) is None:
             return np.inf
         return max((usage.excess / self.tightness[usage.what] for usage in self.constraint_usages(x)), default=0.0)
 
@@ -237,17 +236,12 @@ def promising_start(
 
 
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
-    """Draw a random x (task.size,) that uses a ``part`` of what rest leaves of the limits; None if not reachable.
+    """Draw a random x that uses a ``part`` of what rest leaves of the limits; None if not reachable.
 
     Limits that rest violates, and the time away from reversals, are left to the search.
     """
-    grid, parts = design_grid(task), []
-    for runs in task.motions:
-        x = task.series.random(rng)
-        resting = _clear_center(task, rng, x)
-        if (motion := _scaled(task, grid, runs, x, resting, part)) is not None:
-            parts.append(motion)
-    return np.concatenate(parts) if len(parts) == len(task.motions) else None
+    x = task.series.random(rng)
+    return _scaled(task, x, _clear_center(task, rng, x), part)
 
 
 def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) -> np.ndarray:
@@ -287,19 +281,17 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
     return resting
 
 
-def _scaled(
-    task: DesignProblem, grid: Grid, runs: tuple[int, ...], x: np.ndarray, resting_x: np.ndarray, part: float
-) -> np.ndarray | None:
+def _scaled(task: DesignProblem, x: np.ndarray, resting_x: np.ndarray, part: float) -> np.ndarray | None:
     """Scale x about ``resting_x`` until the motion uses a ``part`` of what rest leaves of the limits."""
-    near: Point | None = None
+    grid, near = design_grid(task), None
 
     def used(x: np.ndarray) -> tuple[ConstraintUsage, ...] | None:
         nonlocal near
         try:
-            near = evaluate_one(task, x, grid, runs, near)
+            near = evaluate(task, x, grid, near)
         except GtauError:
             return None
-        return tuple(usages_of_motion(near))
+        return tuple(constraint_usages(near))
 
     resting = used(resting_x)
     if resting is None:

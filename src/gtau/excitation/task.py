@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import zip_longest
 
 import casadi as ca
 import numpy as np
@@ -62,8 +61,8 @@ class DesignProblem:
     """The data of an excitation design.
 
     A run has ``repetitions`` periods of the ``series`` at the controller's ``rate``, Hz. It begins and ends in the pose
-    ``rest`` (n,); if ``rest`` is None, it has no approach and return. There is one run per payload; the runs share
-    ``one_motion`` or have a motion each. The gains of the ``prior``, with their intervals, convert torques to currents.
+    ``rest`` (n,); if ``rest`` is None, it has no approach and return. There is one run per payload, all of one motion.
+    The gains of the ``prior``, with their intervals, convert torques to currents.
     """
 
     model: InverseDynamics
@@ -73,7 +72,6 @@ class DesignProblem:
     repetitions: int
     rest: np.ndarray | None
     payloads: tuple[Payload | None, ...]
-    one_motion: bool
     limits: MotionLimits
     prior: PriorModel
 
@@ -91,17 +89,6 @@ class DesignProblem:
     def bandwidth(self) -> float:
         """Frequency of the highest harmonic, Hz."""
         return self.series.harmonics * self.series.base_frequency
-
-    @property
-    def motions(self) -> tuple[tuple[int, ...], ...]:
-        """Indices of the runs that follow each motion."""
-        runs = range(len(self.payloads))
-        return (tuple(runs),) if self.one_motion else tuple((run,) for run in runs)
-
-    @property
-    def size(self) -> int:
-        """Length of x: the free numbers of all motions."""
-        return len(self.motions) * self.series.size
 
     @property
     def guards(self) -> tuple[str, ...]:
@@ -215,14 +202,13 @@ def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """The motion of some ``runs``: joints (4, n, N), the whole robot, and the base regressor W (n, N, n_b).
+    """A motion: joints (4, n, N), the whole robot, and the base regressor W (n, N, n_b).
 
     In platform space, ``platform`` is the motion of the robot driven by its platform.
     """
 
     task: DesignProblem
     grid: Grid
-    runs: tuple[int, ...]
     joints: np.ndarray
     motion: Motion
     platform: Motion | None
@@ -256,16 +242,8 @@ class Point:
         return derivative(rows.T, self.grid.step).T if order == 3 else rows
 
 
-def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Sequence[Point] = ()) -> tuple[Point, ...]:
-    """Evaluate all motions for x (task.size,), closing loops from the configurations of ``near`` if given."""
-    parts = zip_longest(np.split(x, len(task.motions)), task.motions, near)
-    return tuple(evaluate_one(task, part, grid, runs, closed) for part, runs, closed in parts)
-
-
-def evaluate_one(
-    task: DesignProblem, x: np.ndarray, grid: Grid, runs: tuple[int, ...], near: Point | None = None
-) -> Point:
-    """Evaluate the motion of some ``runs`` for x (series.size,); see :func:`evaluate`."""
+def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Point | None = None) -> Point:
+    """Evaluate the motion for x (series.size,), closing loops from the configurations of ``near`` if given."""
     joints, platform = task.series.along(x, grid.basis), None
     if task.platform is not None:
         driven, _, motors = task.platform
@@ -273,10 +251,10 @@ def evaluate_one(
         qdd = platform.ydd[motors]
         joints = np.stack([platform.c[motors], platform.yd[motors], qdd, derivative(qdd, grid.step)])
     motion = close(task.model, joints, None if near is None else near.motion.c)
-    return Point(task, grid, runs, joints, motion, platform, task.regressor(motion))
+    return Point(task, grid, joints, motion, platform, task.regressor(motion))
 
 
-def along(task: DesignProblem, joints: np.ndarray, step: float, runs: tuple[int, ...]) -> Point:
+def along(task: DesignProblem, joints: np.ndarray, step: float) -> Point:
     """Evaluate any motion of the joints (4, n, N), ``step`` s apart."""
     motion = close(task.model, joints)
-    return Point(task, Grid(step), runs, joints, motion, None, task.regressor(motion))
+    return Point(task, Grid(step), joints, motion, None, task.regressor(motion))

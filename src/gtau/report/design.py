@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.documents.files import write_atomically, write_table
 from gtau.excitation.design import Design
-from gtau.excitation.forecast import Expected, Outlook, Weak, sampled_motions
+from gtau.excitation.forecast import Expected, Outlook, Weak, sampled_run
 from gtau.excitation.task import DesignProblem
 from gtau.report.chart import Chart
 from gtau.report.motion import joint_panels
@@ -23,7 +23,7 @@ from gtau.signals.reading.statements import Payload
 if TYPE_CHECKING:
     import polars as pl
 
-DESIGN = "design.json"
+DESIGN, TRAJECTORY = "design.json", "trajectory.csv"
 ORDERS = (("position", ""), ("velocity", "/s"), ("acceleration", "/s²"))
 DIGITS = 9
 MOST = 1000  # per cent; larger standard deviations of assumed values are not printed
@@ -33,17 +33,10 @@ NBSP = "\N{NO-BREAK SPACE}"
 NO_MOTION = "moving one joint alone within the limits does not help; try wider limits or another pose of the robot"
 
 
-def file_stems(task: DesignProblem) -> tuple[str, ...]:
-    """Name the files of each motion: ``trajectory`` for all runs, or ``trajectory_1``, ... for each."""
-    return ("trajectory",) if task.one_motion else tuple(f"trajectory_{k + 1}" for k in range(len(task.motions)))
-
-
-def write_trajectories(design: Design, folder: Path) -> tuple[Path, ...]:
-    """Write each motion as CSV at the controller's rate; see :func:`trajectory_table`."""
-    paths = tuple(folder / f"{stem}.csv" for stem in file_stems(design.task))
-    for path, (time, joints) in zip(paths, sampled_motions(design.task, design.x), strict=True):
-        write_table(trajectory_table(design.task, time, joints), path)
-    return paths
+def write_trajectory(design: Design, folder: Path) -> Path:
+    """Write the motion as CSV at the controller's rate; see :func:`trajectory_table`."""
+    write_table(trajectory_table(design.task, *sampled_run(design.task, design.x)), folder / TRAJECTORY)
+    return folder / TRAJECTORY
 
 
 def trajectory_table(task: DesignProblem, time: np.ndarray, joints: np.ndarray) -> pl.DataFrame:
@@ -71,7 +64,6 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
         "period": task.series.period,
         "repetitions": task.repetitions,
         "duration": outlook.duration,
-        "motions": "one" if task.one_motion else "each run",
         "runs": ["none" if payload is None else payload.name for payload in task.payloads],
         "gains_rms": outlook.rms,
         "guards": list(task.guards),
@@ -173,7 +165,6 @@ def design_page(outlook: Outlook) -> Page:
         "repetitions": task.repetitions,
         "duration of a run": f"{outlook.duration:.4g} s",
         "tool along z of the base": "{:.3g} to {:.3g} m".format(*outlook.tool[1][:, 2]),
-        "motions": "one for all runs" if task.one_motion else "one for each run",
     }
     limits = table_of(
         outlook.usages,
@@ -186,7 +177,7 @@ def design_page(outlook: Outlook) -> Page:
         f"Exciting motion for {outlook.robot.name}",
         Section("Verdict", _verdict(outlook), Facts(facts), id="verdict"),
         Section("Drive gains to expect", gains, id="gains"),
-        Section("Motion", *(Section(title, chart) for title, chart in motion_charts(outlook)), id="motion"),
+        Section("Motion", motion_chart(outlook), id="motion"),
         Section("Robot", outlook.robot, id="robot"),
         Section("Parameters to expect", parameters, hidden, id="parameters", folded=True),
         Section("Limits", limits, id="limits"),
@@ -284,28 +275,22 @@ def _masses(outlook: Outlook) -> Section | None:
     return Section("Other payload masses", Table(columns, rows), Text("", tuple(exceeded)), id="masses")
 
 
-def motion_charts(outlook: Outlook) -> list[tuple[str, Chart]]:
-    """Draw positions, velocities and accelerations of each motion; return titles and charts."""
-    robot, task = outlook.robot, outlook.task
-    charts = []
-    for k, (time, values) in enumerate(outlook.motions):
-        runs = [f"run {run + 1} ({_load(task.payloads[run])})" for run in task.motions[k]]
-        panels = [
-            panel
-            for order, (what, per) in zip(values, ORDERS, strict=False)
-            for panel in joint_panels(robot, task.model.actuated, time, order.T, what, 1.9, per)
-        ]
-        charts.append((f"Motion {k + 1}: {', '.join(runs)}", Chart(tuple(panels), robot.name, live=True)))
-    return charts
+def motion_chart(outlook: Outlook) -> Chart:
+    """Draw positions, velocities and accelerations."""
+    robot, (time, values) = outlook.robot, outlook.run
+    panels = [
+        panel
+        for order, (what, per) in zip(values, ORDERS, strict=False)
+        for panel in joint_panels(robot, robot.actuated, time, order.T, what, 1.9, per)
+    ]
+    return Chart(tuple(panels), robot.name, live=True)
 
 
 def write_design(outlook: Outlook, folder: Path) -> tuple[Path, ...]:
-    """Write the trajectories, ``design.json``, and a figure of each trajectory."""
+    """Write the trajectory, ``design.json``, and a figure of the trajectory."""
     from gtau.report.render.charts import figure_of, save_figure
 
-    written = [*write_trajectories(outlook.design, folder), folder / DESIGN]
-    write_atomically(written[-1], json.dumps(design_document(outlook), indent=1, allow_nan=False) + "\n")
-    for stem, (title, chart) in zip(file_stems(outlook.task), motion_charts(outlook), strict=True):
-        written.append(folder / f"{stem}.png")
-        save_figure(figure_of(replace(chart, title=f"{chart.title}: {title}")), written[-1])
-    return tuple(written)
+    written = (write_trajectory(outlook.design, folder), folder / DESIGN, folder / "trajectory.png")
+    write_atomically(written[1], json.dumps(design_document(outlook), indent=1, allow_nan=False) + "\n")
+    save_figure(figure_of(motion_chart(outlook)), written[2])
+    return written
