@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -343,8 +344,8 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
 
     home = "gtau.campaigns.campaign"
     monkeypatch.setattr(f"{home}.identified", lambda *_: result)
-    monkeypatch.setattr(f"{home}.write_experiment", lambda *_: None)
-    monkeypatch.setattr(f"{home}.warming", lambda *_: "")
+    monkeypatch.setattr(f"{home}.decisions.write_experiment", lambda *_: None)
+    monkeypatch.setattr(f"{home}.decisions.warming", lambda *_: "")
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("random part", "'hand' is wide"))
     monkeypatch.setattr(f"{home}.save", lambda *_: None)
     result.alternatives, last = (), round_of("first")
@@ -352,7 +353,7 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
         monkeypatch.setattr(
             f"{home}.expected_width", lambda one, *_, width=width: width if one and one.beside[0] else 6.0
         )
-        decision = _decided(tmp_path / "02", 3.0, read_design_file(tmp_path), [last], silent)
+        decision = _decided(tmp_path / "02", 3.0, read_design_file(tmp_path), [last], silent, nullcontext)
         advice = f"mount the payload off the axis of the last joint: {beside.label} it would be +-{width:g} %"
         assert (advice in decision.notes) == advised
     known["mx"] = 0.09
@@ -458,10 +459,10 @@ def test_a_round_confirms_nothing_where_those_before_are_set_aside(
     identified = result_of(gain("left", 1.0, 0.01, 0.01))
     monkeypatch.setattr(module, "save", lambda *_: None)
     monkeypatch.setattr(module, "identified", lambda *_: identified)
-    monkeypatch.setattr(module, "slower", lambda *_: ())
+    monkeypatch.setattr(module.decisions, "slower", lambda *_: ())
     monkeypatch.setattr(module, "decide", decided)
     for used in ([last], [last, last]):
-        decision = module._decided(copied / "02", 3.0, read_design_file(copied), used, silent)
+        decision = module._decided(copied / "02", 3.0, read_design_file(copied), used, silent, nullcontext)
         assert any("payload's mass" in note for note in decision.notes)
     assert compared[0] == (None, None)
     alone, before = compared[1]
@@ -698,7 +699,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(f"{home}.rehearse", lambda *_: Rehearsal(0.9, "limit", 1.0, {}, {}, ()))
     monkeypatch.setattr(f"{home}.identified", lambda *_: saved)
     monkeypatch.setattr(f"{home}.decide", lambda *_: Decision("confirm", "all gains are within 3 %"))
-    monkeypatch.setattr(f"{home}.slower", lambda *_: ())
+    monkeypatch.setattr(f"{home}.decisions.slower", lambda *_: ())
     monkeypatch.setattr(f"{home}.next_task", lambda file, *_: make_task(file)[0])
 
 

@@ -10,51 +10,17 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaigns.candidates import (
-    Candidate,
-    beside_the_axis,
-    best,
-    candidates,
-    expected_width,
-    next_task,
-    played_again,
-)
-from gtau.campaigns.decision import (
-    BLOCKED,
-    CONFIRM,
-    MASS_NOTE,
-    MODEL,
-    WORTH,
-    Decision,
-    decide,
-    identified,
-    listed,
-    refuse_to_go_on,
-    slower,
-    warming,
-    write_experiment,
-)
-from gtau.campaigns.folder import (
-    ASIDE,
-    DECISION,
-    DESIGN,
-    PLAYED,
-    SETTINGS,
-    Round,
-    digest,
-    read_design_file,
-    read_rounds,
-    read_settings,
-    scene,
-    void,
-    write_json,
-)
+from gtau.campaigns import decision as decisions
+from gtau.campaigns import folder as files
+from gtau.campaigns.candidates import Candidate, beside_the_axis, candidates, expected_width, next_task, played_again
+from gtau.campaigns.decision import Decision, decide, identified, listed
+from gtau.campaigns.folder import DESIGN, PLAYED, Round, read_design_file, read_rounds, read_settings
 from gtau.campaigns.rehearsal import Rehearsal, rehearse, write_motion
 from gtau.documents.validation import FUNCTION, NUMBER, PATH, takes
 from gtau.errors import GtauError
 from gtau.estimation.results.model_file import save
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.excitation.design import Design, excite, never
+from gtau.excitation.design import Design, excite
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.progress import Progress, silent
 
@@ -93,11 +59,6 @@ class CampaignState:
         ]
         aim = {"next": self.next, "say": self.say, "accuracy": self.accuracy}
         return {"schema": "gtau-campaign/1", **aim, "rounds": rounds}
-
-
-def unhindered() -> Any:
-    """Let a search run to its end."""
-    return nullcontext(never)
 
 
 @takes(
@@ -150,17 +111,17 @@ def campaign(
     >>> gtau.campaign("camp", robot="five-bar", payload=1.2).next
     'play'
     """
-    folder, progress, searching = Path(folder), progress or silent, searching or unhindered
+    folder, progress, searching = Path(folder), progress or silent, searching or nullcontext
     aim = read_settings(folder, robot, payload, accuracy).accuracy
     file, rounds = read_design_file(folder), read_rounds(folder)
     used = [round_ for round_ in rounds if round_.played is not None and not round_.aside]
     pending = rounds[-1] if rounds and rounds[-1].played is None else None
     if pending is not None and pending.aside:
-        raise GtauError(f"{pending.folder} was not played, so there is nothing to set aside; remove its {ASIDE}.")
-    if pending is not None and not void(pending) and _current(folder, file, pending, used):
+        raise GtauError(f"{pending.folder} was not played, so there is nothing to set aside; remove its {files.ASIDE}.")
+    if pending is not None and not files.void(pending) and _current(folder, file, pending, used):
         return _to_play(folder, aim, rounds)
     if problem := next(filter(None, map(_unusable, used)), ""):
-        return CampaignState(folder, aim, BLOCKED, problem, tuple(rounds), None)
+        return CampaignState(folder, aim, decisions.BLOCKED, problem, tuple(rounds), None)
     last = max((round_.number for round_ in rounds if round_.played is not None), default=0)
     place = folder / f"{last + 1:02d}"
     if used:
@@ -192,25 +153,25 @@ def _unusable(last: Round) -> str:
     """Say why the logs of a round cannot be used; empty if they can."""
     assert last.played is not None
     if last.played.hash != last.motion["hash"]:
-        return f"round {last.folder} was played with another motion; play it again, or set it aside ({ASIDE})"
+        return f"round {last.folder} was played with another motion; play it again, or set it aside ({files.ASIDE})"
     if not last.complete:
         return (
             f"round {last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or "
-            f"set it aside with a reason ({ASIDE})"
+            f"set it aside with a reason ({files.ASIDE})"
         )
     names = {run.name for run in last.played.runs}
     missing = [run["name"] for run in last.motion["runs"] if run["name"] not in names]
     missing += [run.log for run in last.played.runs if not (last.folder / run.log).exists()]
     if not missing:
         return ""
-    return f"round {last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({ASIDE})"
+    return f"round {last.folder} lacks {', '.join(missing)}; play it again, or set it aside ({files.ASIDE})"
 
 
 def _inputs(folder: Path, file: DesignFile, used: list[Round]) -> dict[str, str]:
     """Hash all files on which a decision depends."""
     logs = [round_.folder / run.log for round_ in used if round_.played for run in round_.played.runs]
     played = [round_.folder / PLAYED for round_ in used]
-    return digest([folder / SETTINGS, *scene(folder, file), *played, *logs], folder)
+    return files.digest([folder / files.SETTINGS, *files.scene(folder, file), *played, *logs], folder)
 
 
 def _current(folder: Path, file: DesignFile, pending: Round, used: list[Round]) -> bool:
@@ -231,7 +192,7 @@ def _judge(
     if stored is None or stored["inputs"] != inputs or stored["next"] is not None:
         decision = _decided(place, accuracy, file, used, progress, searching)
         following = {"next": place.name if decision.goes_on else None, "inputs": inputs}
-        write_json(last.folder / DECISION, {"schema": "gtau-decision/1", **vars(decision), **following})
+        files.write_json(last.folder / files.DECISION, {"schema": "gtau-decision/1", **vars(decision), **following})
         if decision.goes_on:
             return _to_play(folder, accuracy, read_rounds(folder))
         stored = last.decision or {}
@@ -240,22 +201,17 @@ def _judge(
 
 
 def _decided(
-    place: Path,
-    accuracy: float,
-    file: DesignFile,
-    used: list[Round],
-    progress: Progress,
-    searching: Callable[[], Any] = unhindered,
+    place: Path, accuracy: float, file: DesignFile, used: list[Round], progress: Progress, searching: Callable[[], Any]
 ) -> Decision:
     """Identify and decide, and write the next motion at ``place`` if the campaign goes on."""
     last = used[-1]
-    result = identified(write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
+    result = identified(decisions.write_experiment(last.folder / "experiment.yaml", file, used), accuracy, progress)
     if isinstance(result, Decision):
         return result
     model = last.folder / MODEL_FILE
     save(result, model)
     confirming = _confirmation(place.parent, accuracy, file, used, progress)
-    decision = decide(result, accuracy, used, *confirming).noting(*slower(result, used), MASS_NOTE)
+    decision = decide(result, accuracy, used, *confirming).noting(*decisions.slower(result, used), decisions.MASS_NOTE)
     if not decision.goes_on:
         return decision
     task = next_task(file, result, model)
@@ -265,11 +221,11 @@ def _decided(
     except GtauError as refusal:
         designed, note = played_again(task, used, refusal, progress)
         decision = decision.noting(note)
-    if decision.kind != CONFIRM:
+    if decision.kind != decisions.CONFIRM:
         designed, decision = _best_candidate(designed, decision, result, last.number, progress)
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
-        warm_up = warming(result, last)
+        warm_up = decisions.warming(result, last)
         decision = decision.noting(*filter(None, (warm_up,)))
         purpose = {"purpose": decision.kind, "after": last.folder.name, "warm_up": bool(warm_up)}
         write_motion(place, file, *rehearsed(designed, file, trusted, progress), purpose)
@@ -281,13 +237,13 @@ def _confirmation(
 ) -> tuple[IdentifiedModel | Decision | None, Mapping[str, Any] | None]:
     """Identify a confirming round by itself, and return it with the decision or gains of the rounds before it."""
     last = used[-1]
-    if last.motion["purpose"] != CONFIRM or len(used) == 1:  # earlier rounds may be set aside
+    if last.motion["purpose"] != decisions.CONFIRM or len(used) == 1:  # earlier rounds may be set aside
         return None, None
-    alone = identified(write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
+    alone = identified(decisions.write_experiment(last.folder / "alone.yaml", file, used[-1:]), accuracy, progress)
     stored = used[-2].decision
     if stored is not None and stored["inputs"].items() <= _inputs(folder, file, used).items():
         return alone, stored
-    before = identified(write_experiment(last.folder / "before.yaml", file, used[:-1]), accuracy, progress)
+    before = identified(decisions.write_experiment(last.folder / "before.yaml", file, used[:-1]), accuracy, progress)
     return alone, {"gains": before.gains if isinstance(before, Decision) else listed(before)}
 
 
@@ -295,20 +251,24 @@ def _best_candidate(
     designed: Design, decision: Decision, result: IdentifiedModel, seed: int, progress: Progress
 ) -> tuple[Design, Decision]:
     """Simulate candidates for the next motion; return the best one, and the decision with what they would reach."""
-    offered = list(candidates(designed)) if decision.kind == MODEL else [Candidate("as designed", designed)]
+    offered = list(candidates(designed)) if decision.kind == decisions.MODEL else [Candidate("as designed", designed)]
     offered += beside_the_axis(designed, result)
     drives = designed.task.prior.drives
 
-    def simulated_width(candidate: Candidate) -> float:
-        progress(f"rehearsing {candidate.label}", offered.index(candidate), len(offered))
-        return expected_width(candidate, result, seed, drives)
-
-    chosen, widths = best(offered, simulated_width)
-    *usual, beside = (float(entry["half_width"] or np.inf) for entry in widths)
-    if any(offered[-1].beside) and beside <= WORTH * min(usual):
+    widths = []
+    for k, candidate in enumerate(offered):
+        progress(f"rehearsing {candidate.label}", k, len(offered))
+        widths.append(expected_width(candidate, result, seed, drives))
+    chosen = offered[min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: widths[k])]
+    listed = [
+        {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
+        for candidate, width in zip(offered, widths, strict=True)
+    ]
+    *usual, beside = widths
+    if any(offered[-1].beside) and beside <= decisions.WORTH * min(usual):
         advice = f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{beside:.3g} %"
         decision = replace(decision, notes=(advice, *decision.notes))
-    return chosen.design, refuse_to_go_on(result, decision, widths, expected_width(None, result, 0, drives))
+    return chosen.design, decisions.refuse_to_go_on(result, decision, listed, expected_width(None, result, 0, drives))
 
 
 def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: Progress) -> tuple[Design, Rehearsal]:

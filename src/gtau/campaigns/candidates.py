@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -161,20 +160,6 @@ def _carried(payload: Payload | None, result: IdentifiedModel) -> Payload | None
     scale = payload.mass / known["m"] if known.get("m") else 1.0
     moments = {kind: known[kind] * scale for kind in FIRST_MOMENTS if kind in known}
     return payload.model_copy(update={"parameters": moments | payload.parameters})
-
-
-def best(
-    offered: Sequence[Candidate], simulated_width: Callable[[Candidate], float]
-) -> tuple[Candidate, list[dict[str, Any]]]:
-    """Find the candidate at hand with the narrowest interval, and list all candidates."""
-    halfwidths = [simulated_width(candidate) for candidate in offered]
-    chosen = min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: halfwidths[k])
-    shown = [width if np.isfinite(width) else None for width in halfwidths]
-    listed = [
-        {"motion": candidate.label, "half_width": width, "at_hand": candidate.at_hand}
-        for candidate, width in zip(offered, shown, strict=True)
-    ]
-    return offered[chosen], listed
 
 
 def next_task(file: DesignFile, result: IdentifiedModel, model: Path) -> DesignProblem:

@@ -22,7 +22,6 @@ from gtau.estimation.effects.estimate import CONTRADICTED
 from gtau.estimation.effects.known.friction_drift import EFFECT as FRICTION_DRIFT
 from gtau.estimation.effects.known.gain_drift import EFFECT as GAIN_DRIFT
 from gtau.estimation.experiment_runs import options_of
-from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.excitation.design_file import DesignFile
 from gtau.findings import Grade, to_width
@@ -159,7 +158,9 @@ def decide(
         return Decision(BLOCKED, apart, gains, notes=(advice,))
     if reached:
         return Decision(DONE, f"{within}, and the last round agrees", gains)
-    limited = RANDOM if _random(result.drive_gains[joint]) else MODEL
+    gain = result.drive_gains[joint]
+    by_random = gain.value is None or not gain.model_std or (gain.random_std or 0.0) >= gain.model_std
+    limited = RANDOM if by_random else MODEL
     size = f"known to {width}" if np.isfinite(wide[joint]) else "not identifiable"
     say = f"'{joint}' is {size}, the target is {accuracy:g} %; the {limited} of its interval is the larger one"
     if len(rounds) >= ROUNDS:
@@ -193,10 +194,6 @@ def _moving(time: np.ndarray, q: np.ndarray) -> float:
     """Compute the time, s, in which a motion (N, n) is further than a hundredth of its range from its start."""
     away = (np.abs(q - q[0]) > 0.01 * np.ptp(q, axis=0)).any(axis=1)
     return float(np.ptp(time[away])) if away.any() else 0.0
-
-
-def _random(gain: Estimate) -> bool:
-    return gain.value is None or not gain.model_std or (gain.random_std or 0.0) >= gain.model_std
 
 
 def _stalled(rounds: Sequence[Round], now: float) -> bool:

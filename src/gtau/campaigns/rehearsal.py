@@ -16,7 +16,7 @@ from gtau.errors import GtauError
 from gtau.excitation.design import Design, check
 from gtau.excitation.design_file import DesignFile
 from gtau.excitation.forecast import Outlook, sampled_run
-from gtau.excitation.prior import PriorModel, file_parameters, rough_parameters, with_drives
+from gtau.excitation.prior import file_parameters, rough_parameters, with_drives
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
@@ -24,7 +24,7 @@ from gtau.report.design import trajectory_table
 from gtau.robots.parameter import torque_unit
 from gtau.robots.readers.mjcf_guard import refuse_deadly
 from gtau.signals.reading.logs import read_log
-from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
+from gtau.signals.reading.statements import FIRST_MOMENTS
 from gtau.simulation.simulate import simulate
 from gtau.simulation.trajectories import log_column
 
@@ -102,10 +102,15 @@ def _under_control(
     with tempfile.TemporaryDirectory() as name:
         out = Path(name)
         write_table(trajectory_table(task, time, joints), out / CSV)
-        load = {} if heaviest is None else {"payload": _known(heaviest, task.prior)}
-        run = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}, **load}
-        mass = (heaviest and heaviest.mass) or 1.0
-        truth = {"model": str(model)} if model else {"parameters": _stated(design, mass)}
+        run: dict[str, Any] = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}}
+        if heaviest is not None:
+            moments = dict(zip(FIRST_MOMENTS, task.prior.moments(heaviest).tolist(), strict=True))
+            known = {"name": heaviest.name, "mass": heaviest.mass, "parameters": moments | heaviest.parameters}
+            run["payload"] = known
+        truth: dict[str, Any] = {"model": str(model)}
+        if model is None:  # the robot's file without the margin where it states inertias
+            rough, _ = rough_parameters(task.model, task.base, (heaviest and heaviest.mass) or 1.0)
+            truth = {"parameters": with_drives(task.model, file_parameters(task.model, rough))}
         drives = {joint: {"gain": 1.0} for joint in task.model.actuated}
         rate = max(task.rate, 500.0)
         simulated = {"robot": file.robot, "rate": rate, "drives": drives, "runs": [run], **truth}
@@ -121,17 +126,6 @@ def _under_control(
         errors[joint] = float(np.abs(log[log_column("q", joint)] - designed).max())
         torques[joint] = float(np.abs(log[log_column("v", joint)]).max())
     return errors, torques
-
-
-def _known(payload: Payload, prior: PriorModel) -> dict[str, Any]:
-    moments = dict(zip(FIRST_MOMENTS, prior.moments(payload).tolist(), strict=True))
-    return {"name": payload.name, "mass": payload.mass, "parameters": moments | payload.parameters}
-
-
-def _stated(design: Design, mass: float) -> dict[str, float]:
-    """Parameters of the robot before it is identified, from its file without the margin where stated."""
-    model, base = design.task.model, design.task.base
-    return with_drives(model, file_parameters(model, rough_parameters(model, base, mass)[0]))
 
 
 def tolerances(design: Design) -> dict[str, float]:
@@ -213,7 +207,10 @@ def check_contacts(file: Path, model: InverseDynamics, time: np.ndarray, joints:
         mujoco.mj_kinematics(compiled, data)
         mujoco.mj_comPos(compiled, data)
         mujoco.mj_collision(compiled, data)
-        touching = {_pair(compiled, contact.geom) for contact in data.contact if contact.dist < 0}
+        touching = {
+            tuple(sorted(compiled.geom(geom).name or compiled.body(compiled.geom_bodyid[geom]).name for geom in pair))
+            for pair in (contact.geom for contact in data.contact if contact.dist < 0)
+        }
         drawn = touching if drawn is None else drawn
         if new := sorted(touching - drawn):
             first, second = new[0]
@@ -222,9 +219,3 @@ def check_contacts(file: Path, model: InverseDynamics, time: np.ndarray, joints:
                 "limit its joints or give its surroundings in the design file."
             )
     return ""
-
-
-def _pair(compiled: Any, geoms: np.ndarray) -> tuple[str, str]:
-    bodies = (compiled.body(compiled.geom_bodyid[geom]).name for geom in geoms)
-    first, second = sorted(compiled.geom(geom).name or body for geom, body in zip(geoms, bodies, strict=True))
-    return first, second

@@ -60,10 +60,6 @@ class Design:
         )
 
 
-def keep_nothing(best: Design) -> None:
-    """Discard intermediate designs."""
-
-
 def never() -> bool:
     """Never stop a search."""
     return False
@@ -127,7 +123,7 @@ def excite(
     'gains'
     """
     require_rest(task)
-    reported, kept, stopped = progress or silent, keep or keep_nothing, stop or never
+    reported, stopped = progress or silent, stop or never
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failures: list[ConstraintUsage] = []
@@ -137,7 +133,8 @@ def excite(
         nonlocal best
         if best is None or candidate.value < best.value:
             best = candidate
-            kept(candidate)
+            if keep is not None:
+                keep(candidate)
 
     for start in range(starts):
 
@@ -296,14 +293,9 @@ def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[Const
     period = evaluate(task, x, grid)
     joints = whole_run(task, period, 1 / grid.step)
     rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))
-    share = share_away(task, period.joints[1], grid.step, rms)
-    return tuple(constraint_usages(along(task, joints, grid.step), share))
-
-
-def share_away(task: DesignProblem, qd: np.ndarray, step: float, rms: np.ndarray) -> np.ndarray:
-    """Compute the share (n,) of instants whose rows identification keeps, from the rms speeds (n,) of the run."""
+    # the share of instants whose rows identification keeps
+    qd, reach = period.joints[1], round(task.decimator.guard / task.rate / grid.step)
     slow = np.abs(qd) < SPEED_FRACTION * rms[:, None]
     slow |= np.sign(qd) != np.sign(np.roll(qd, 1, axis=1))
-    reach = round(task.decimator.guard / task.rate / step)
-    lost = maximum_filter1d(slow, 2 * reach + 1, axis=1, mode="wrap")
-    return np.asarray(1 - lost.mean(axis=1))
+    share = 1 - maximum_filter1d(slow, 2 * reach + 1, axis=1, mode="wrap").mean(axis=1)
+    return tuple(constraint_usages(along(task, joints, grid.step), share))

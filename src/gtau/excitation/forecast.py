@@ -86,8 +86,9 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     factors = [reduce_run(task.model, task.base.standard, run, preparation.decimator) for run in prepared]
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
     uncertain = dict.fromkeys(load.name for load in task.payloads if load is not None and load.mass_std)
-    heavier = (_heavier(task.payloads, name) for name in uncertain)
-    loads: list[Sequence[Payload | None]] = [task.payloads, *heavier]
+    loads: list[Sequence[Payload | None]] = [task.payloads]
+    for name in uncertain:  # heavier by its standard deviation
+        loads.append([_heavier(load) if load and load.name == name else load for load in task.payloads])
     problem, *shifted = (plain_problem(task.model, task.base, factors, load, slowest) for load in loads)
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
     theta = task.prior.values(problem.parameters, task.model.robot, task.payloads, prior)
@@ -107,12 +108,8 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     return Forecast(gains, parameters, np.full(len(joints), problem.total_rows / rows), expected)
 
 
-def _heavier(payloads: Sequence[Payload | None], name: str) -> list[Payload | None]:
-    """Increase the mass of the payload called ``name`` by its standard deviation."""
-    return [
-        load.model_copy(update={"mass": (load.mass or 0.0) + load.mass_std}) if load and load.name == name else load
-        for load in payloads
-    ]
+def _heavier(load: Payload) -> Payload:
+    return load.model_copy(update={"mass": (load.mass or 0.0) + load.mass_std})
 
 
 def ml_covariance(

@@ -47,12 +47,7 @@ Shapes = Mapping[str, Sequence[Shape]]
 
 
 def guard(
-    model: InverseDynamics,
-    rest: np.ndarray,
-    least: float,
-    stated: Shapes | None,
-    floor: float | str | None,
-    file: Path,
+    model: InverseDynamics, rest: np.ndarray, least: float, stated: Shapes | None, floor: float | str | None, file: Path
 ) -> tuple[Clearance | None, tuple[str, ...]]:
     """Keep bodies apart and off a floor, with ``stated`` shapes, shapes of the robot's file, or guessed shapes.
 

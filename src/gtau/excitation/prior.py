@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field, FiniteFloat, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
 from gtau.documents.files import beside
 from gtau.documents.validation import Keys, Positive
@@ -37,11 +37,7 @@ COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
 STATES = 200
 
 
-def _beside_the_file(path: Path, info: ValidationInfo) -> Path:
-    return path if info.context is None else beside(info.context, path)
-
-
-FilePath = Annotated[Path, AfterValidator(_beside_the_file)]
+FilePath = Annotated[Path, AfterValidator(lambda path, info: beside(info.context or Path(), path))]
 
 
 class DesignPrior(Keys):
@@ -212,13 +208,6 @@ def with_drives(model: InverseDynamics, chi: Mapping[str, float]) -> dict[str, f
     return chi
 
 
-def rough_noise(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
-    """Guess the standard deviation (n,) of a torque sample from the effort limit, or from the rms torque."""
-    torque = rms_torque(model, base, chi) / MODERATE
-    joints = [model.robot.joint(name) for name in model.actuated]
-    return NOISE * np.array([joint.limits.effort or size for joint, size in zip(joints, torque, strict=True)])
-
-
 def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
     """Compute rms torques (n,) over random states within the robot's limits, N m or N."""
     motion = random_motion(model, STATES, np.random.default_rng(0))
@@ -248,7 +237,9 @@ def prior_of(
             assumed["noise"] = "noise of the currents: white, 0.5 % of the largest current, a sample"
         gains = [entry.gains.get(joint, 1.0) for joint in model.actuated]
         known = tuple(KnownGain(gain, (gain, gain), "assumed" if missing else "given") for gain in gains)
-        prior = PriorModel(chi, known, rough_noise(model, base, chi) / np.abs(gains), cautious)
+        largest = zip(model.actuated, rms_torque(model, base, chi) / MODERATE, strict=True)
+        efforts = [model.robot.joint(joint).limits.effort or torque for joint, torque in largest]
+        prior = PriorModel(chi, known, NOISE * np.array(efforts) / np.abs(gains), cautious)
     stated = [entry.noise.get(joint, rough) for joint, rough in zip(model.actuated, prior.sigma, strict=True)]
     return replace(prior, sigma=np.array(stated))
 

@@ -17,15 +17,7 @@ from gtau.export.consistent import ConsistentModel, consistent_model, difference
 from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import GROUND, Robot
-from gtau.simulation.mujoco_plant import (
-    LIGHTEST,
-    STEP,
-    STIFF,
-    link_name,
-    mujoco_positions,
-    robot_spec,
-    spring_attributes,
-)
+from gtau.simulation import mujoco_plant
 
 JOINT = ("range", "armature", "damping", "frictionloss", "stiffness", "springref")
 THICKNESS = 0.012  # m: of the links as drawn
@@ -44,12 +36,14 @@ def model_text(
     result = model.result
     spec, expressed = _spec(mujoco, model)
     layout, loops = result.idm.layout, result.idm.loops
-    home = mujoco_positions(compiled(spec.compile), layout, layout.home if loops is None else loops.home)
+    home = mujoco_plant.mujoco_positions(compiled(spec.compile), layout, layout.home if loops is None else loops.home)
     spec.add_key(name="home", qpos=home)  # in which the loops are closed
     compiled(spec.compile)
     figures, difference = differences(model, expressed)
     said = [difference, *notes(model, expressed, delays)]
-    springs = [spring.name for spring in result.robot.springs if spring_attributes(spring, model.values) is None]
+    springs = [
+        spring.name for spring in result.robot.springs if mujoco_plant.spring_attributes(spring, model.values) is None
+    ]
     if springs:
         said.append(
             f"no tendon has the force of {', '.join(springs)}: an actuator without gain does, whose ctrl has no effect"
@@ -77,9 +71,9 @@ def compiled(compile_model: Callable[[], Any]) -> Any:
 
 def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, float]]:
     robot = model.result.robot
-    spec = robot_spec(mujoco, robot, model.values)
+    spec = mujoco_plant.robot_spec(mujoco, robot, model.values)
     spec.modelname = robot.name
-    spec.option.timestep = STEP
+    spec.option.timestep = mujoco_plant.STEP
     spec.worldbody.add_light(pos=(0, 0, 3))
     expressed = dict(model.values)
     for joint in robot.joints:
@@ -110,11 +104,11 @@ def _draw(mujoco: ModuleType, robot: Robot, spec: Any) -> None:
             shape = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "size": (THICKNESS, 0, 0)}
             shape["fromto"] = (0.0, 0.0, 0.0, *placement.position)
         if name != GROUND:
-            spec.body(link_name(robot, name)).add_geom(**shape, **look)
+            spec.body(mujoco_plant.link_name(robot, name)).add_geom(**shape, **look)
 
 
 def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:
-    solref, solimp = STIFF
+    solref, solimp = mujoco_plant.STIFF
     for number, coupling in enumerate(robot.couplings, start=1):
         if len(coupling.ratios) > 1:
             raise GtauError(
@@ -181,6 +175,6 @@ def notes(model: ConsistentModel, expressed: Mapping[str, float], delays: bool =
     if unable := [name for name in offsets if name not in expressed and model.values.get(name)]:
         said.append(f"these offsets are not part of the file: {', '.join(unable)}")
     if light := [joint.name for joint in model.result.robot.joints if not joint.has_mass]:
-        said.append(f"MuJoCo moves no massless body, so these weigh {LIGHTEST:g} kg: {', '.join(light)}")
+        said.append(f"MuJoCo moves no massless body, so these weigh {mujoco_plant.LIGHTEST:g} kg: {', '.join(light)}")
     said.append("Coulomb friction is MuJoCo's frictionloss, which also holds the robot at rest")
     return said

@@ -11,19 +11,10 @@ from gtau.estimation.check_logs import WEIGHING, ExperimentCheck, LogCheck
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.results.estimate import write_distances
 from gtau.findings import Finding, Grade, by_severity, counted, note_document
+from gtau.report import motion
 from gtau.report.chart import Chart
 from gtau.report.evidence import findings_section, preparation_words, same_in_several
-from gtau.report.motion import (
-    distances_panels,
-    joint_panels,
-    payload_words,
-    preparation_chart,
-    seconds,
-    singularities_section,
-    speed_chart,
-    valid_share,
-)
-from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
+from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, table_of
 from gtau.report.robot import geometry_section
 from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
@@ -56,7 +47,7 @@ def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
         "payload": None if run.payload is None else {"name": run.payload.name, "mass": run.payload.mass},
         "samples": len(run.time),
         "rate": run.rate,
-        "duration": seconds(run),
+        "duration": motion.seconds(run),
         "rows": log.rows,
         "joints": [
             {
@@ -85,30 +76,30 @@ def check_page(checked: ExperimentCheck) -> Page:
     robot, preparation = checked.robot, checked.preparation
     nearest = [pose for log in checked.logs for pose in log.nearest]
     motions = [Section(log.run.name, motion_chart(log, robot), folded=k > 0) for k, log in enumerate(checked.logs)]
-    prepared = [Section(log.run.name, preparation_chart(log), folded=True) for log in checked.logs]
+    prepared = [Section(log.run.name, motion.preparation_chart(log), folded=True) for log in checked.logs]
     logs = table_of(
         checked.logs,
         (Column("log"), "run.name"),
         (Column("used for"), _purpose),
-        (Column("payload"), lambda log: payload_words(log.run).removeprefix("payload ")),
+        (Column("payload"), lambda log: motion.payload_words(log.run).removeprefix("payload ")),
         (Column("samples", Kind.NUMBER, 8), lambda log: len(log.run.time)),
         (Column("rate, Hz", Kind.NUMBER, 5), "run.rate"),
-        (Column("duration, s", Kind.NUMBER), lambda log: seconds(log.run)),
+        (Column("duration, s", Kind.NUMBER), lambda log: motion.seconds(log.run)),
         (Column("rows a joint", Kind.NUMBER), "rows"),
-        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - valid_share(log.run)),
+        (Column("repaired, %", Kind.SHARE, 2, wide=True), lambda log: 1 - motion.valid_share(log.run)),
     )
     settings = None
     if preparation is not None:
         bandwidth, cutoff, decimation = preparation_words(preparation)
         settings = Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
-    speeds = speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
+    speeds = motion.speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
     return Page(
         f"Logs of {checked.robot.name}",
         _verdict(checked),
         findings_section(checked.notes),
         Section("Logs", logs, settings, id="logs") if checked.logs else None,
         Section("Joints", *(_joints(log, checked.robot) for log in checked.logs), id="joints"),
-        Section("Robot and singular poses", robot, singularities_section(nearest), id="robot"),
+        Section("Robot and singular poses", robot, motion.singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
         Section("Motion", *motions, id="motion"),
         Section("Preparation", *prepared, speeds, id="preparation"),
@@ -118,7 +109,7 @@ def check_page(checked: ExperimentCheck) -> Page:
 def _verdict(checked: ExperimentCheck) -> Section:
     used = [log for log in checked.logs if not log.validation]
     style = {Grade.ERROR: "bad", Grade.WARNING: "weak", Grade.INFORMATION: "good"}[checked.worst]
-    time = sum(seconds(log.run) for log in used)
+    time = sum(motion.seconds(log.run) for log in used)
     runs = f"{counted(len(used), 'run')} of {time:.4g} s in all for the identification"
     said = (runs,) if used else ()
     return Section("Verdict", Text(expectation(checked.notes), said, style), id="verdict")  # type: ignore[arg-type]
@@ -158,8 +149,15 @@ def _joints(log: LogCheck, robot: Robot) -> Section:
         *_unit_column(commands),
         (Column("rows used, %", Kind.SHARE, decimals=0), "usable"),
     )
-    title = f"{log.run.name} ({_purpose(log)}, {payload_words(log.run)})"
-    return Section(title, listed, _wrenches(log) if log.wrenches else None, folded=False)
+    wrenches = table_of(
+        log.wrenches,
+        (Column("wrench on"), "body"),
+        (Column("force rms, N", Kind.NUMBER, 3), "force_rms"),
+        (Column("moment rms, N m", Kind.NUMBER, 3), "moment_rms"),
+        (Column("about the origin of the"), "axes"),
+    )
+    title = f"{log.run.name} ({_purpose(log)}, {motion.payload_words(log.run)})"
+    return Section(title, listed, wrenches if log.wrenches else None, folded=False)
 
 
 def _shared(units: Mapping[str, str]) -> str:
@@ -172,21 +170,11 @@ def _unit_column(units: Mapping[str, str]) -> list[ColumnOf]:
     return [] if _shared(units) else [(Column("unit"), lambda joint: units[joint.joint])]
 
 
-def _wrenches(log: LogCheck) -> Table:
-    return table_of(
-        log.wrenches,
-        (Column("wrench on"), "body"),
-        (Column("force rms, N", Kind.NUMBER, 3), "force_rms"),
-        (Column("moment rms, N m", Kind.NUMBER, 3), "moment_rms"),
-        (Column("about the origin of the"), "axes"),
-    )
-
-
 def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     """Draw the positions of the joints in a log, and the distances to singular poses."""
     start, joints = float(log.run.time[0]), [joint.joint for joint in log.joints]
-    panels = joint_panels(robot, joints, log.distances["time"] - start, log.position, "position", 2.1)
-    distances = distances_panels([(log.run.name, start, log.distances)])
+    panels = motion.joint_panels(robot, joints, log.distances["time"] - start, log.position, "position", 2.1)
+    distances = motion.distances_panels([(log.run.name, start, log.distances)])
     return Chart((*panels, *(replace(panel, title="") for panel in distances)), log.run.name, live=True)
 
 

@@ -88,7 +88,12 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
             for usage in outlook.usages
         ],
         "payload_masses": [
-            {"mass": mass, "rel_std": _shares(variant), "rms": variant.rms, "exceeded": variant.exceeded}
+            {
+                "mass": mass,
+                "rel_std": {gain.name: gain.relative for gain in variant.forecast.gains},
+                "rms": variant.rms,
+                "exceeded": variant.exceeded,
+            }
             for mass, variant in zip(outlook.masses, outlook.variants, strict=True)
         ],
         "assumed": list(outlook.assumed.values()),
@@ -105,10 +110,6 @@ def _entry(outlook: Outlook, unknown: Expected, assumed: bool) -> dict[str, Any]
         "unit": outlook.unit(unknown),
         "assumed": assumed,
     }
-
-
-def _shares(outlook: Outlook) -> dict[str, float]:
-    return {gain.name: gain.relative for gain in outlook.forecast.gains}
 
 
 def _finite(value: float) -> float | None:

@@ -125,18 +125,14 @@ def predicted(
 ) -> RunEvidence:
     """Predict a run, or its beginning unless ``whole``, and look for an undeclared load; raises GtauError."""
     cut = not whole and len(run.time) > LONGEST
-    prediction = predict(result, _beginning(run, LONGEST) if cut else run)
+    beginning: dict[str, Any] = {
+        name: np.asarray(getattr(run, name)[:LONGEST]) for name in ("time", "position", "command", "valid")
+    }
+    prediction = predict(result, replace(run, **beginning) if cut else run)
     errors = torque_errors(prediction, result.robot, result.preparation.bandwidth)
     load = None if used or cut else undeclared_load(result, run, errors, progress)
     notes = (*((load,) if load else ()), *_unknown_payload(result, run))
     return RunEvidence(run, used, prediction.rows, prediction if whole else None, errors, cut=cut, notes=notes)
-
-
-def _beginning(run: Run, count: int) -> Run:
-    columns: dict[str, Any] = {
-        name: np.asarray(getattr(run, name)[:count]) for name in ("time", "position", "command", "valid")
-    }
-    return replace(run, **columns)
 
 
 def _unknown_payload(result: IdentifiedModel, run: Run) -> Iterator[Finding]:
@@ -154,8 +150,8 @@ def _unknown_payload(result: IdentifiedModel, run: Run) -> Iterator[Finding]:
 
 def preparation_words(preparation: Preparation, digits: int = 3) -> tuple[str, str, str]:
     """Describe bandwidth of the motion, position filter and decimation."""
-    bandwidth, cutoff, decimator = preparation.bandwidth, preparation.cutoff, preparation.decimator
-    return f"{bandwidth:.{digits}g} Hz", _low_pass(cutoff, digits), f"{decimator.factor} ({decimator.kind})"
+    decimator, cutoff = preparation.decimator, preparation.cutoff
+    return f"{preparation.bandwidth:.{digits}g} Hz", _low_pass(cutoff, digits), f"{decimator.factor} ({decimator.kind})"
 
 
 def _low_pass(cutoff: float | None, digits: int = 4) -> str:
@@ -175,11 +171,6 @@ def settings_of(result: IdentifiedModel) -> dict[str, str]:
         "rows masked below": f"{100 * preparation.speed_fraction:g} % of the rms speed",
         **{name.replace("_", " "): f"{value:.4g}" for name, value in result.statistics.items()},
     }
-
-
-def worst_joint(errors: Sequence[TorqueError]) -> TorqueError | None:
-    """Return the torque error that is largest relative to the torque of its joint."""
-    return max(errors, key=lambda error: error.relative, default=None)
 
 
 def inputs_of(path: Path, experiment: Experiment | None = None, runs: bool = True) -> Inputs:

@@ -181,14 +181,15 @@ def all_sources(result: IdentifiedModel) -> str:
 
 def payloads_section(payloads: Iterable[PayloadEstimate], title: str = "Payloads") -> Section | None:
     """Show inertial parameters of payloads, in the frame of the body that carries them; None without payloads."""
-    parts = [
-        Section(
-            f"Payload '{payload.name}' of run {payload.run}",
-            Text(f"{payload.verdict.sentence}.") if payload.verdict.why else None,
-            estimates_table_of(payload.parameters, payload.known),
-        )
-        for payload in payloads
-    ]
+    columns = (Column("parameter", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL, wide=True), Column(""))
+    parts = []
+    for payload in payloads:
+        rows = []
+        for name, value in payload.parameters.items():
+            role = "known" if name in payload.known else "not identifiable" if value.value is None else value.regroups
+            rows.append((name, *value_cells(value), value.interval(), role))
+        verdict = Text(f"{payload.verdict.sentence}.") if payload.verdict.why else None
+        parts.append(Section(f"Payload '{payload.name}' of run {payload.run}", verdict, Table(columns, rows)))
     return Section(title, *parts, id="payloads") if parts else None
 
 
@@ -221,13 +222,3 @@ def value_cells(estimate: Estimate) -> tuple[object, ...]:
     value, half = estimate.value, estimate.half_interval()
     shown = float(to_width(value, half)) if half and value is not None else value
     return shown, estimate.std, estimate.rel_std, estimate.unit
-
-
-def estimates_table_of(estimates: Mapping[str, Estimate], known: Iterable[str] = ()) -> Table:
-    """Tabulate estimates by name; the last column marks ``known`` values and lists regroupings."""
-    columns = (Column("parameter", Kind.NAME), *VALUE, Column("95 % interval", Kind.INTERVAL, wide=True), Column(""))
-    rows = []
-    for name, estimate in estimates.items():
-        role = "known" if name in known else "not identifiable" if estimate.value is None else estimate.regroups
-        rows.append((name, *value_cells(estimate), estimate.interval(), role))
-    return Table(columns, rows)

@@ -55,7 +55,15 @@ def summary_page(result: IdentifiedModel) -> Page:
     """Show verdict, drive gains, masses, the findings that call for something, and the next step on one screen."""
     guesses = [note for note in result.notes if note.kind == DRAFT]
     files = dict.fromkeys(note.source for note in guesses)
-    doubts = [*map(_in_short, reasons(result)), *map(str, _urgent(result)), *corrections(result.audit)]
+    urgent = same_in_several([note for note in findings(result) if note.kind != DRAFT and note.advice])
+    doubts = [
+        *map(_in_short, reasons(result)),
+        *(str(note) for group in by_severity(urgent).values() for note in group),
+    ]
+    doubts += corrections(result.audit)
+    assumed = [note.what for note in guesses[:MOST]]
+    if len(guesses) > MOST:
+        assumed.append(f"{len(guesses) - MOST} more, marked CHECK there")
     more = f"{len(doubts) - MOST} more findings, all" if len(doubts) > MOST + 1 else "All"
     cost = "" if result.consistency is None else _growth(*result.consistency.loss.values())
     cost += "; no rigid bodies have such parameters: check payloads and priors" if cost.endswith("times") else ""
@@ -67,16 +75,10 @@ def summary_page(result: IdentifiedModel) -> Page:
         Section("", masses_table(result.payloads)),
         Section("", Text(f"Physically consistent parameters: torque residuals {cost}.")) if cost else None,
         Section("What to do", Text("", tuple(doubts[:MOST]))) if doubts else None,
-        Section(f"Assumed; correct it in {', '.join(files)}", Text("", _assumed(guesses))) if guesses else None,
+        Section(f"Assumed; correct it in {', '.join(files)}", Text("", tuple(assumed))) if guesses else None,
         Section("", Text(f"{more} parameters, fits and notes: --verbose, or report.html.")),
         Section("", Text("", tuple(next_steps(result)[:1]))),
     )
-
-
-def _urgent(result: IdentifiedModel) -> list[Finding]:
-    """List the findings beside the gains that have a remedy, the worst first."""
-    notes = [note for note in findings(result) if note.kind != DRAFT and note.advice]
-    return [note for group in by_severity(same_in_several(notes)).values() for note in group]
 
 
 def _in_short(reason: Finding) -> str:
@@ -84,12 +86,6 @@ def _in_short(reason: Finding) -> str:
     first, *others = [part.partition(", because ")[2] or part for part in reason.what.split("; ")]
     alike = ", or alike" if set(others) - {first} else ""
     return f"{', '.join(map(joint_label, reason.joints))}: {first}{alike}; {reason.advice}"
-
-
-def _assumed(guesses: Sequence[Finding]) -> tuple[str, ...]:
-    """List the first guesses of a draft, and count the others."""
-    more = len(guesses) - MOST
-    return (*(note.what for note in guesses[:MOST]), *([f"{more} more, marked CHECK there"] if more > 0 else []))
 
 
 def full_page(result: IdentifiedModel) -> Page:

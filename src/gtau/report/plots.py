@@ -17,9 +17,10 @@ from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
+from gtau.report import uncertainty
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.check import check_page
-from gtau.report.evidence import RunEvidence, gather, settings_of, worst_joint
+from gtau.report.evidence import RunEvidence, gather, settings_of
 from gtau.report.fleet import comparison_page
 from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_section, unknown_payloads, value_cells
 from gtau.report.identification import full_page, report_page, summary_page, verdict_section
@@ -31,13 +32,6 @@ from gtau.report.render.html import frame, stamped
 from gtau.report.render.html import html as rendered
 from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
-from gtau.report.uncertainty import (
-    correlation_chart,
-    correlation_of,
-    effects_chart,
-    residual_panels,
-    singular_values_chart,
-)
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
@@ -152,7 +146,8 @@ class Plots:
 
     def __call__(self) -> Figure:
         """Draw the drive gains, and the torques of the joint that fits worst along the first run."""
-        gains, worst = gains_chart(self.result.drive_gains, {}), worst_joint(self.result.residuals)
+        gains = gains_chart(self.result.drive_gains, {})
+        worst = max(self.result.residuals, key=lambda error: error.relative, default=None)
         panels = () if gains is None else gains.panels
         if self.result.data and worst is not None:
             panels += self._torques(worst.joint, None).panels
@@ -203,20 +198,20 @@ class Plots:
         robot = self.result.robot
         unit, values = torque_unit(robot, joint), evidence.residuals[:, robot.actuated.index(joint)]
         line = Series("", evidence.time, values, "residual", width=1.0)
-        panels = residual_panels({joint: [(evidence.time, values)]}, {joint: unit})
+        panels = uncertainty.residual_panels({joint: [(evidence.time, values)]}, {joint: unit})
         along = Panel(TIME, Axis(f"residual, {unit}"), (line,), height=2.0)
         return figure_of(Chart((along, *panels), f"{evidence.run.name}: {joint}", columns=2))
 
     def effects(self) -> Figure:
         """Draw the effects that model and description lack, by how much each would move a gain, with intervals."""
-        chart = effects_chart(sorted(self.result.effects, key=lambda effect: -effect.largest_move))
+        chart = uncertainty.effects_chart(sorted(self.result.effects, key=lambda effect: -effect.largest_move))
         if chart is None:
             raise GtauError("no effect would move a gain, so there is nothing to draw.")
         return figure_of(chart)
 
     def correlation(self) -> Figure:
         """Draw the correlation matrix of all estimates."""
-        return figure_of(correlation_chart(*correlation_of(self.result)))
+        return figure_of(uncertainty.correlation_chart(*uncertainty.correlation_of(self.result)))
 
     def singular_values(self) -> Figure:
         """Draw the singular values of ``W_tot`` (eq. 33), with the gap before the smallest."""
@@ -225,7 +220,7 @@ class Plots:
                 "this result has no singular values: its gains were given, or it was loaded from a file; identify the "
                 "gains from the logs again."
             )
-        return figure_of(singular_values_chart(np.array(self.result.singular_values)))
+        return figure_of(uncertainty.singular_values_chart(np.array(self.result.singular_values)))
 
     def distances(self) -> Figure:
         """Draw distances to singular poses along the runs."""

@@ -32,7 +32,7 @@ TERMS = {PRELOAD: "preload", STIFFNESS: "stiffness", DAMPING: "damping"}
 
 def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, Any]:
     """Describe a robot as a JSON document in SI units; raises GtauError if its loops do not close."""
-    robot, distances = model.robot, zip(TYPES, _distances_at_home(model), strict=True)
+    robot, loops, distances = model.robot, model.loops, zip(TYPES, _distances_at_home(model), strict=True)
     return {
         "robot": robot.name,
         "source": robot.source,
@@ -53,7 +53,15 @@ def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, An
             for joint, home in zip(robot.joints, model.home.tolist(), strict=False)
         ],
         "platforms": [{"name": platform.name, "dof": list(platform.dof)} for platform in robot.platforms],
-        "loops": _loops_document(model),
+        "loops": {
+            "closures": [{"kind": end.kind, "between": [end.a.body, end.b.body]} for end in robot.closures],
+            "couplings": [
+                {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
+                for coupling in robot.couplings
+            ],
+            "rows": loops.rows if loops else 0,
+            "rank": len(loops.layout.passive) if loops else 0,
+        },
         "distances_at_home": {f"type_{kind}": distance for kind, distance in distances},
         "springs": [
             {"name": spring.name, "between": [spring.a.body, spring.b.body], "parameters": list(spring.parameters)}
@@ -70,17 +78,6 @@ def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, An
             "units": _units(base, robot),
         },
     }
-
-
-def _loops_document(model: InverseDynamics) -> dict[str, Any]:
-    robot, loops = model.robot, model.loops
-    closures = [{"kind": closure.kind, "between": [closure.a.body, closure.b.body]} for closure in robot.closures]
-    couplings = [
-        {"joint": coupling.joint, "ratios": dict(coupling.ratios), "offset": coupling.offset}
-        for coupling in robot.couplings
-    ]
-    rows, rank = (loops.rows, len(loops.layout.passive)) if loops else (0, 0)
-    return {"closures": closures, "couplings": couplings, "rows": rows, "rank": rank}
 
 
 def _distances_at_home(model: InverseDynamics) -> list[float | None]:

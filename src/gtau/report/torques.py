@@ -40,8 +40,6 @@ EXTERNAL = Text(
 )
 SEEN = "seen: share of samples whose pose shows the component; elsewhere the component has no value."
 SHORTEST = 1e-3  # of the duration: stretches closer together are shaded as one
-RAW, BAND, AWAY = "raw", "in band", "in band without reversals"
-"""Samples over which a torque error is computed."""
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
@@ -55,9 +53,9 @@ def errors_table(runs: Sequence[RunEvidence]) -> Table:
         (Column("raw error", Kind.NUMBER, 4), lambda pair: pair[1].rms_raw),
         (Column("raw torque", Kind.NUMBER, 4), lambda pair: pair[1].signal_raw),
         (Column("unit, rms"), lambda pair: pair[1].unit),
-        (share(f"{RAW}, %"), lambda pair: pair[1].relative_raw),
-        (share(f"{BAND}, %"), lambda pair: pair[1].relative_all),
-        (share(f"{AWAY}, %"), lambda pair: pair[1].relative),
+        (share("raw, %"), lambda pair: pair[1].relative_raw),
+        (share("in band, %"), lambda pair: pair[1].relative_all),
+        (share("in band without reversals, %"), lambda pair: pair[1].relative),
     )
 
 

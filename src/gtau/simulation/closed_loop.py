@@ -211,7 +211,7 @@ def close_loop(
         if motors is not None:
             voltage[k] = supplied
             current[k], duty[k] = motors.currents(current[k], e, state.qd, supplied, k / samples)
-            supplied = motors.sagging(current[k], duty[k])
+            supplied = motors.supply.voltage - motors.supply.resistance * float(np.sum(current[k] * duty[k]))
         integral = integral + period * np.where(current[k] == wanted, e, 0.0)  # no windup at the limit
         position[k], error[k] = measured, reference.q[k] - state.q
         state = engine.advance(state, hardware.force(current[k], state.q, phase), period)

@@ -59,10 +59,6 @@ class MotorDrives:
         bridge = lost * np.clip(current * resistance / (SMALL * voltage), -1.0, 1.0)
         return current, np.where(servo, duty, (resistance * current + emf + bridge) / voltage)
 
-    def sagging(self, current: np.ndarray, duty: np.ndarray) -> float:
-        """Compute the supply voltage while motors have currents and duties (n,)."""
-        return self.supply.voltage - self.supply.resistance * float(np.sum(current * duty))
-
     def logged(
         self, period: float, current: np.ndarray, duty: np.ndarray, voltage: np.ndarray, goal: np.ndarray
     ) -> dict[Logged, np.ndarray]:

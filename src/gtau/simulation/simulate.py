@@ -30,31 +30,11 @@ from gtau.signals.channel import SideValues
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import CarriedPayload, Payload
 from gtau.signals.run import Log, Run
-from gtau.simulation.closed_loop import (
-    BANDWIDTH,
-    Engine,
-    Hardware,
-    JointHardware,
-    Simulated,
-    close_loop,
-    hardware,
-    pid,
-    sample,
-    write_log,
-)
+from gtau.simulation import closed_loop, trajectories
 from gtau.simulation.joint_friction import STATED, WIDTH, JointFriction, identified_friction
 from gtau.simulation.motors import Logged, Supply
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
-from gtau.simulation.trajectories import (
-    Existing,
-    MotionEntry,
-    PerJoint,
-    check_positions,
-    log_column,
-    make_trajectory,
-    require_joints,
-)
 
 RUBBING = (*kinds_where(lambda kind: kind.nonnegative and kind.friction), DAMPING)
 HELD = 10  # samples after which the controller updates its inertia matrix
@@ -65,7 +45,7 @@ class SimulatedRun(Keys):
     """A run to simulate; with ``weigh: true``, the experiment file does not contain the mass of the payload."""
 
     name: str
-    trajectory: MotionEntry
+    trajectory: trajectories.MotionEntry
     payload: CarriedPayload = None
     weigh: bool = False
 
@@ -109,18 +89,20 @@ class Simulation(Keys):
 
     robot: RobotName
     engine: Literal["gtau", "mujoco"] = "gtau"
-    model: Existing | None = None
+    model: trajectories.Existing | None = None
     parameters: dict[str, FiniteFloat] = Field(default_factory=dict)
     curves: dict[str, FrictionEntry] = Field(default_factory=dict)
-    drives: dict[str, JointHardware] = Field(min_length=1)
+    drives: dict[str, closed_loop.JointHardware] = Field(min_length=1)
     supply: Supply | None = None
     logs: tuple[Logged, ...] = ()
     friction_width: Friction = Friction()
     rate: Annotated[FiniteFloat, Field(ge=50, le=20000)] = 1000.0
     log_rate: Positive | None = None
-    bandwidth: Positive = Field(default_factory=lambda fields: min(BANDWIDTH, fields.get("rate", 1000.0) / 5))
+    bandwidth: Positive = Field(
+        default_factory=lambda fields: min(closed_loop.BANDWIDTH, fields.get("rate", 1000.0) / 5)
+    )
     seed: Annotated[int, Field(ge=0)] = 0
-    prior_gains: PerJoint = Field(default_factory=dict)
+    prior_gains: trajectories.PerJoint = Field(default_factory=dict)
     runs: tuple[SimulatedRun, ...] = Field(min_length=1)
     validation: tuple[SimulatedRun, ...] = ()
     control: tuple[SimulatedRun, ...] = ()
@@ -192,21 +174,11 @@ def read_simulation(path: str | Path) -> Simulation:
     return validate(Simulation, read_yaml(path), context=Path(path).parent)
 
 
-def as_simulation(source: str | Path | Simulation | Mapping[str, Any]) -> Simulation:
-    """Read a simulation file, or a mapping with its keys; raises GtauError."""
-    if isinstance(source, (str, Path)):
-        return read_simulation(source)
-    if isinstance(source, Simulation):
-        return source
-    expect("a simulation", source, ("the path of a simulation file, or a mapping with its keys", (Mapping,)))
-    return validate(Simulation, Document("simulation", source), context=Path())
-
-
 def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None:
     """Check that drives and prior gains belong to the robot's actuated joints; raises GtauError."""
-    require_joints(simulation.drives, robot, f"{path}, drives")
+    trajectories.require_joints(simulation.drives, robot, f"{path}, drives")
     if simulation.prior_gains:
-        require_joints(simulation.prior_gains, robot, f"{path}, prior_gains")
+        trajectories.require_joints(simulation.prior_gains, robot, f"{path}, prior_gains")
 
 
 def _truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, float], JointFriction]:
@@ -230,7 +202,7 @@ def _truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, fl
 
 def apparatus(
     simulation: Simulation, model: InverseDynamics, payload: Payload | None
-) -> tuple[Engine, Plant, Hardware]:
+) -> tuple[closed_loop.Engine, Plant, closed_loop.Hardware]:
     """Make the engine that moves the robot with its payload, gtau's plant, and the drives and sensors."""
     parameters, friction = _truth(simulation, model)
     chi = dict(parameters)
@@ -240,7 +212,7 @@ def apparatus(
             chi[name] = chi.get(name, 0.0) + value
     plant = Plant(model, chi, friction)
     engine = plant if simulation.engine == "gtau" else MujocoPlant(model, chi, friction)
-    return engine, plant, hardware(model.actuated, simulation.drives, simulation.supply, simulation.seed)
+    return engine, plant, closed_loop.hardware(model.actuated, simulation.drives, simulation.supply, simulation.seed)
 
 
 def make_run(
@@ -248,10 +220,10 @@ def make_run(
     model: InverseDynamics,
     described: SimulatedRun,
     progress: Callable[[int, int], None] = lambda done, total: None,
-) -> Simulated:
+) -> closed_loop.Simulated:
     """Simulate a run under PID with velocity feedforward and the robot's true inertia matrix."""
-    motion, duration = make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
-    reference = sample(motion, duration, simulation.rate)
+    motion, duration = trajectories.make_trajectory(described.trajectory, model.robot, f"run '{described.name}'")
+    reference = closed_loop.sample(motion, duration, simulation.rate)
     engine, plant, parts = apparatus(simulation, model, described.payload)
 
     def label(sample: int) -> str:
@@ -259,16 +231,16 @@ def make_run(
 
     c = model.motion(reference.q.T, reference.qd.T, reference.qdd.T, label).c
     for row, joint in enumerate(model.robot.joints):  # passive joints too
-        check_positions(c[row], joint, f"run '{described.name}'")
+        trajectories.check_positions(c[row], joint, f"run '{described.name}'")
     inertia = np.stack([plant.mass_matrix(pose) for pose in c.T[::HELD]]).repeat(HELD, axis=0)[: c.shape[1]]
     if np.linalg.eigvalsh(inertia + inertia.transpose(0, 2, 1)).min() <= 0:
         raise GtauError(
             f"run '{described.name}': the inertia matrix is not positive definite along the motion, so the masses and "
             "inertias are of no rigid bodies; 'gtau robot ROBOT --verbose' lists those that have an effect."
         )
-    controller = pid(reference, inertia, parts.gain, simulation.bandwidth)
+    controller = closed_loop.pid(reference, inertia, parts.gain, simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
-    simulated = close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
+    simulated = closed_loop.close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
     run, logged = simulated.run, slice(None, None, simulation.every)
     time, side = run.time[logged], dict[str, SideValues]()
     for key in simulation.logs:
@@ -311,14 +283,20 @@ def simulate(
     >>> [file.name for file in gtau.simulate("simulation.yaml", "simulated")]
     ['free.csv', 'experiment.yaml']
     """
-    simulation, out = as_simulation(source), folder_of(out)
+    name = source if isinstance(source, (str, Path)) else "simulation"
+    if isinstance(source, (str, Path)):
+        source = read_simulation(source)
+    if not isinstance(source, Simulation):
+        expect("a simulation", source, ("the path of a simulation file, or a mapping with its keys", (Mapping,)))
+        source = validate(Simulation, Document("simulation", source), context=Path())
+    simulation, out = source, folder_of(out)
     robot = load_robot(simulation.robot)
     refuse_floating(robot, "simulation is")
-    check_joints(simulation, robot, source if isinstance(source, (str, Path)) else "simulation")
+    check_joints(simulation, robot, name)
     model = InverseDynamics(robot)
     described = (*simulation.runs, *simulation.validation)
     for run in described:  # report errors before the first simulation
-        make_trajectory(run.trajectory, robot, f"run '{run.name}'")
+        trajectories.make_trajectory(run.trajectory, robot, f"run '{run.name}'")
     written: list[Path] = []
     experiment = out / "experiment.yaml"
     experiment.unlink(missing_ok=True)  # it would refer to a mix of new and old logs
@@ -326,7 +304,7 @@ def simulate(
         for run in described:
             simulated = make_run(simulation, model, run, partial(progress or silent, run.name))
             log = out / f"{run.name}.csv"
-            write_log(simulated.run, log)
+            closed_loop.write_log(simulated.run, log)
             written.append(log)
     except KeyboardInterrupt:
         finished = ", ".join(log.name for log in written) or "none"
@@ -343,7 +321,9 @@ def experiment_text(simulation: Simulation, robot: Robot, out: Path) -> str:
     letters = {"position": "q", "current": "v"} | {key: f"{key}_" for key in simulation.logs}
     if "supply_current" in simulation.logs:  # in place of the motor's
         del letters["current"]
-    signals = {key: {joint: log_column(letter, joint) for joint in joints} for key, letter in letters.items()}
+    signals = {
+        key: {joint: trajectories.log_column(letter, joint) for joint in joints} for key, letter in letters.items()
+    }
     servos = {joint: simulation.drives[joint].proportional_gain for joint in joints if "goal" in simulation.logs}
     electrical = {"convention", "commutation"}
     drives = {joint: simulation.drives[joint].model_dump(include=electrical) for joint in joints if simulation.logs}

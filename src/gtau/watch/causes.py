@@ -35,19 +35,9 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import to_width
 from gtau.robots.parameter import torque_unit
 from gtau.signals.run import Run
+from gtau.watch import statistics
 from gtau.watch.detectors import FEWEST, mean_of
 from gtau.watch.history import Cause
-from gtau.watch.statistics import (
-    RESIDUAL,
-    SHOWN,
-    UNEVEN,
-    LogStatistics,
-    Quantity,
-    identified,
-    normal_equations,
-    residuals_of,
-    unevenness,
-)
 
 CLOSE = 9.2  # 2 log(100): the best explanation is a hundred times as likely
 PER_PARAMETER = 2.0  # minimum improvement of the misfit per additional parameter, by Akaike's criterion
@@ -102,7 +92,7 @@ def _cause(kind: str, joint: str, size: float, text: str, unit: str = "1") -> Ca
 
 def causes_of(
     model: IdentifiedModel,
-    log: LogStatistics,
+    log: statistics.LogStatistics,
     before: np.ndarray,
     after: np.ndarray,
     healthy: np.ndarray,
@@ -115,7 +105,7 @@ def causes_of(
     """
     usable = log.shown & np.isfinite(healthy) & np.isfinite(after).any(axis=0)
     usable &= (np.isfinite(before).sum(axis=0) >= FEWEST) | (len(before) < FEWEST)
-    rows = np.flatnonzero(usable & [chart.kind != RESIDUAL for chart in log.charts])
+    rows = np.flatnonzero(usable & [chart.kind != statistics.RESIDUAL for chart in log.charts])
     if not len(rows):
         return ()
     complete = before[:, rows][np.isfinite(before[:, rows]).all(axis=1)]
@@ -165,7 +155,7 @@ def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarra
 
 def _stated(
     model: IdentifiedModel,
-    log: LogStatistics,
+    log: statistics.LogStatistics,
     heaviest: float,
     hypothesis: Hypothesis,
     sizes: np.ndarray,
@@ -187,7 +177,7 @@ def _stated(
             size, half = size / apparent, half / apparent**2
         else:
             kind, size = "units", apparent
-    known = identified(model, quantity.name) if kind == "friction" else 1.0 if kind == "warming" else 0.0
+    known = statistics.identified(model, quantity.name) if kind == "friction" else 1.0 if kind == "warming" else 0.0
     least, most = LARGEST.get(quantity.kind, (-np.inf, np.inf))
     if kind == "load":
         load = log.run.payload
@@ -197,7 +187,7 @@ def _stated(
         return None
     unit = "1" if kind in ("warming", "units") else quantity.unit
     relative = size / known if known and joint else None
-    shown, factor = SHOWN.get(unit, (unit, 1.0))
+    shown, factor = statistics.SHOWN.get(unit, (unit, 1.0))
     title = quantity.title if joint else COMMON.get(kind, quantity.title)
     width = factor * half
     text = f"{title} {'+' * (size > 0)}{to_width(factor * size, width)} ± {to_width(width, width)} {shown}"
@@ -209,7 +199,7 @@ def _stated(
     return _cause(kind, joint, size, text, unit).model_copy(update=more)
 
 
-def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Iterator[Hypothesis]:
+def _hypotheses(model: IdentifiedModel, quantities: tuple[statistics.Quantity, ...]) -> Iterator[Hypothesis]:
     groups = defaultdict[tuple[str, str], list[int]](list)
     for k, quantity in enumerate(quantities):
         if quantity.kind != "off":
@@ -220,7 +210,7 @@ def _hypotheses(model: IdentifiedModel, quantities: tuple[Quantity, ...]) -> Ite
     if len({quantity.joint for quantity in quantities} - {""}) > 1:
         for kind, group in (("clock", "delay"), ("gain", "gain")):
             yield kind, "", np.array([[float(quantity.group == group)] for quantity in quantities])
-        friction = [identified(model, quantity.name) * quantity.charted for quantity in quantities]
+        friction = [statistics.identified(model, quantity.name) * quantity.charted for quantity in quantities]
         yield "warming", "", np.array(friction)[:, None]
 
 
@@ -238,25 +228,25 @@ def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
     return np.asarray(R * sizes * sizes[:, None])
 
 
-def contacts_of(log: LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
+def contacts_of(log: statistics.LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
     """Suspect a contact if a joint's residual is far more uneven along the log than in any healthy log."""
-    ratio = unevenness(log, uneven)
+    ratio = statistics.unevenness(log, uneven)
     j = int(np.argmax(ratio))
-    if ratio[j] < UNEVEN:
+    if ratio[j] < statistics.UNEVEN:
         return ()
-    joint = [chart.joint for chart in log.charts if chart.kind == RESIDUAL][j]
+    joint = [chart.joint for chart in log.charts if chart.kind == statistics.RESIDUAL][j]
     text = f"contact of {joint} (residual {ratio[j]:.3g} times less even than in any healthy log)"
     return (_cause("contact", joint, float(ratio[j]), text),)
 
 
 def signal_faults(
-    model: IdentifiedModel, log: LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
+    model: IdentifiedModel, log: statistics.LogStatistics, healthy: np.ndarray, speed: np.ndarray, uneven: np.ndarray
 ) -> tuple[Cause, ...]:
     """Name the fault that the samples of a log show, given charts, speeds and unevenness of healthy logs."""
     run = log.run.ordered(model.idm.actuated, link_side=False)
     parts = list[tuple[np.ndarray, ...]]()
     friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
-    usual = np.exp(2 * healthy[[chart.kind == RESIDUAL for chart in log.charts]])
+    usual = np.exp(2 * healthy[[chart.kind == statistics.RESIDUAL for chart in log.charts]])
     single, all_free = _mean_squares(model, run, parts, friction, [*range(len(log.quantities))])
     seen, grown = np.isfinite(single + usual), single > GROWN * usual
     if not (all_free > GROWN * usual)[seen].any():
@@ -264,7 +254,7 @@ def signal_faults(
     if frozen := tuple(_frozen(run, speed)):
         return frozen
     limit = LEFT * float(np.maximum(all_free - usual, 0.0)[seen].sum())
-    local = np.flatnonzero(grown & (unevenness(log, uneven) < UNEVEN))
+    local = np.flatnonzero(grown & (statistics.unevenness(log, uneven) < statistics.UNEVEN))
     faults = [_position_fault(model, run, parts, friction, single, j) for j in local.tolist()]
     faults += _exchanged(model, run, friction, grown)
     misfits = [float(np.maximum(squares - usual, 0.0)[seen].sum()) for _, squares in faults]
@@ -276,8 +266,8 @@ def _mean_squares(
     model: IdentifiedModel, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]
 ) -> list[np.ndarray]:
     """Compute each joint's mean squared residual (n,) over the model's, for each choice of ``free`` columns."""
-    G, rows, _ = normal_equations(model, run, parts)
-    return [np.exp(2 * residuals_of(G, rows, columns, np.ones(len(G), dtype=bool))[0]) for columns in free]
+    G, rows, _ = statistics.normal_equations(model, run, parts)
+    return [np.exp(2 * statistics.residuals_of(G, rows, columns, np.ones(len(G), dtype=bool))[0]) for columns in free]
 
 
 def _frozen(run: Run, speed: np.ndarray) -> Iterator[Cause]:
