@@ -136,16 +136,6 @@ def identified_gains(result: IdentifiedModel, file: Path) -> tuple[KnownGain, ..
     return tuple(gains)
 
 
-def identified_centers(result: IdentifiedModel) -> dict[str, np.ndarray]:
-    """Take the centres of payloads from an earlier result, m by name."""
-    estimates = {load.name: result.payload(load.name) for load in result.payloads}
-    return {
-        name: np.array([moments[kind] / moments["m"] for kind in FIRST_MOMENTS])
-        for name, moments in estimates.items()
-        if moments.get("m") and {*FIRST_MOMENTS} <= {*moments}
-    }
-
-
 def given_parameters(model: InverseDynamics, base: BaseParameters, parameters: Mapping[str, float]) -> np.ndarray:
     """Compute base parameters (n_b,) from standard parameters by name, zero if missing."""
     for name in parameters:
@@ -253,7 +243,13 @@ def _identified(result: IdentifiedModel, file: Path, model: InverseDynamics, bas
     rms = np.array([error.rms for error in result.residuals])
     # white noise of the current samples that explains the residuals
     sigma = rms / np.abs([gain.value for gain in known]) * np.sqrt(result.preparation.decimator.factor)
-    return PriorModel(chi, known, sigma, chi, identified_centers(result))
+    loads = {load.name: result.payload(load.name) for load in result.payloads}
+    centers = {
+        name: np.array([load[kind] for kind in FIRST_MOMENTS]) / load["m"]
+        for name, load in loads.items()
+        if load.get("m") and {*FIRST_MOMENTS} <= {*load}
+    }
+    return PriorModel(chi, known, sigma, chi, centers)
 
 
 def _parameters(

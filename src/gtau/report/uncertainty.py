@@ -125,6 +125,7 @@ def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
 
 def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Compute lags (L,), s, autocorrelation (L,) over pairs of unmasked residuals, and the 95 % band of white noise."""
+    from scipy.signal import correlate
     from scipy.special import ndtri
 
     runs = _centred(residuals)
@@ -133,10 +134,9 @@ def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float
     lags = min(LAGS, min(len(values) for _, values, _ in runs) // 2)
     products, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
     for _, values, kept in runs:
-        for lag in range(lags + 1):
-            stop = len(values) - lag
-            products[lag] += values[:stop] @ values[lag:]
-            pairs[lag] += np.count_nonzero(kept[:stop] & kept[lag:])
+        middle = slice(len(values) - 1, len(values) + lags)
+        products += correlate(values, values)[middle]
+        pairs += correlate(kept.astype(float), kept.astype(float))[middle].round()
     variance = products[0] / pairs[0]
     if not variance > 0:
         return None

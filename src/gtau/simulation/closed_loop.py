@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from math import inf, nan
 from pathlib import Path
-from typing import Annotated, Literal, Protocol
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
@@ -23,7 +23,8 @@ from gtau.estimation.electrical import CONVENTIONS
 from gtau.signals.channel import SIDE_SIGNALS, SideValues
 from gtau.signals.run import Log, Run
 from gtau.simulation.motors import MotorDrives, Supply, rounded
-from gtau.simulation.plant import PlantState
+from gtau.simulation.mujoco_plant import MujocoPlant
+from gtau.simulation.plant import Plant, PlantState
 from gtau.simulation.trajectories import NotNegative, Trajectory, log_column
 
 BANDWIDTH = 100.0  # rad/s
@@ -155,16 +156,6 @@ def hardware(
     return Hardware(**{field.name: columns[field.name] for field in fields(Hardware)[:-1]}, motors=motors)
 
 
-class Engine(Protocol):
-    """Dynamics engine of the robot: :class:`~gtau.simulation.plant.Plant` or its MuJoCo counterpart."""
-
-    def start(self, q: np.ndarray) -> PlantState:
-        """Return the state at rest at actuated positions."""
-
-    def advance(self, state: PlantState, force: np.ndarray, duration: float) -> PlantState:
-        """Advance the state under constant forces."""
-
-
 @dataclass(frozen=True, eq=False)
 class Simulated:
     """A simulated run: the log, and the true tracking ``error`` (N, n), rad or m."""
@@ -175,7 +166,7 @@ class Simulated:
 
 def close_loop(
     name: str,
-    engine: Engine,
+    engine: Plant | MujocoPlant,
     controller: Controller,
     hardware: Hardware,
     rng: np.random.Generator,

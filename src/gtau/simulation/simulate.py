@@ -202,7 +202,7 @@ def _truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, fl
 
 def apparatus(
     simulation: Simulation, model: InverseDynamics, payload: Payload | None
-) -> tuple[closed_loop.Engine, Plant, closed_loop.Hardware]:
+) -> tuple[Plant | MujocoPlant, Plant, closed_loop.Hardware]:
     """Make the engine that moves the robot with its payload, gtau's plant, and the drives and sensors."""
     parameters, friction = _truth(simulation, model)
     chi = dict(parameters)

@@ -230,7 +230,7 @@ def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:
 
 def contacts_of(log: statistics.LogStatistics, uneven: np.ndarray) -> tuple[Cause, ...]:
     """Suspect a contact if a joint's residual is far more uneven along the log than in any healthy log."""
-    ratio = statistics.unevenness(log, uneven)
+    ratio = log.uneven / uneven
     j = int(np.argmax(ratio))
     if ratio[j] < statistics.UNEVEN:
         return ()
@@ -254,7 +254,7 @@ def signal_faults(
     if frozen := tuple(_frozen(run, speed)):
         return frozen
     limit = LEFT * float(np.maximum(all_free - usual, 0.0)[seen].sum())
-    local = np.flatnonzero(grown & (statistics.unevenness(log, uneven) < statistics.UNEVEN))
+    local = np.flatnonzero(grown & (log.uneven < statistics.UNEVEN * uneven))
     faults = [_position_fault(model, run, parts, friction, single, j) for j in local.tolist()]
     faults += _exchanged(model, run, friction, grown)
     misfits = [float(np.maximum(squares - usual, 0.0)[seen].sum()) for _, squares in faults]

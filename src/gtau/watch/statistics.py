@@ -149,11 +149,6 @@ class LogStatistics:
         return np.isfinite(self.values)
 
 
-def unevenness(log: LogStatistics, healthy: np.ndarray) -> np.ndarray:
-    """Compute how many times more uneven each joint's residual (n,) is along a log than in ``healthy`` logs."""
-    return np.asarray(log.uneven / np.maximum(healthy, 1.0))
-
-
 def quantities_of(model: IdentifiedModel) -> tuple[tuple[Quantity, ...], np.ndarray]:
     """List the watched quantities of a model in the order of the columns, and the base columns (n_b, k) of a load."""
     robot, standard = model.robot, model.base.standard
