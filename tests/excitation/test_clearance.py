@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gtau.errors import GtauError
-from gtau.excitation.clearance import FLOOR, Clearance, Floor, capsule, clearance, hull
+from gtau.excitation.clearance import FLOOR, Capsule, Clearance, Floor, clearance, hull
 from gtau.excitation.design import check, excite
 from gtau.excitation.design_file import read_design
 from gtau.model.home import load_robot
@@ -47,6 +48,10 @@ SHAPES = """clearance: 0.05
 CUBE = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 1 0\nv 1 0 1\nv 0 1 1\nv 1 1 1
 f 1 2 5\nf 1 5 3\nf 4 6 8\nf 4 8 7\nf 1 2 6\nf 1 6 4\nf 3 5 8\nf 3 8 7\nf 1 3 7\nf 1 7 4\nf 2 5 8\nf 2 8 6
 """
+
+
+def capsule(start: Iterable[float], end: Iterable[float], radius: float) -> Capsule:
+    return Capsule(np.array([*start], dtype=float), np.array([*end], dtype=float), radius)
 
 
 def written(tmp_path: Path, limits: str) -> Path:

@@ -10,15 +10,7 @@ from scipy.ndimage import maximum_filter1d
 
 from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.excitation.constraints import (
-    CONDITION,
-    MARGIN,
-    ORDERS,
-    TOOL_SPEED,
-    ConstraintUsage,
-    constraint_usages,
-    whole_run,
-)
+from gtau.excitation.constraints import CONDITION, MARGIN, TOOL_SPEED, ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem, along, design_grid, evaluate
 from gtau.model.program import single_threaded_blas
@@ -28,7 +20,7 @@ START = 0.6  # share of the limits that a start uses, so that it is feasible
 FINER = 10
 STAGE = "searching"
 CLOSER = 0.8  # factor on the limits of kinds REACH after a round in which loops could not be closed
-REACH = (ORDERS[0], CONDITION)
+REACH = ("position", CONDITION)
 # usage of the tool's speed at a start below which the search ignores it until exceeded (five-bar: 0.1)
 IDLE = 0.3
 TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds

@@ -15,7 +15,7 @@ from gtau.documents.validation import PATH, Keys, Positive, some_of, takes, vali
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
 from gtau.estimation.electrical import COMMUTATION
-from gtau.excitation.clearance import Shape, capsule, hull
+from gtau.excitation.clearance import Capsule, Shape, hull
 from gtau.excitation.guards import guard, speed_of_tool
 from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
@@ -65,7 +65,8 @@ class ShapeEntry(Keys):
     def shape(self) -> Shape:
         """Capsule or hull; raises GtauError if the mesh cannot be read."""
         if self.capsule is not None and self.radius is not None:
-            return capsule(*self.capsule, self.radius)
+            start, end = map(np.array, self.capsule)
+            return Capsule(start, end, self.radius)
         assert self.mesh is not None
         return hull(self.mesh, self.scale, Pose(self.xyz, self.rpy))
 

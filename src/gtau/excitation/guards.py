@@ -13,18 +13,7 @@ import numpy as np
 
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError
-from gtau.excitation.clearance import (
-    FIXED,
-    FLOOR,
-    Capsule,
-    Clearance,
-    Floor,
-    Pair,
-    Shape,
-    bounding_capsule,
-    capsule,
-    clearance,
-)
+from gtau.excitation.clearance import FIXED, FLOOR, Capsule, Clearance, Floor, Pair, Shape, bounding_capsule, clearance
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
 from gtau.robots.geometry import places_on
@@ -173,7 +162,7 @@ def _links(robot: Robot, ends: Mapping[str, Sequence[np.ndarray]]) -> dict[str, 
         length = max((float(np.linalg.norm(path[-1])) for path in paths), default=0.0)
         radii[body] = min(thick, STUBBY * length) if length > 1e-6 else radii[before[body]] or thick
         if radii[body] > 0.0:
-            capsules[body] = [capsule(start, end, radii[body]) for path in paths for start, end in pairwise(path)]
+            capsules[body] = [Capsule(start, end, radii[body]) for path in paths for start, end in pairwise(path)]
     return capsules
 
 
@@ -213,7 +202,7 @@ def _above(probe: _Probe, shapes: Shapes, stated: Shapes, height: float) -> tupl
     robot, least = probe.model.robot, probe.least
     bare = [body for body in robot.bodies if body not in shapes]
     origin = np.zeros(3)
-    lines = {body: [capsule(origin, end, 0.0) for end in places_on(robot, body) or [origin]] for body in bare}
+    lines = {body: [Capsule(origin, end, 0.0) for end in places_on(robot, body) or [origin]] for body in bare}
     lifted: dict[str, Sequence[Shape]] = {**shapes, **lines}
     thin, above = list[str](), probe.clearance(lifted, height)
     for pair in (pair for pair in above.pairs if FLOOR in pair and not {*pair} & {*stated}):

@@ -24,20 +24,8 @@ from gtau.export.consistent import (
 )
 from gtau.export.exported import Exported, digits, written, xml_text
 from gtau.robots.parameter import KINDS, RigidBody, gain_unit, rigid_body, torque_unit, unit_of
-from gtau.robots.placement import compose, pose_of, turn
-from gtau.robots.robot import (
-    GROUND,
-    ROTATIONS,
-    STIFFNESS,
-    TRANSLATIONS,
-    Coupling,
-    Joint,
-    Placement,
-    Platform,
-    Pose,
-    Robot,
-    Spring,
-)
+from gtau.robots.placement import Placement, Pose, compose, pose_of, turn
+from gtau.robots.robot import GROUND, ROTATIONS, STIFFNESS, TRANSLATIONS, Coupling, Joint, Platform, Robot, Spring
 
 ROOT = "base"
 UNLIMITED = 1e6  # rad, m: the format requires limits of prismatic joints

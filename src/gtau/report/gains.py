@@ -16,7 +16,7 @@ from gtau.model.base_parameters import whole_mass
 from gtau.report.chart import Chart, intervals
 from gtau.report.page import Column, ColumnOf, Kind, Section, Table, Text, joint_label, table_of
 
-GOOD_OUTCOMES = (Grade.GOOD, Grade.GIVEN)
+GOOD_GRADES = (Grade.GOOD, Grade.GIVEN)
 LEAST = 0.01  # smallest share of a source of the scale that is mentioned
 LARGEST = 1000.0  # per cent; larger standard deviations are shown as "> 1000"
 
@@ -115,7 +115,7 @@ def _off(given: float | None, gain: Estimate) -> float | None:
 
 
 def _delay(delay: Estimate | None) -> tuple[float, float] | None:
-    if delay is None or delay.value is None or delay.verdict.outcome not in GOOD_OUTCOMES:
+    if delay is None or delay.value is None or delay.verdict.outcome not in GOOD_GRADES:
         return None
     return 1e3 * delay.value, 1e3 * (delay.half_interval() or 0.0)
 

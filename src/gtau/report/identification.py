@@ -26,14 +26,7 @@ from gtau.report.evidence import (
     same_in_several,
     settings_of,
 )
-from gtau.report.gains import (
-    GOOD_OUTCOMES,
-    all_sources,
-    gains_section,
-    masses_table,
-    payloads_section,
-    unknown_payloads,
-)
+from gtau.report.gains import GOOD_GRADES, all_sources, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.motion import logs_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, joint_label, table_of
 from gtau.report.parameters import corrections, friction_section, inertias_section, parameters_section
@@ -147,7 +140,7 @@ def report_page(result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Map
 def verdict_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> Section:
     """Show the verdict, what to do about it, and the key figures."""
     outcomes = Counter(gain.verdict.outcome for gain in result.drive_gains.values())
-    style = "good" if set(outcomes) <= set(GOOD_OUTCOMES) else "weak"
+    style = "good" if set(outcomes) <= set(GOOD_GRADES) else "weak"
     if outcomes[Grade.NOT_IDENTIFIABLE] or not result.believable or missed(result):
         style = "bad"
     decisive = [str(note) for note in remarks(result) if note.decisive]
@@ -175,7 +168,7 @@ def next_steps(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) -> lis
     wide = [joint for joint, gain in result.drive_gains.items() if gain.verdict.kind == WIDE_SCALE]
     if any(SCALED_BY_FILE in result.scale[joint] for joint in wide):
         first = "Next: log a run with a payload of known mass, which gives the scale better than any file"
-    elif not all(gain.verdict.outcome in GOOD_OUTCOMES for gain in result.drive_gains.values()):
+    elif not all(gain.verdict.outcome in GOOD_GRADES for gain in result.drive_gains.values()):
         first = "Next: plan a motion that narrows these intervals (gtau excite DESIGN.yaml), and log it"
     elif all(run.used for run in runs):
         first = "Next: predict a log that was not used (gtau validate MODEL.json LOG)"

@@ -20,16 +20,8 @@ from gtau.report.chart import Chart
 from gtau.robots.robot import Robot
 
 BADGES = {
-    "given": "good",
-    "good": "good",
-    "weak": "weak",
-    "not identifiable": "bad",
-    "contradictory": "bad",
-    "refused": "bad",
-    "passed": "good",
-    "failed": "bad",
-    "error": "bad",
-    "warning": "weak",
+    **dict.fromkeys(("given", "good", "passed"), "good"),
+    **dict.fromkeys(("not identifiable", "contradictory", "refused", "failed", "error"), "bad"),
     "information": "neutral",
 }
 """Style of verdicts, grades and results; others are shown as weak."""

@@ -18,19 +18,8 @@ from gtau.errors import GtauError, missing_extra
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, PlatformSlots
 from gtau.robots.parameter import BY_LOAD, Parameter, parameter_of, rigid_body
-from gtau.robots.robot import (
-    DAMPING,
-    GROUND,
-    PRELOAD,
-    ROTATIONS,
-    STIFFNESS,
-    TRANSLATIONS,
-    Closure,
-    Placement,
-    Platform,
-    Robot,
-    Spring,
-)
+from gtau.robots.placement import Placement
+from gtau.robots.robot import GROUND, ROTATIONS, SPRING, STIFFNESS, TRANSLATIONS, Closure, Platform, Robot, Spring
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 from gtau.simulation.plant import Compiled, PlantState
 
@@ -216,7 +205,7 @@ def spring_attributes(spring: Spring, chi: Mapping[str, float]) -> dict[str, Any
 
     A tendon cannot have negative stiffness or rest length, so it cannot be a gas spring of constant force.
     """
-    f0, k, c = (chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING))
+    f0, k, c = (chi.get(Parameter(kind, spring.name), 0.0) for kind in SPRING)
     if k < 0 or c < 0 or f0 < 0 or (f0 and not k):
         return None
     rest = f0 / k if k else 0.0
@@ -236,11 +225,11 @@ def _add_spring(
         for name, value in attributes.items():  # numbers, or the first coefficients of polynomials
             setattr(tendon, name, (value, 0.0, 0.0) if np.size(getattr(tendon, name)) == 3 else value)
         return
-    bias = [chi.get(Parameter(kind, spring.name), 0.0) for kind in (PRELOAD, STIFFNESS, DAMPING)]
+    f0, k, c = (chi.get(Parameter(kind, spring.name), 0.0) for kind in SPRING)
     actuator = spec.add_actuator(name=spring.name, target=spring.name, trntype=mujoco.mjtTrn.mjTRN_TENDON)
     actuator.gainprm[0] = 0.0
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.biasprm[:3] = bias[0], 0.0 - bias[1], 0.0 - bias[2]  # no -0 in files
+    actuator.biasprm[:3] = f0, 0.0 - k, 0.0 - c  # no -0 in files
 
 
 def _add_body(robot: Robot, parent: Any, placement: Placement, name: str, chi: Mapping[str, float]) -> Any:
