@@ -18,7 +18,7 @@ from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage
 from gtau.excitation.design import Design, Stopped, check, excite
 from gtau.excitation.design_file import read_design
-from gtau.excitation.forecast import Expected, Outlook, Weak, forecast, sampled_run, weak_unknowns
+from gtau.excitation.forecast import Expected, Outlook, forecast, sampled_run
 from gtau.excitation.information import root_covariance
 from gtau.excitation.nlp import Programme, information, random_start
 from gtau.excitation.prior import KnownGain
@@ -279,22 +279,6 @@ def test_an_unknown_criterion_is_refused_shortly(designed: Design, name: str, ad
     with pytest.raises(GtauError, match=f"there is no criterion or parameter '{name}'; {advice}") as refusal:
         excite(designed.task, name)
     assert len(str(refusal.value)) < 200
-
-
-def test_weak_unknowns_come_with_a_motion_that_tells_them(designed: Design) -> None:
-    weak = weak_unknowns(designed, forecast(designed.task, designed.x))
-    assert weak
-    for entry in weak:
-        assert entry.relative > 0.3
-        assert entry.joint is None or entry.then < 0.7 * entry.relative
-
-
-def test_a_motion_that_tells_next_to_nothing_is_no_advice(designed: Design, monkeypatch: pytest.MonkeyPatch) -> None:
-    weak = (Weak("fv_left", 400.0, "left", "slowly", 250.0), Weak("fs_left", 4.0, "left", "slowly", 2.5))
-    monkeypatch.setattr("gtau.excitation.forecast.weak_unknowns", lambda design, expected: weak)
-    nothing, something = (entry["advice"] for entry in design_document(Outlook(designed, {}))["weak"])
-    assert nothing.startswith("moving one joint alone within the limits does not help")
-    assert something.startswith("a run of joint 'left' alone, slowly, would bring it to 250 %")
 
 
 def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:

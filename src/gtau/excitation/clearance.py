@@ -5,7 +5,7 @@ Convex hulls of meshes need coal; capsules and the floor do not.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, combinations, product
@@ -112,10 +112,6 @@ class Clearance:
             normal, a, b = vectors[which, :, :, samples].transpose(1, 2, 0)
             nearest.append(Nearest(distances[which, samples], normal, a, b))
         return nearest
-
-    def holds(self, c: np.ndarray) -> bool:
-        """Whether all pairs keep their distance at configurations (n_c, N)."""
-        return all(near.distance.min(initial=np.inf) >= self.least for near in self.all_nearest(c, self.pairs))
 
     def slopes(self, c: np.ndarray, pair: Pair, nearest: Nearest) -> np.ndarray:
         """Compute the gradient (n_c, N) of the distance by c; the nearest points move with their bodies."""
@@ -233,11 +229,6 @@ def _coal_shape(shape: Shape, k: int) -> tuple[Any, Any]:
         return coal.Sphere(shape.radius), coal.Transform3s(np.eye(3), start)
     turn, _ = Rotation.align_vectors((end - start)[None], [[0.0, 0.0, 1.0]])
     return coal.Capsule(shape.radius, length), coal.Transform3s(turn.as_matrix(), (start + end) / 2)
-
-
-def capsule(start: Iterable[float], end: Iterable[float], radius: float) -> Capsule:
-    """Make a cylinder with round ends about a segment, or a sphere if its ends coincide."""
-    return Capsule(np.array([*start], dtype=float), np.array([*end], dtype=float), radius)
 
 
 def bounding_capsule(points: np.ndarray) -> Capsule:

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
 
 import numpy as np
 
-from gtau.errors import GtauError
 from gtau.estimation.estimators.newton import jacobian
 from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.factors import modelled, reduce_run, triangle
 from gtau.estimation.regression.problem import Problem
-from gtau.excitation.constraints import ConstraintUsage, tool_speed, whole_run
+from gtau.excitation.constraints import ConstraintUsage, whole_run
 from gtau.excitation.design import Design, check
-from gtau.excitation.information import from_voltages, root_covariance
-from gtau.excitation.nlp import information
-from gtau.excitation.task import PER_HARMONIC, DesignProblem, Grid, along, close, design_grid, evaluate
+from gtau.excitation.information import from_voltages
+from gtau.excitation.task import DesignProblem, Grid, close, evaluate
 from gtau.model.program import single_threaded_blas
 from gtau.robots.parameter import Parameter, parameter_of, torque_unit, unit_of
 from gtau.robots.robot import Robot
@@ -133,88 +129,7 @@ def ml_covariance(
     return np.asarray(half @ half.T + moved @ moved.T)
 
 
-WEAK = 0.3  # relative standard deviation above which an unknown counts as unidentified
-WORTH = 0.7  # a motion is proposed if it reduces a standard deviation below this share
-SPANS = {"over its whole range, slowly": (0.9, 0.2), "at its speed limit": (0.5, 0.9)}
-"""Motions of one joint alone: shares of its range and of its speed limit."""
-
-
-@dataclass(frozen=True)
-class Weak:
-    """Unidentified unknown, its relative standard deviation, and ``then`` with the best single-joint motion added.
-
-    ``joint`` is None if no motion helps. Both are infinite for an inseparable unknown.
-    """
-
-    name: str
-    relative: float
-    joint: str | None
-    how: str
-    then: float
-
-
-def weak_unknowns(design: Design, expected: Forecast) -> tuple[Weak, ...]:
-    """List the unknowns that a design leaves unidentified, with the best single-joint motion to add.
-
-    The ``expected`` standard deviations are relative to the prior value, or to a typical value if it is zero. The
-    benefit of a motion is estimated on the coarser design grid. Candidates move one joint, slowly over its range or
-    fast in the middle of it, for the duration of a run, with all payloads.
-    """
-    task = design.task
-    point = evaluate(task, design.x, design_grid(task))
-    unknowns, R = task.information, information(point)
-    middle = point.joints[0].mean(axis=1)
-    before = _relative(task, R)
-    relative = {
-        k: expected.std.get(name, np.inf) / unknowns.scale[k]
-        for k, name in enumerate(unknowns.names)
-        if name.kind != "delay" and name.run is None
-    }
-    weak = [k for k, share in relative.items() if share >= WEAK]
-    if not weak:
-        return ()
-    shares = {}
-    for (j, joint), (how, (span, speed)) in product(enumerate(task.model.actuated), SPANS.items()):
-        if (more := _alone(task, middle, j, span, speed)) is not None:
-            shares[joint, how] = _relative(task, triangle(R, more)) / before
-    advice = list[Weak]()
-    for k in weak:
-        helpful: list[tuple[float, str | None, str]]
-        helpful = [(float(share[k]), *way) for way, share in shares.items() if share[k] < WORTH]
-        least = min(helpful, default=(1.0, None, ""))
-        then = float(least[0] * relative[k])
-        advice.append(Weak(unknowns.names[k], float(relative[k]), *least[1:], then))
-    return tuple(advice)
-
-
-def _relative(task: DesignProblem, R: np.ndarray) -> np.ndarray:
-    return np.asarray(np.linalg.norm(root_covariance(R, task.information.known), axis=1) / task.information.scale)
-
-
-def _alone(task: DesignProblem, middle: np.ndarray, j: int, span: float, speed: float) -> np.ndarray | None:
-    """Compute the information factor of joint j moving alone about the pose ``middle`` (n,); None if it cannot."""
-    limits, (speed_limit, acceleration_limit, _) = task.limits, task.limits.rates[:, j]
-    low, high = limits.position[j]
-    if not np.isfinite(high - low):
-        low, high = middle[j] - np.pi, middle[j] + np.pi
-    center, samples = (low + high) / 2, 8 * PER_HARMONIC
-    angle = 2 * np.pi / samples * np.arange(samples)
-    for _ in range(4):
-        amplitude = span * (high - low) / 2
-        omega = min(speed * speed_limit / amplitude, np.sqrt(speed * acceleration_limit / amplitude))
-        period, sine = 2 * np.pi / omega, amplitude * np.sin(angle)
-        joints = np.zeros((4, len(middle), samples))
-        joints[0] = middle[:, None]
-        joints[:3, j] = center + sine, omega * amplitude * np.cos(angle), -(omega**2) * sine
-        with suppress(GtauError):  # not reachable
-            alone = along(task, joints, period / samples)
-            within = all(usage.excess <= 1 for usage in tool_speed(alone))
-            if within and (limits.clearance is None or limits.clearance.holds(alone.motion.c)):
-                # the rows of one cycle count for all cycles in the duration of a run
-                return information(alone) * np.sqrt(task.series.period / period)
-        span /= 2
-        center = (center + middle[j]) / 2
-    return None
+WEAK = 30.0  # per cent: an unknown with a larger relative standard deviation counts as unidentified
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,9 +161,17 @@ class Outlook:
         return forecast(self.task, self.design.x)
 
     @cached_property
-    def weak(self) -> tuple[Weak, ...]:
-        """Unknowns that the design leaves unidentified."""
-        return weak_unknowns(self.design, self.forecast)
+    def weak(self) -> dict[str, float]:
+        """Unknowns that the design leaves unidentified, by their standard deviations.
+
+        These are in per cent of the prior value, or of a typical value if it is zero.
+        """
+        unknowns, weak = self.task.information, {}
+        for name, scale in zip(unknowns.names, unknowns.scale, strict=True):
+            share = 100 * float(self.forecast.std.get(name, np.inf) / scale)
+            if share >= WEAK and name.kind != "delay" and name.run is None:
+                weak[str(name)] = share
+        return weak
 
     @cached_property
     def tool(self) -> tuple[float, np.ndarray]:

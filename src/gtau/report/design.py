@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,13 +12,12 @@ import numpy as np
 
 from gtau.documents.files import write_atomically, write_table
 from gtau.excitation.design import Design
-from gtau.excitation.forecast import Expected, Outlook, Weak, sampled_run
+from gtau.excitation.forecast import Expected, Outlook, sampled_run
 from gtau.excitation.task import DesignProblem
 from gtau.report.chart import Chart
 from gtau.report.motion import joint_panels
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import Parameter
-from gtau.signals.reading.statements import Payload
 
 if TYPE_CHECKING:
     import polars as pl
@@ -30,7 +29,6 @@ MOST = 1000  # per cent; larger standard deviations of assumed values are not pr
 NEAREST = 3  # limits on the short page
 CUT_SHORT = "the search was cut short; a longer search may find a better motion"
 NBSP = "\N{NO-BREAK SPACE}"
-NO_MOTION = "moving one joint alone within the limits does not help; try wider limits or another pose of the robot"
 
 
 def write_trajectory(design: Design, folder: Path) -> Path:
@@ -78,10 +76,7 @@ def design_document(outlook: Outlook) -> dict[str, Any]:
             {"joint": joint, "share": share}
             for joint, share in zip(task.model.actuated, expected.kept.tolist(), strict=True)
         ],
-        "weak": [
-            {"name": weak.name, "rel_std": _finite(100 * weak.relative), "advice": _advice(weak)}
-            for weak in outlook.weak
-        ],
+        "weak": [{"name": name, "rel_std": _finite(share)} for name, share in outlook.weak.items()],
         "without_effect": list(task.base.without_effect),
         "limits": [
             {"limit": usage.what, "value": usage.limit, "unit": usage.unit, "used": usage.excess}
@@ -116,19 +111,6 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _advice(weak: Weak) -> str:
-    if not _helps(weak):
-        return NO_MOTION
-    return (
-        f"a run of joint '{weak.joint}' alone, {weak.how}, would bring it to {100 * weak.then:.3g} %; "
-        "or choose it as criterion: --criterion " + weak.name
-    )
-
-
-def _helps(weak: Weak) -> bool:
-    return weak.joint is not None and 100 * weak.then <= MOST
-
-
 def design_summary(outlook: Outlook) -> Page:
     """Show on one screen what to expect of a design, the limits it comes nearest to, and what it takes for granted."""
     expected, uncertain = outlook.forecast, len(outlook.weak)
@@ -155,6 +137,7 @@ def design_page(outlook: Outlook) -> Page:
     """Show the predictions of a design, its motion and the robot."""
     design, task, expected = outlook.design, outlook.task, outlook.forecast
     assumed = "parameters" in outlook.assumed
+    loads = ", ".join(f"payload '{load.name}'" if load else "no payload" for load in task.payloads)
     gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
     parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
     hidden = None
@@ -187,13 +170,9 @@ def design_page(outlook: Outlook) -> Page:
         lead=[
             f"The tool moves at up to {outlook.tool[0]:.2g} m/s (frame of '{outlook.robot.tool}').",
             *(f"{guard[0].upper()}{guard[1:]}." for guard in task.guards),
-            f"Criterion: {design.criterion}. Runs: {', '.join(map(_load, task.payloads))}.",
+            f"Criterion: {design.criterion}. Runs: {loads}.",
         ],
     )
-
-
-def _load(payload: Payload | None) -> str:
-    return "no payload" if payload is None else f"payload '{payload.name}'"
 
 
 def _verdict(outlook: Outlook) -> Text:
@@ -201,31 +180,17 @@ def _verdict(outlook: Outlook) -> Text:
         f"With this motion of {outlook.duration:.4g} s a run, the drive gains can be identified with a standard "
         f"deviation of {outlook.rms:.2g} % (rms over the joints)."
     )
-    points = list(_weak(outlook.weak))
+    points = []
+    if outlook.weak:
+        sizes = (f"{f'{share:.3g}' if share <= MOST else f'>{NBSP}{MOST}'} %" for share in outlook.weak.values())
+        names = ", ".join(f"{name} ({size})" for name, size in zip(outlook.weak, sizes, strict=True))
+        points.append(f"not determined (above 30 %): {names}; a motion for some of them: --criterion NAME,NAME")
     if outlook.task.base.without_effect:
         points.append(f"never felt by the motors: {', '.join(outlook.task.base.without_effect)}")
     if outlook.design.cut_short:
         points.append(CUT_SHORT)
     points.append("these standard deviations hold for white noise; model errors add to them")
     return Text(words, tuple(points), "neutral")
-
-
-def _weak(unknowns: Sequence[Weak]) -> Iterator[str]:
-    """List the weak unknowns, then the runs of one joint that would improve them."""
-    if not unknowns:
-        return
-    shares = {weak.name: 100 * weak.relative for weak in unknowns}
-    sizes = (f"{f'{share:.3g}' if share <= MOST else f'>{NBSP}{MOST}'} %" for share in shares.values())
-    names = ", ".join(f"{name} ({size})" for name, size in zip(shares, sizes, strict=True))
-    yield f"not determined (above 30 %): {names}"
-    helpful: dict[tuple[str, str], list[str]] = {}
-    for weak in unknowns:
-        if weak.joint is not None and _helps(weak):
-            helpful.setdefault((weak.joint, weak.how), []).append(f"{weak.name} to {100 * weak.then:.3g} %")
-    for (joint, how), brought in helpful.items():
-        yield f"a run of joint '{joint}' alone, {how}, would bring {', '.join(brought)}"
-    if len(unknowns) > sum(map(len, helpful.values())):
-        yield f"for the others, {NO_MOTION}" if helpful else NO_MOTION
 
 
 def _expected_table(outlook: Outlook, unknowns: Sequence[Expected], assumed: bool, name: str = "") -> Table:
