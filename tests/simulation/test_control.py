@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -365,6 +366,22 @@ def test_passive_joints_keep_to_their_limits_too(tmp_path):
     (tmp_path / "narrow.yaml").write_text(narrow, encoding="utf-8")
     with pytest.raises(GtauError, match=r"run 'a': joint '31' would move from -0\.\d+ to 0\.\d+, beyond its limits"):
         simulate(written(tmp_path, robot="narrow.yaml"), tmp_path, silent)
+
+
+def test_a_run_through_a_singular_pose_is_refused_with_its_time(tmp_path):
+    robot = load_robot("five-bar")
+    free = Limits((-3.0, 6.0), *(getattr(robot.joint("left").limits, key) for key in ("velocity", "acceleration")))
+    joints = tuple(replace(joint, limits=free) if joint.actuated else joint for joint in robot.joints)
+    (tmp_path / "wide.yaml").write_text(native_text(replace(robot, joints=joints)), encoding="utf-8")
+    through = [{"left": 2.0944, "right": 1.0472}, {"left": 3.5944, "right": -0.4528}]
+    simulation = {
+        "robot": str(tmp_path / "wide.yaml"),
+        "parameters": {"ia_left": 0.02, "ia_right": 0.02},
+        "drives": {"left": {"gain": 2.5}, "right": {"gain": 4.0}},
+        "runs": [{"name": "far", "trajectory": {"points": {"through": through}}}],
+    }
+    with pytest.raises(GtauError, match=r"at 0\.\d+ s of run 'far' \(q_left = 3\.14"):
+        simulate(simulation, tmp_path / "out")
 
 
 @pytest.mark.slow
