@@ -12,6 +12,7 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import FLOOR, Clearance, Nearest, Pair
 from gtau.excitation.task import DesignProblem, Grid, Point, along, close
 from gtau.excitation.trajectory import approach_duration, quintic
+from gtau.model.program import Program
 from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
@@ -148,9 +149,13 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
     for axis, (low, high) in point.task.limits.workspace.items():
         k, middle, half = "xyz".index(axis), (low + high) / 2, (high - low) / 2
         weights = np.outer(np.eye(3)[k], np.full(c.shape[1], 1 / half))
-        rows = partial(lambda weights: point.rows(back(c, weights)), weights)
+        rows = partial(_point_rows, point, back, weights)
         values = (place(c)[k] - middle) / half
         yield ConstraintUsage("workspace", f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
+
+
+def _point_rows(point: Point, back: Program, weights: np.ndarray) -> np.ndarray:
+    return point.rows(back(point.motion.c, weights))
 
 
 def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
@@ -198,7 +203,7 @@ def _nearing(parts: Sequence[Point], clearance: Clearance, nearest: Sequence[Map
 def _approach(point: Point) -> Point | None:
     """Return poses between rest and the beginning of a motion on a design grid; None without an approach."""
     task, basis = point.task, point.grid.basis
-    if task.rest is None or not basis.size:
+    if task.rest is None or point.platform is not None or not basis.size:
         return None
     way = np.zeros((4, APPROACH, basis.shape[2]))
     way[0] = np.outer(WAY[1:-1], basis[0, 0])
@@ -208,7 +213,7 @@ def _approach(point: Point) -> Point | None:
         motion = close(task.model, joints)
     except GtauError:  # the check of the whole run reports it
         return None
-    return Point(task, Grid(point.grid.step, way), joints, motion, point.W[:, :APPROACH])
+    return Point(task, Grid(point.grid.step, way), joints, motion, None, point.W[:, :APPROACH])
 
 
 def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[ConstraintUsage]:
