@@ -24,8 +24,9 @@ import numpy as np
 
 BOUNDS = (-7.0, 4.0)  # of log s: an effect from a thousandth to fifty times its plausible size
 START = -1.2  # of log s: all effects at a third of their plausible sizes
-ABSENT = 0.5  # probability before the data that an effect has no size: docs/evidence/coverage/averaged-sizes.csv
-AROUND = np.arange(-3.0, 3.0)  # of log s: steps about the likeliest size, over which estimates are averaged
+# Of log s: steps about the likeliest size, over which estimates are averaged; any log s is as likely before the data.
+# Half the probability for an absent effect instead hardly matters: docs/evidence/coverage/averaged-sizes.csv.
+AROUND = np.arange(-3.0, 3.0)
 DETERMINED = 1e-9  # share of a column that no other one explains, below which nothing determines it
 ROUNDING = 1e-9  # of the squares of a column, which products of rows without noise may lack
 # Sizes below exp(SMALL) begin once more, at exp(LOW), where that would raise the likelihood by more than WORTH, to
@@ -286,10 +287,10 @@ class MixedFit:
     def averaged(self, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Estimate quantities over the sizes of one effect after the other, each as likely as the data say.
 
-        Before the data an effect is absent with the probability ``ABSENT``; otherwise any log s is as likely.
+        Before the data any log s within ``BOUNDS`` is as likely; where it is far below the likeliest, it is the least.
         """
         value, covariance, _ = self.at_sizes(self.log_s, slopes)
-        mean, variance, step = value.copy(), np.diag(covariance), (1 - ABSENT) / np.ptp(BOUNDS)
+        mean, variance, step = value.copy(), np.diag(covariance), 1 / np.ptp(BOUNDS)
         prior = np.array([1 - step * len(AROUND)] + [step] * len(AROUND))
         spread, factor = np.zeros_like(covariance), np.ones_like(value)  # of the variances, which stay positive
         for group in np.flatnonzero(self.log_s > BOUNDS[0] + 1):
