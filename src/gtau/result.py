@@ -182,6 +182,11 @@ class Result(IdentifiedModel):
 
         return export_model(self, kind, out, **options)
 
+    @classmethod
+    def load(cls, path: str | Path) -> Result:
+        """Load a result, as :func:`gtau.load` does."""
+        return load(path)
+
 
 @takes(path=PATH)
 def load(path: str | Path) -> Result:
