@@ -162,6 +162,8 @@ def refuted_descriptions(
     """Find descriptions that explain the data ``better`` (also than ``wrong`` payloads), and move a gain by enough."""
     least = min((finding.values["remains"] for finding in wrong), default=1.0)
     for part in better:
+        if 1 - part.share > least:  # a payload with another value explains more
+            continue
         for joint, gain in judged.items():
             move = part.moves[joint] / 100
             if abs(move) > accuracy and gain.random_half < 1:  # a gain that is noise refutes nothing
