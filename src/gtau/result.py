@@ -153,6 +153,8 @@ class Result(IdentifiedModel):
 
         write(self, Path(path))
 
+    __iter__ = None  # by __getitem__ it would ask for the estimate 0
+
     def __getitem__(self, name: str) -> Estimate:
         """Refuse: an estimate is in its group."""
         for group in ("drive_gains", "parameters", "friction", "motors"):

@@ -132,6 +132,10 @@ def test_figures_in_one_call(result: gtau.Result) -> None:
 def test_what_cannot_be_drawn(result: gtau.Result, folder: Path, tmp_path: Path) -> None:
     with pytest.raises(GtauError, match="there is no joint '13'; choose from left, right"):
         result.plot.torques("13")
+    with pytest.raises(TypeError, match="not iterable"):
+        list(result)
+    with pytest.raises(GtauError, match="there is no joint 'x'; choose from left, right"):
+        result.plot.gains({"x": 2.4})
     with pytest.raises(GtauError, match="there is no run 'nope'; choose from free, loaded"):
         result.plot.torques("left", run="nope")
     with pytest.raises(GtauError, match=r"from 4 to 2 s is empty"):

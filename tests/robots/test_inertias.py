@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+import yaml
 
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -137,7 +138,9 @@ def test_an_attached_model_has_a_compiler_of_its_own(tmp_path: Path) -> None:
 def test_meshes_that_weigh_nothing_need_not_exist(tmp_path: Path) -> None:
     arm = {"compiler": "", "turn": "", "zz": "0.007", "rest": MISSING}
     (tmp_path / "arm.xml").write_text(ARM.format(hand='<geom type="mesh" mesh="m" mass="0"/>' + BOX, **arm))
-    assert load_robot(tmp_path / "arm.xml").inertias["m_b"] == pytest.approx(1.5)
+    inertias = load_robot(tmp_path / "arm.xml").inertias
+    assert inertias["m_b"] == pytest.approx(1.5)
+    assert yaml.safe_load(yaml.safe_dump(inertias)) == inertias  # into a simulation file
     (tmp_path / "arm.xml").write_text(ARM.format(hand='<geom type="mesh" mesh="m"/>', **arm))
     robot = load_robot(tmp_path / "arm.xml")
     assert robot.inertias == {}

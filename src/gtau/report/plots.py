@@ -158,6 +158,9 @@ class Plots:
     @takes(prior=GAINS)
     def gains(self, prior: Mapping[str, float] | None = None) -> Figure:
         """Draw drive gains with 95 % intervals and ``prior`` gains, in per cent of the gain."""
+        joints = self.result.robot.actuated
+        if unknown := next((joint for joint in prior or {} if joint not in joints), None):
+            raise GtauError(f"there is no joint '{unknown}'; choose from {', '.join(joints)}.")
         chart = gains_chart(self.result.drive_gains, prior or {})
         if chart is None:
             raise GtauError("the drive gains were given, so there are no intervals to plot; give prior gains.")

@@ -229,7 +229,7 @@ class Robot:
     @property
     def inertias(self) -> dict[str, float]:
         """Parameters that the robot's file states, by name, SI units."""
-        return dict(self.file.inertias)
+        return {str(name): value for name, value in self.file.inertias}
 
     def with_file(self, **changes: Any) -> Robot:
         """Return the robot with other fields of its ``file``."""
