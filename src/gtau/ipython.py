@@ -9,7 +9,7 @@ SHOWN = {
     "PayloadEstimate": "gtau.estimation.results.payload_body",
     "Prediction": "gtau.uses.prediction",
     "EstimatorComparison": "gtau.estimation.compare",
-    "ExperimentCheck": "gtau.estimation.check_logs",
+    "CheckedExperiment": "gtau.estimation.check_logs",
 }
 """Classes that have a page in :mod:`gtau.report.plots`, with their modules."""
 

@@ -296,7 +296,7 @@ def identify(
     return Result.of(uses.identify(described, runs, options, progress or silent))
 
 
-class ExperimentCheck(check_logs.ExperimentCheck):
+class ExperimentCheck(check_logs.CheckedExperiment):
     """What :func:`check` finds: the readable logs, their preparation, and ``notes`` on all findings."""
 
     def summary(self) -> str:

@@ -103,7 +103,7 @@ class LogCheck:
 
 
 @dataclass(frozen=True, eq=False)
-class ExperimentCheck:
+class CheckedExperiment:
     """The readable logs of an experiment, their preparation, and ``notes`` on all findings.
 
     ``preparation`` is None where none of the logs for the identification can be read, ``geometry`` where no pose is
@@ -132,7 +132,7 @@ def check(
     runs: Sequence[Run] | None = None,
     options: Options | None = None,
     progress: Progress = silent,
-) -> ExperimentCheck:
+) -> CheckedExperiment:
     """Check the logs of an experiment; see :func:`gtau.check`. Raises GtauError."""
     subject = describe(source, runs, options)
     robot = subject.robot
@@ -146,7 +146,7 @@ def check(
     read = list(_read(experiment, listed, kinds, model, notes, progress))
     used = [run for runs in read[:count] for run in runs]
     if not used:
-        return ExperimentCheck(robot, None, (), tuple(notes))
+        return CheckedExperiment(robot, None, (), tuple(notes))
     subject = replace(subject, runs=used)
     with _noted(notes):
         require_inputs(subject)
@@ -169,7 +169,7 @@ def check(
         known = {note.kind for note in notes}
         together = _together(replace(subject, runs=[log.run for log in for_use]), preparation, progress)
         notes += [note for note in together if not note.decisive or note.kind not in known]
-    return ExperimentCheck(robot, preparation, tuple(checked), tuple(notes), geometry)
+    return CheckedExperiment(robot, preparation, tuple(checked), tuple(notes), geometry)
 
 
 def _read(

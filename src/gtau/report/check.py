@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from gtau.estimation.check_logs import WEIGHING, ExperimentCheck, LogCheck
+from gtau.estimation.check_logs import WEIGHING, CheckedExperiment, LogCheck
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.results.estimate import write_distances
 from gtau.findings import Finding, Grade, by_severity, counted, note_document
@@ -20,7 +20,7 @@ from gtau.robots.parameter import command_unit, position_unit
 from gtau.robots.robot import Robot
 
 
-def check_document(checked: ExperimentCheck) -> dict[str, Any]:
+def check_document(checked: CheckedExperiment) -> dict[str, Any]:
     """Describe the check as a JSON document in SI units."""
     preparation = checked.preparation
     return {
@@ -71,7 +71,7 @@ def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
     }
 
 
-def check_page(checked: ExperimentCheck) -> Page:
+def check_page(checked: CheckedExperiment) -> Page:
     """Show the contents of the logs, and whether an identification can use them."""
     robot, preparation = checked.robot, checked.preparation
     nearest = [pose for log in checked.logs for pose in log.nearest]
@@ -106,7 +106,7 @@ def check_page(checked: ExperimentCheck) -> Page:
     )
 
 
-def _verdict(checked: ExperimentCheck) -> Section:
+def _verdict(checked: CheckedExperiment) -> Section:
     used = [log for log in checked.logs if not log.validation]
     style = {Grade.ERROR: "bad", Grade.WARNING: "weak", Grade.INFORMATION: "good"}[checked.worst]
     time = sum(motion.seconds(log.run) for log in used)
@@ -178,7 +178,7 @@ def motion_chart(log: LogCheck, robot: Robot) -> Chart:
     return Chart((*panels, *(replace(panel, title="") for panel in distances)), log.run.name, live=True)
 
 
-def write_check(checked: ExperimentCheck, folder: Path) -> list[Path]:
+def write_check(checked: CheckedExperiment, folder: Path) -> list[Path]:
     """Write the distances of all logs to singular poses as ``singularities.parquet``; raises GtauError."""
     path = folder / "singularities.parquet"
     if checked.logs:

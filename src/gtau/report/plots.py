@@ -12,7 +12,7 @@ import numpy as np
 from gtau.documents.files import write_atomically
 from gtau.documents.validation import Accepted, takes
 from gtau.errors import GtauError
-from gtau.estimation.check_logs import ExperimentCheck
+from gtau.estimation.check_logs import CheckedExperiment
 from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
@@ -125,7 +125,7 @@ def view(shown: object) -> Page:
             return Page("", Section("", Table((Column("name", Kind.NAME), *VALUE, *ends), rows)))
         case Prediction():
             return Page("", Section("", _prediction_chart(shown)))
-        case ExperimentCheck():
+        case CheckedExperiment():
             return Page("", *(part for part in check_page(shown).sections if part.id in SECTIONS))
     return Page("", Section("", Text(repr(shown), style="command")))
 

@@ -194,7 +194,7 @@ class Run:
 
     @cached_property
     def accelerations(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Frequencies (K,), power densities (K, n) of the accelerations, and gains (K,) of a double difference."""
+        """Frequencies (K,), Hz; power densities (K, n) of accelerations; gains (K,) of a double difference, 1/s2."""
         return second_differences(self.position, self.rate, self.updates)
 
     def ordered(self, joints: Sequence[str], link_side: bool = True) -> Run:

@@ -1,4 +1,4 @@
-"""Guard before MuJoCo, which may crash, hang or exhaust the memory: a file is first loaded in a separate process."""
+"""Load an MJCF file in a separate process first, as MuJoCo may crash, hang or exhaust the memory."""
 
 from __future__ import annotations
 
