@@ -13,6 +13,7 @@ from five_bar_logs import GAINS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
+from gtau.estimation.friction.law import stop
 from gtau.estimation.results.conclusions import headline, torque_scales
 from gtau.findings import Grade
 from gtau.result import Result, identify
@@ -162,6 +163,16 @@ def test_torques_that_are_all_reversed_contradict_the_inertias_of_the_file(tmp_p
     arm = stated_arm.robot(tmp_path)
     run = stated_arm.torque_run(stated_arm.plant(arm), 1)
     assert kinds(identify(arm, scaled([run], [-1.0] * 4))) == dict.fromkeys(arm.actuated, "reversed channels")
+
+
+def test_effects_that_explain_part_of_reversed_torques_leave_them_contradicted(tmp_path: Path) -> None:
+    """Friction that resists a reversal over 30 % of the travel: effects move all moments by a third."""
+    arm = stated_arm.robot(tmp_path)
+    run = stated_arm.torque_run(stated_arm.plant(arm), 1)
+    states = [stop(q, np.array([0.3 * np.ptp(q)]), np.zeros(1))[0] for q in run.position.T]
+    friction = 0.3 * np.std(run.command, axis=0) * np.stack(states, axis=1)
+    reversed_run = replace(run, command=-(run.command + friction))
+    assert kinds(identify(arm, [reversed_run])) == dict.fromkeys(arm.actuated, "reversed channels")
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1.0])

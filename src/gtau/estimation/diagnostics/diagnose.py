@@ -232,13 +232,14 @@ def diagnose(
     wrong = [verdict for verdict in payloads.values() if verdict.outcome == Grade.CONTRADICTORY]
     wrong.sort(key=lambda finding: -finding.size)
     plain = estimates
-    if fit.dataset.stated_priors and examined.mixed is not None:  # effects explain part of a wrong prior
+    # effects explain part of a wrong prior, and of reversed torques
+    if (fit.dataset.stated_priors or audit) and examined.mixed is not None:
         plain = estimates_of(fit, examined, correlated=True, shifted=False)
     return (
         *gains.wrench_contradictions(fit),
         *gains.payloads_in_noise(fit, judged),
         *examined.findings,
-        *(() if audit is None or examined.contradicting else reversed_by_file(fit, audit)),
+        *(() if audit is None or examined.contradicting else reversed_by_file(fit, audit, plain)),
         *gains.all_negative(fit, examined.contradicting, judged, prior_gains),
         *gains.refuted_descriptions(fit, examined.contradicting, judged, wrong, accuracy),
         *gains.unexplained_signals(fit, wrong),

@@ -254,9 +254,14 @@ def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
         yield contradiction(SMALL_CURRENT, (), text, check_milliamperes(runs), worst, shown_as="unit")
 
 
-def reversed_by_file(fit: Fit, audit: InertiaAudit) -> Iterator[Finding]:
-    """Find that first moments have the other sign than in the robot's file: all torques may be reversed together."""
-    identified, stated = _first_moments(audit)
+def reversed_by_file(fit: Fit, audit: InertiaAudit, estimates: Estimates) -> Iterator[Finding]:
+    """Find that first moments have the other sign than in the robot's file: all torques may be reversed together.
+
+    The ``estimates`` are without what effects would move them by: effects explain part of reversed torques.
+    """
+    stds = np.sqrt(np.diag(estimates.covariance))
+    without = {} if audit.prior else {str(name): stds[place] for name, place in estimates.unknowns.places.items()}
+    identified, stated = _first_moments(audit, without)
     if fit.free_gains or len(stated) < 2 or identified @ stated > -(stated @ stated) / FILE_FACTOR:
         return
     names, kind = motors(fit), fit.kind
@@ -264,20 +269,20 @@ def reversed_by_file(fit: Fit, audit: InertiaAudit) -> Iterator[Finding]:
     yield contradiction(REVERSED_CHANNELS, names, text, f"check the signs of the {kind} and position columns")
 
 
-def _first_moments(audit: InertiaAudit) -> np.ndarray:
-    """List the first moments that differ from zero, from the data and by the file (2, m)."""
+def _first_moments(audit: InertiaAudit, stds: Mapping[str, float]) -> np.ndarray:
+    """List the first moments that differ from zero by ``stds`` or the audit's, from the data and by the file (2, m)."""
     moments = [
         (audited.value, audited.stated)
         for audited in audit.parameters
         if parameter_of(audited.name).kind in FIRST_MOMENTS and audited.value and audited.std and audited.stated
-        if abs(audited.value) > NEGATIVE_STD * audited.std
+        if abs(audited.value) > NEGATIVE_STD * stds.get(audited.name, audited.std)
     ]
     return np.reshape(moments, (-1, 2)).T
 
 
 def _unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
     """Find first moments that are out of scale with the robot's file, by one factor for all."""
-    identified, stated = np.abs(_first_moments(audit))
+    identified, stated = np.abs(_first_moments(audit, {}))
     if len(stated) < 2:
         return
     factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))
