@@ -354,7 +354,7 @@ def with_idle(rng: np.random.Generator) -> Problem:
 
 def test_parameters_that_are_nothing_are_cancelled(rng: np.random.Generator) -> None:
     problem = with_idle(rng)
-    kept, solution = essential_parameters(problem, problem.parameters, METHODS["wls"])
+    kept, solution, _ = essential_parameters(problem, problem.parameters, METHODS["wls"])
     assert kept.parameters == ("p1", "p3", "p5")
     std = np.sqrt(np.diag(solution.covariance))[:3]
     assert (np.abs(solution.theta - THETA[[0, 2, 4]]) < 4 * std).all()
@@ -369,12 +369,12 @@ def test_the_ratio_rule_holds_and_no_step_too_far(rng: np.random.Generator) -> N
 
     spread = relative(problem).max() / relative(problem).min()
     assert essential_parameters(problem, problem.parameters, METHODS["wls"], ratio=spread * 1.01)[0] is problem
-    kept, _ = essential_parameters(problem, problem.parameters, METHODS["wls"], ratio=spread * 0.99)
+    kept, _, _ = essential_parameters(problem, problem.parameters, METHODS["wls"], ratio=spread * 0.99)
     assert len(kept.parameters) == N_THETA - 1
 
 
 def test_only_candidates_are_cancelled(rng: np.random.Generator) -> None:
-    kept, _ = essential_parameters(with_idle(rng), ("p1", "p2", "p3", "p5"), METHODS["wls"])
+    kept, _, _ = essential_parameters(with_idle(rng), ("p1", "p2", "p3", "p5"), METHODS["wls"])
     assert kept.parameters == ("p1", "p3", "p4", "p5")
 
 

@@ -110,7 +110,7 @@ def prune_friction_terms(problem: Problem, terms: tuple[Parameter, ...], solve: 
 
 def essential_parameters(
     problem: Problem, candidates: tuple[str, ...], solve: Solve, ratio: float | None = None, correlated: bool = True
-) -> tuple[Problem, Solution]:
+) -> tuple[Problem, Solution, float]:
     """Cancel the parameter of largest relative standard deviation among the ``candidates``, repeatedly.
 
     With a ``ratio`` (the paper's r_sigma, 10 to 30) until the paper's rule ``max(rel) / min(rel) < ratio`` holds. As
@@ -119,8 +119,10 @@ def essential_parameters(
     (about 3) away from zero. (At two, groups of nearly dependent parameters stay with absurd values that cancel each
     other.) ``solve`` keeps the gains, or estimates them again as the paper does; ``correlated`` allows for
     autocorrelated errors, by the initial ratio of the jackknife to the formula.
+
+    Returns the problem and its solution, and by how much the residual of the worst joint grows, per cent.
     """
-    solution = solve(problem)
+    whole = solution = solve(problem)
     formula = np.maximum(np.diag(solution.covariance), 1e-300)
     larger = np.sqrt(np.diag(solution.jackknife) / formula) if correlated else np.ones(len(formula))
     inflation = dict(zip(problem.parameters, larger, strict=False))
@@ -133,15 +135,13 @@ def essential_parameters(
         worst = int(np.argmax(relative))
         allowed = significant if ratio is None else ratio * relative.min()
         if relative[worst] <= allowed or len(index) == 1:
-            return problem, solution
+            return problem, solution, 100 * float(np.max(solution.sigma / whole.sigma) - 1)
         problem = problem.without([problem.parameters[index[worst]]])
         solution = solve(problem)
 
 
 def essential_fit(fit: Fit, ratio: float | None, correlated: bool, joint: bool) -> tuple[Problem, Solution, float]:
-    """Cancel base parameters; return problem, solution, and growth of the worst joint's residual (per cent)."""
+    """Cancel base parameters of a fit as in :func:`essential_parameters`."""
     problem = fit.system.problem
     candidates = tuple(name for name in fit.dataset.base.names if name in problem.parameters)
-    solve = fit.solve if joint else fit.solve_fixed
-    kept, reduced = essential_parameters(problem, candidates, solve, ratio, correlated)
-    return kept, reduced, 100 * float(np.max(reduced.sigma / fit.solution.sigma) - 1)
+    return essential_parameters(problem, candidates, fit.solve if joint else fit.solve_fixed, ratio, correlated)
