@@ -122,8 +122,9 @@ class MixedModel:
 
     Its m own columns, k of the Jacobian, those that all channels share, and the residuals. ``known`` (k + 1, k + 1) are
     products of further equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and
-    ``shared_groups`` the groups of the columns; ``largest`` the standard deviation of s of each group before the data:
-    a half-normal prior. ``noise`` of each channel is of independent rows of unit variance where it was not found yet.
+    ``shared_groups`` the groups of the columns, and ``largest`` the largest log s of each: before the data s has a
+    half-normal prior of one plausible size. ``noise`` of each channel is of independent rows of unit variance where it
+    was not found yet.
     """
 
     rows: tuple[LagProducts, ...]
@@ -209,7 +210,7 @@ def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
     effects = -(back @ (V @ np.append(common, 1.0))[..., None])[..., 0]
     response = back @ V[..., :count]
     variance = np.sum(root**2, axis=1) + np.sum((response @ half) ** 2, axis=2)
-    prior = (sizes / model.largest) ** 2
+    prior = sizes**2
     groups, left = np.append(model.own_groups, model.shared_groups), 1 - effects**2 - variance
     shared_left = 1 - common[k:] ** 2 - np.diag(covariance)[k:]
     slope = prior + np.bincount(groups, np.append(left.sum(axis=0), shared_left), minlength=len(log_s))
@@ -242,7 +243,7 @@ def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()
     """Maximise the restricted likelihood over the sizes of all groups, from a ``start``: log s, (groups,)."""
     from scipy.optimize import minimize
 
-    log_s = start.copy()
+    log_s = np.minimum(start, model.largest)
     log_s[list(without)] = BOUNDS[0] - 5.0
     free = np.setdiff1d(np.arange(len(start)), without)
 
@@ -252,11 +253,12 @@ def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()
         return at.loss, at.slope[free]
 
     options = {"maxiter": 60, "ftol": 1e-7, "gtol": 0.02}
+    bounds = [(BOUNDS[0], largest) for largest in model.largest[free]]
     anew = np.full(len(free), len(free) > 0)
     released = np.zeros(len(free), dtype=bool)
     while anew.any():
-        begin = np.clip(log_s[free], *BOUNDS)
-        log_s[free] = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=[BOUNDS] * len(free), options=options).x
+        begin = np.maximum(log_s[free], BOUNDS[0])
+        log_s[free] = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
         # a small size has no slope by its logarithm to grow by, but one by its square
         growth = posterior(model, log_s).slope[free] * np.exp(2 * (START - log_s[free])) / 2
         anew = (log_s[free] < SMALL) & (growth < -WORTH) & ~released
@@ -298,7 +300,7 @@ class MixedFit:
             tried[:, group] = np.append(BOUNDS[0], self.log_s[group] + AROUND)
             parts = zip(*(self.at_sizes(log_s, slopes) for log_s in tried), strict=True)
             values, covariances, lost = map(np.array, parts)
-            weights = prior * np.exp(-lost)
+            weights = prior * np.exp(-lost) * (tried[:, group] <= self.model.largest[group])
             mean += np.average(values, 0, weights) - value
             within = np.average(np.diagonal(covariances, axis1=1, axis2=2), 0, weights)
             factor *= np.divide(within, variance, out=np.ones_like(value), where=variance > 0)

@@ -26,14 +26,16 @@ from gtau.estimation.effects.effect import (
     rms_speeds,
 )
 from gtau.estimation.effects.known import EFFECTS
-from gtau.estimation.effects.mixed_model import LagProducts, MixedModel, Noise, lag_products
+from gtau.estimation.effects.mixed_model import BOUNDS, LagProducts, MixedModel, Noise, lag_products
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known, split, to_gains, weighted
 from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
 
-LARGEST = 3.0  # plausible sizes: what contradicts a description may be larger than physics
+# Of log s: beside a description that stands, its errors have plausible sizes. Larger ones would contradict it, and
+# often explain physics that has no column: if they are free, a gain of a dVRK becomes 0.37 instead of 0.71 N per A.
+AS_DESCRIBED = 0.0
 UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which nothing determines it
 RANK = 1e-6  # of the largest singular value: directions below it are left out of a least-squares step
 FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs
@@ -253,8 +255,8 @@ def linear_at(
     # a change of friction between runs has no effect on known parameters
     friction_groups = np.full(len(per_run), len(rows.layouts))
     common_groups = np.append(friction_groups, shared_groups)
-    largest = np.array([LARGEST if layout.effect.description else 1.0 for layout in rows.layouts] + [1.0])
-    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, largest, noise)
+    largest = [AS_DESCRIBED if layout.effect.description else BOUNDS[1] for layout in rows.layouts] + [BOUNDS[1]]
+    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, np.array(largest), noise)
     slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
     return model, slopes, origin
 
