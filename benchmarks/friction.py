@@ -34,9 +34,9 @@ from gtau.estimation import identify as stages
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.curves import group_estimates
-from gtau.estimation.friction.law import stop
 from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
 from gtau.estimation.friction.selection import FrictionFit, choose
+from gtau.estimation.regression.hysteresis import stop
 from gtau.estimation.regression.problem import Estimates
 from gtau.model.home import load_robot
 from gtau.result import Result, identify

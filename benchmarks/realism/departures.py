@@ -235,6 +235,23 @@ STRIBECK = Departure(
         0.5 * drives.friction * np.sign(qd) * np.exp(-np.abs(qd) / STRIBECK_SPEED)
     )
 )
+
+
+def presliding(width: float) -> Departure:
+    """Friction whose contacts bend over a width, rad, before they slide."""
+
+    def torque(
+        time: np.ndarray, q: np.ndarray, qd: np.ndarray, tau: np.ndarray, carried: np.ndarray, drives: Drives
+    ) -> np.ndarray:
+        states = np.empty_like(q)
+        states[0] = np.sign(qd[1])
+        for k, step in enumerate(np.diff(q, axis=0) / width, start=1):
+            states[k] = np.clip(states[k - 1] + step, -1.0, 1.0)
+        return drives.friction * states
+
+    return Departure(torque=torque)
+
+
 LOAD_FRICTION = Departure(torque=lambda time, q, qd, tau, carried, drives: 0.05 * np.abs(carried) * np.sign(qd))
 LOSSES = Departure(
     torque=lambda time, q, qd, tau, carried, drives: 0.05 * np.abs(tau) * np.sign(qd),
@@ -372,6 +389,7 @@ EFFECTS: dict[str, Departure] = {
     )
 } | {
     "torque constants that differ by 0.5 % from run to run": runs_differ(0.005),
+    "presliding over 3 mrad": presliding(0.003),
     "ripple of 1 % and Stribeck friction": together(ripple(0.01, 20.0), STRIBECK),
     "friction of three kinds": together(STRIBECK, cooling(0.2), LOAD_FRICTION),
     "nine at once": together(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import friction_logs
 import numpy as np
 import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
@@ -71,6 +72,17 @@ def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run
         return run.command * (1 + 0.02 * along * [1.0, 0.0])
 
     assert of_joint(currents(runs, warmer), "gain drift", "left").size == pytest.approx(0.02, rel=0.2)
+
+
+def test_presliding_is_found_and_gains_are_right() -> None:
+    shapes = {Parameter("width", joint): 0.01 for joint in JOINTS}
+    result = estimate_effects(ML.fit(reduce_runs(friction_logs.robot(), friction_logs.experiment(shapes, {})).system()))
+    assert result is not None
+    first, *_ = estimated_effects(result)
+    assert first.effect == "presliding"
+    assert first.likelihood > 50
+    gains = result.values[result.rows.fit.system.problem.gain_rows]  # without the effect 5 % off
+    np.testing.assert_allclose(gains, GAINS, rtol=0.02)
 
 
 def test_friction_that_differs_between_runs_has_its_size() -> None:

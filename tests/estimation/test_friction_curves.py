@@ -11,9 +11,10 @@ from friction_logs import PLAIN, experiment, robot, run
 from models_to_export import of_equations
 
 import gtau
-from gtau.estimation.friction.law import FrictionLaw, PreslidingState, stop
+from gtau.estimation.friction.law import FrictionLaw, PreslidingState
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
 from gtau.estimation.friction.selection import Structure, parameter_columns
+from gtau.estimation.regression.hysteresis import stop
 from gtau.estimation.regression.rows import FORMULAS
 from gtau.robots.parameter import KINDS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
@@ -73,6 +74,14 @@ def test_terms_and_parameters_are_found(result: gtau.Result) -> None:
         estimate = found[name]
         low, high = estimate.interval(0.9999)
         assert low <= truth[name] <= high, estimate
+
+
+def test_a_delay_that_stood_for_presliding_is_none(result: gtau.Result) -> None:
+    """Currents have no delay; without friction's shape the equations of a joint with presliding find -2 ms."""
+    low, high = result.delays["left"].interval(0.9999)
+    assert low < 0 < high
+    assert high - low < 0.01
+    assert result.delays["left"].value > -0.001
 
 
 def test_friction_has_one_value_a_name(result: gtau.Result) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.regression.assembly import is_transmitted
 from gtau.estimation.regression.factors import channel_rows
 from gtau.estimation.regression.rows import Rows, configurations, instants, stream_rows
 from gtau.findings import Finding
@@ -55,6 +56,15 @@ class FitWindow:
         return self.fit.system.motion(self.run, self.fit.solution.theta)
 
     @property
+    def transmitted(self) -> np.ndarray:
+        """Values of the base columns whose torque the gears transmit: 0 of friction and of rotors, (n_b,).
+
+        Base parameters regroup rotors with links, so that a column of an effect takes the rest of each rotor out.
+        """
+        names = self.fit.dataset.base.names
+        return self.values * is_transmitted(names) * [name.kind != "ia" for name in names]
+
+    @property
     def regressor(self) -> Regressor:
         """Regressor of the base columns."""
         return self.fit.dataset.model.columns(self.fit.dataset.base.standard)
@@ -82,20 +92,22 @@ class FitWindow:
         decimated = self.decimator.apply(torques)  # (m, n, outputs)
         return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
 
-    def with_positions(self, moved: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Torques:
+    def with_positions(self, moved: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]], values: np.ndarray) -> Torques:
         """Compute how torques change along other motions (N, n), each moved by a ``STEP`` of its unit, a column each.
+
+        The torques are of the base columns with some ``values``.
 
         Wrong zeros and scales of positions, and elastic joints, add such torques.
         """
         model, window = self.fit.dataset.model, self.window
-        before = self.torques_along(self.motion, self.values)
+        before = self.torques_along(self.motion, values)
         labels = instants(window.run.name, window.time)
         columns = []
         for q, qd, qdd in moved:
             other = replace(window, q=q, qd=qd, qdd=qdd, part_of=None)
             try:  # from each configuration, so that loops are closed as before
                 path = model.near(self.motion.c, np.ascontiguousarray(q.T), labels)
-                after = self.torques_along(window_motion(model, other, path), self.values)
+                after = self.torques_along(window_motion(model, other, path), values)
             except GtauError:
                 after = before  # the loops do not close there: nothing is said of this joint
             columns.append((after - before) / STEP)
@@ -258,6 +270,12 @@ def rms_speeds(fit: Fit) -> np.ndarray:
     """Return the largest rms speed in a run, rad/s or m/s; 1 of a joint that rests."""
     speeds = np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))
     return np.where(speeds > 0, speeds, 1.0)
+
+
+def ranges(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and highest positions in all runs, rad or m."""
+    windows = [window for _, window in fit.dataset.windows()]
+    return np.min([w.q.min(axis=0) for w in windows], axis=0), np.max([w.q.max(axis=0) for w in windows], axis=0)
 
 
 def rms_accelerations(fit: Fit) -> np.ndarray:

@@ -81,9 +81,6 @@ def _estimate(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
             break
     step, covariance = mixed.averaged(slopes)
     values = origin + step
-    # without effects the model has the delay of the plain fit: a lag stands for a part of it
-    delays = fit.system.problem.unknowns.delays
-    values = np.concatenate([values[: delays.start], fit.solution.values[delays]])
     _, random, _ = mixed.at_sizes(np.full(len(mixed.log_s), BOUNDS[0] - 10.0), slopes)  # by the noise alone
     if fit.free_gains:
         known = np.diag(covariance)[gain_rows] == 0

@@ -5,7 +5,7 @@ A joint's friction is
     ``fv qd + (fs + fb exp(-|qd| / v_s) + fl |tau_load|) z``,
 
 with ``z = sign(qd)`` where it slides, and where its logs show presliding the state of a stop operator of its width
-(:func:`stop`). ``fb`` is the excess of friction at rest over fast sliding: Stribeck's effect where positive, viscous
+(``stop``). ``fb`` is the excess of friction at rest over fast sliding: Stribeck's effect where positive, viscous
 friction that saturates where negative. Both and ``fl`` come from all samples
 (:mod:`gtau.estimation.friction.selection`), with coefficients for which the law dissipates energy at every speed.
 
@@ -32,6 +32,7 @@ from typing import Any
 
 import numpy as np
 
+from gtau.estimation.regression.hysteresis import stop
 from gtau.estimation.regression.plausibility import motor_to_joint_speed
 from gtau.estimation.regression.rows import FORMULAS, SLOPES, Sliding
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -42,29 +43,6 @@ from gtau.robots.robot import DAMPING, PLAIN_FRICTION
 JOINT_TERMS = [kind for kind in FORMULAS if kind not in SLOPES]
 LEAST_POWER = 1e-300  # W: keeps 0/0 out of a joint at rest
 SPEEDS = 200  # at which a straight line is fitted
-
-
-def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Follow positions by elements of some widths: friction before sliding (Prandtl and Ishlinskii; Maxwell slip).
-
-    An element of width ``w`` holds ``z``, between -1 and 1: ``z <- clip(z + dq / w, -1, 1)``. It is a spring as long
-    as the joint stays within ``w`` of where it stopped, and slips beyond, where ``z = sign(dq)``. Neither rate nor
-    noise of the speed matters. Between its turning points a path is monotone, and ``z`` has a closed form.
-
-    From positions ``q`` (N,) in the unit of the ``widths`` (w,) and states ``start`` (w,) at the first one it returns
-    the states (w, N).
-    """
-    step = np.sign(np.diff(q))
-    turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1 if step.all() else _turns(step)
-    edges = np.concatenate([[0], turns, [len(q) - 1]])
-    states = np.empty((len(edges), len(widths)))
-    states[0] = start
-    ways = np.diff(q[edges])[:, None] / widths
-    for k, way in enumerate(ways):
-        states[k + 1] = np.minimum(np.maximum(states[k] + way, -1.0), 1.0)
-    stretch = np.searchsorted(turns, np.arange(len(q)), side="right")
-    way = (q - q[edges[stretch]]) / widths[:, None]
-    return np.clip(states[stretch].T + way, -1.0, 1.0)
 
 
 class PreslidingState:
@@ -85,12 +63,6 @@ class PreslidingState:
         start = self._states[:, known] if known < len(self._time) else np.zeros(len(self._widths))
         self._time, self._states = time, stop(q, self._widths, start)
         return self._states
-
-
-def _turns(step: np.ndarray) -> np.ndarray:
-    """Find the reversals of a path that may rest: at rest it keeps the direction of its last step."""
-    moved = np.flatnonzero(step)
-    return moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]
 
 
 @dataclass(frozen=True, eq=False)

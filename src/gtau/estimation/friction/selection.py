@@ -218,10 +218,21 @@ def choose(group: FrictionGroup) -> tuple[FrictionFit, FrictionFit, dict[tuple[i
                 if t > TERM_T and share > TERM_SHARE and shown:
                     offers.append((share, t, (s, term), least))
         if not offers:
-            return refine(group, best), plain, evidence
+            return _needed(group, refine(group, best), evidence), plain, evidence
         _, t, key, best = max(offers, key=lambda offer: offer[0])
         evidence[key] = t
         best = _refined(group, best)
+
+
+def _needed(group: FrictionGroup, candidate: FrictionFit, evidence: dict[tuple[int, str], float]) -> FrictionFit:
+    """Leave out the terms that made up for a width or a speed that is finer now, and their evidence."""
+    for s, term in tuple(evidence):
+        bare = candidate.structures[s].changed(term, Structure().value(term))
+        without = fit(group, _changed(candidate, s, bare))
+        if without.errors.sum() <= candidate.errors.sum():
+            candidate = without
+            del evidence[s, term]
+    return candidate
 
 
 def _beyond(group: FrictionGroup, after: FrictionFit, s: int) -> bool:

@@ -1,8 +1,7 @@
 """Elastic joints: the motor, whose position is logged, leads its link by the torque over the stiffness.
 
-The deflection of a joint moves the links behind it, so it changes the torques of all joints. The model does not
-separate the inertia of some links from their rotor's, which the gear does not transmit: a second column takes the rotor
-out of it.
+The deflection of a joint moves the links behind it, so it changes the torques of all joints, but not the friction and
+the rotor of its motor. A second column takes the rotor out of what base parameters regroup it with.
 """
 
 from __future__ import annotations
@@ -20,8 +19,6 @@ from gtau.estimation.effects.effect import (
     rms_torques,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.assembly import is_transmitted
-from gtau.robots.parameter import Parameter
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1.0  # mrad, or mm, at the rms torque: 50 N m on a strain-wave gear of 2e4 N m/rad are 2.5 mrad
@@ -34,29 +31,23 @@ def _motors(fit: Fit) -> list[str]:
     return [joint for joint in fit.dataset.model.actuated if joint in fit.dataset.robot.motors]
 
 
-def _rotors(fit: Fit) -> list[str]:
-    """List the motors whose rotor the model does not separate from their links."""
-    return [joint for joint in _motors(fit) if Parameter("ia", joint) not in fit.dataset.base.names]
-
-
 def _torques(at: FitWindow) -> Torques:
     fit, window = at.fit, at.window
-    transmitted = at.values * is_transmitted(fit.dataset.base.names)
-    leads = at.torques_along(at.motion, transmitted).T * SI / rms_torques(fit)
+    leads = at.torques_along(at.motion, at.transmitted).T * SI / rms_torques(fit)
     rotors = window.samples().qdd * SI / rms_accelerations(fit)
     motions, deflected = (window.q, window.qd, window.qdd), []
-    for lead, joints in ((leads, _motors(fit)), (rotors, _rotors(fit))):
+    for lead in (leads, rotors):
         steps = (lead, *differentiate(lead, window.run.rate))
-        for joint in joints:
+        for joint in _motors(fit):
             only = STEP * np.array([name == joint for name in fit.dataset.model.actuated])
             deflected.append(tuple(motion - step * only for motion, step in zip(motions, steps, strict=True)))
-    return at.with_positions(deflected)
+    return at.with_positions(deflected, at.transmitted)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
     return [
         *(EffectColumn(PLAUSIBLE, UNIT, joint) for joint in _motors(fit)),
-        *(EffectColumn(ROTOR, UNIT_OF_ROTOR, joint, about="rotor") for joint in _rotors(fit)),
+        *(EffectColumn(ROTOR, UNIT_OF_ROTOR, joint, about="rotor") for joint in _motors(fit)),
     ]
 
 

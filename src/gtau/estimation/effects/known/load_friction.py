@@ -1,9 +1,8 @@
-"""Friction that grows with the load of a joint.
+"""Friction that grows with a joint's load.
 
 The load is the model's, without friction, as in the term ``fl``: the measured current is the friction itself where
-friction exceeds the load, so it would explain the noise of the current and any drive gain. The model does not
-separate the inertia of some links from their rotor's, which the gear does not transmit: a second column takes the rotor
-out of it.
+friction exceeds the load, so it would explain the noise of the current and any drive gain. A second column takes the
+rotor out of the load, as the gear does not transmit its torque.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from gtau.estimation.effects.effect import (
     rms_torques,
 )
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.assembly import is_transmitted
 from gtau.robots.parameter import Parameter
 
 PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave gears (UR10e pairs)
@@ -30,7 +28,7 @@ ROTOR = 0.01  # of the rms torque: a fifth of it may speed up the rotor, and PLA
 def _torques(at: FitWindow) -> Torques:
     joints, terms, qd = at.fit.dataset.model.actuated, at.fit.system.terms, at.window.samples().qd
     missing = np.array([Parameter("fl", joint) not in terms for joint in joints])
-    load = at.torques_along(at.motion, at.values * is_transmitted(at.fit.dataset.base.names)).T
+    load = at.torques_along(at.motion, at.transmitted).T
     qdd, torques = at.window.samples().qdd, rms_torques(at.fit)
     turned = np.sign(load) * np.sign(qd) * qdd * torques / rms_accelerations(at.fit)
     return at.decimated(np.stack([(np.abs(load) * np.sign(qd) * missing).T, turned.T]))

@@ -1,4 +1,4 @@
-"""A torque that repeats at the same positions in every run: motor ripple, cables, springs that the model lacks.
+"""A torque that repeats at the same positions: motor ripple, cables, springs that the model lacks.
 
 Each joint may have any function of its own position, piecewise linear over its range in all runs.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, hats, rms_torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, hats, ranges, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.01  # of the rms torque: ripple of 0.5 to 2 % (data sheets of servo motors), cables of a dVRK 5 %
@@ -15,9 +15,7 @@ KNOTS = 24
 
 
 def _torques(at: FitWindow) -> Torques:
-    windows = [window for _, window in at.fit.dataset.windows()]
-    low, high = np.min([w.q.min(axis=0) for w in windows], axis=0), np.max([w.q.max(axis=0) for w in windows], axis=0)
-    columns = hats(at.window.samples().q, np.linspace(low, high, KNOTS))
+    columns = hats(at.window.samples().q, np.linspace(*ranges(at.fit), KNOTS))
     return at.decimated(columns * rms_torques(at.fit)[:, None])
 
 

@@ -15,7 +15,8 @@ PER_CENT = 1e-2
 def _torques(at: FitWindow) -> Torques:
     window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
     factors = 1 + STEP * PER_CENT * joints[list(encoders(at.fit).values())]
-    return at.with_positions((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors)
+    motions = ((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors)
+    return at.with_positions(motions, at.values)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:

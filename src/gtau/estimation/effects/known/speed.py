@@ -1,4 +1,4 @@
-"""Friction of any shape in speed: Stribeck's, cubic, or different in the two directions.
+"""Friction of any shape in speed: Stribeck's, cubic, or different by direction.
 
 Each joint may have any function of its own speed, piecewise linear in ``atan(2 qd / rms qd)``: fine near rest.
 """
