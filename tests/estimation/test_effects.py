@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import friction_logs
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from stated_arm import plant, robot
 
-from gtau.estimation.effects.effect import EstimatedEffect, rms_speeds
+from gtau.estimation.effects.effect import EstimatedEffect, FitWindow, rms_speeds
 from gtau.estimation.effects.estimate import Mixed, contradictions, estimate_effects, estimated_effects
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.rows import difference_root, run_covariance, run_modes
@@ -22,6 +23,7 @@ from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -72,6 +74,22 @@ def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run
         return run.command * (1 + 0.02 * along * [1.0, 0.0])
 
     assert of_joint(currents(runs, warmer), "gain drift", "left").size == pytest.approx(0.02, rel=0.2)
+
+
+@pytest.mark.parametrize("name", ["elasticity", "load-dependent friction"])
+def test_no_gear_transmits_the_friction_and_the_rotor_of_its_motor(name: str, runs: list[Run]) -> None:
+    fit = ML.fit(reduce_runs(ROBOT, runs).system())
+    effect = next(effect for effect in EFFECTS if effect.name == name)
+    of_motor = [parameter.kind in ("ia", *PLAIN_FRICTION) for parameter in fit.system.problem.parameters]
+    changed = fit.solution.values.copy()
+    changed[: len(of_motor)][of_motor] *= 3.0
+    run, window = fit.dataset.windows()[0]
+    columns = []
+    for values in (fit.solution.values, changed):
+        at = FitWindow(replace(fit, solution=replace(fit.solution, values=values)), run, window)
+        torques = effect.torques(at)(SimpleNamespace(outputs=slice(None)))
+        columns.append(torques / np.abs(torques).max(axis=(0, 1)))  # their scale is a share of the whole torque
+    np.testing.assert_allclose(*columns, atol=1e-9)
 
 
 def test_presliding_is_found_and_gains_are_right() -> None:
