@@ -365,3 +365,6 @@ def test_voltages_give_gains_without_a_payload(tmp_path: Path) -> None:
     stray = unloaded + "drives: {elbow: {commutation: 0.01}}\n"
     with pytest.raises(GtauError, match="drives names 'elbow', which is no actuated joint"):
         read_design(write(tmp_path, stray))
+    sheet = unloaded + "drives: {left: {gear_ratio: 50, torque_constant: 0.1}}\n"
+    with pytest.raises(GtauError, match="the drive of 'left' states nothing of its voltages"):
+        read_design(write(tmp_path, sheet))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import stated_arm
 from engines import random_parameters
 from typer.testing import CliRunner
 
@@ -307,6 +308,11 @@ def fourier(frequency: float, amplitude: float) -> dict:
     }
 
 
+def drive(**keys: float) -> dict:
+    """Keys of one drive of three."""
+    return {"drives": {joint: {"gain": 2000.0, **(keys if joint == "12" else {})} for joint in FEET}}
+
+
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
@@ -343,6 +349,16 @@ def fourier(frequency: float, amplitude: float) -> dict:
             "joint '11' would reach 25.22 m/s2, beyond its limit of 20 m/s2",
         ),
         ({"engine": "bullet"}, "write 'gtau' or 'mujoco', not 'bullet'"),
+        (
+            {"parameters": {}},
+            "the robot has no parameters, as the file of 'orthoglide' has no mass and inertia of 11, 21",
+        ),
+        (drive(ripple_period=0.1), "'ripple_period' has no effect without 'ripple'"),
+        (drive(dead_band=0.1), "'dead_band' has no effect without 'proportional_gain'"),
+        (drive(inductance=1e-3), "'inductance' of '12' is given without a supply; add 'supply: {voltage: ...}'"),
+        (drive(proportional_gain=2.0), "'proportional_gain' of '12' is given without a supply"),
+        ({"curves": {"11": {}}}, "neither 'width' nor 'speed' is given"),
+        ({"curves": {"11": {"speed": 0.1}}}, "the 'speed' of '11' has no effect without friction that falls with it"),
     ],
 )
 def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
@@ -350,6 +366,30 @@ def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
         simulate(written(tmp_path, **changes), tmp_path, silent)
     assert sentence in str(refused.value)
     assert [path.name for path in tmp_path.iterdir()] == ["simulation.yaml"]
+
+
+def test_inertias_that_only_the_robots_file_states_are_taken(tmp_path):
+    """With friction alone under 'parameters', and without any; a stated mass leaves the file's out."""
+    (tmp_path / "arm.urdf").write_text(stated_arm.urdf(), encoding="utf-8")
+    described = {"robot": "arm.urdf", "rate": 250, "drives": {joint: {"gain": 2.0} for joint in stated_arm.MASSES}}
+    described |= {"runs": [{"name": "a", "trajectory": {"sines": {"duration": 3.0}}}]}
+    logs = []
+    stated = {name: value for name, value in load_robot(tmp_path / "arm.urdf").inertias.items() if "ground" not in name}
+    for parameters in (
+        {},
+        {"fv_j1": 1.5},
+        stated | {"fv_j1": 1.5},
+        {"m_j4": 1.0, **{f"ia_j{k}": 1.0 for k in (1, 2, 3, 4)}},
+    ):
+        path = tmp_path / "simulation.yaml"
+        path.write_text(json.dumps(described | {"parameters": parameters}), encoding="utf-8")
+        done = CliRunner().invoke(app, ["simulate", str(path), "--out", str(tmp_path / "out")])
+        assert done.exit_code == 0, done.output
+        assert ("inertias are of the robot's file arm.urdf" in done.output) == (len(parameters) < 2)
+        logs.append(read_run(tmp_path / "out" / "a.csv", read_experiment(tmp_path / "out" / "experiment.yaml").signals))
+    without, rubbing, pasted, _ = (run.command for run in logs)
+    assert rubbing == pytest.approx(pasted)
+    assert np.abs(rubbing - without).max() > 0.1
 
 
 def test_bodies_that_cannot_be_are_refused_before_they_move(tmp_path):

@@ -217,11 +217,18 @@ def simulate(
     with progress_bar() as progress:
         from gtau.model.home import load_robot
         from gtau.robots.geometry import massless
-        from gtau.simulation.simulate import read_simulation, simulate
+        from gtau.simulation.simulate import parameters_of, read_simulation, simulate
 
         written = simulate(simulation, out, progress)
     described = read_simulation(simulation)
-    light = massless(load_robot(described.robot), described.parameters) if described.model is None else ()
-    answer(json_, lambda: {"files": [str(path) for path in written], "massless": light}, written=written)
+    light, taken = (), False
+    if described.model is None:
+        robot = load_robot(described.robot)
+        parameters = parameters_of(described, robot)
+        light, taken = massless(robot, parameters), parameters != described.parameters
+    files = [str(path) for path in written]
+    answer(json_, lambda: {"files": files, "massless": light, "inertias_of_file": taken}, written=written)
     if light and not json_:
         typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
+    if taken and not json_:
+        typer.echo(f"masses and inertias are of the robot's file {robot.source}, as 'parameters' states none")

@@ -120,6 +120,12 @@ class DesignFile(Keys):
 
     @model_validator(mode="after")
     def _payloads_give_the_scale(self) -> DesignFile:
+        for joint, drive in self.drives.items():
+            if drive.model_fields_set.isdisjoint(("convention", "commutation", "resistance")):
+                raise ValueError(
+                    f"the drive of '{joint}' states nothing of its voltages, which a design takes as logged; add "
+                    "'commutation', or remove the drive ('prior.gains' takes gains)"
+                )
         if self.drives:
             return self
         names = {payload and payload.name for payload in self.payloads}

@@ -108,9 +108,12 @@ class JointHardware(Keys):
     dead_band: NotNegative = 0.0
 
     @model_validator(mode="after")
-    def _one_limit(self) -> JointHardware:
+    def _no_key_in_vain(self) -> JointHardware:
         if self.proportional_gain is not None and self.current_limit is not None:
             raise ValueError("a servo ('proportional_gain') is limited by its voltage; remove 'current_limit'")
+        for key, other in (("ripple_period", "ripple"), ("dead_band", "proportional_gain")):
+            if key in self.model_dump(exclude_defaults=True) and not getattr(self, other):
+                raise ValueError(f"'{key}' has no effect without '{other}'; add '{other}', or remove '{key}'")
         return self
 
 

@@ -19,13 +19,14 @@ from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.results.model_file import load
+from gtau.model.dynamics import parameter_names
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent
-from gtau.robots.geometry import refuse_floating
+from gtau.robots.geometry import massless, refuse_floating
 from gtau.robots.parameter import Parameter, kinds_where, parameter_of
 from gtau.robots.readers.native import native_text
-from gtau.robots.robot import DAMPING, Robot
+from gtau.robots.robot import DAMPING, INERTIAL, Robot
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import CarriedPayload, Payload
@@ -36,6 +37,11 @@ from gtau.simulation.motors import Logged, Supply
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
 
+ELECTRICAL = (
+    *("resistance", "inductance", "warming", "convention", "commutation", "dead_time", "duty_quantum"),
+    "proportional_gain",
+)
+"""Keys of motors on a supply."""
 RUBBING = (*kinds_where(lambda kind: kind.nonnegative and kind.friction), DAMPING)
 HELD = 10  # samples after which the controller updates its inertia matrix
 NAME = r"\w[\w.-]*"
@@ -77,6 +83,12 @@ class FrictionEntry(Keys):
 
     width: Positive | None = None
     speed: Positive | None = None
+
+    @model_validator(mode="after")
+    def _says_something(self) -> FrictionEntry:
+        if self.width is None and self.speed is None:
+            raise ValueError("neither 'width' nor 'speed' is given; add one, or remove the curve")
+        return self
 
 
 class Simulation(Keys):
@@ -127,23 +139,24 @@ class Simulation(Keys):
 
     @model_validator(mode="after")
     def _model_or_parameters(self) -> Simulation:
-        if self.model is None and not self.parameters:
-            raise ValueError(
-                "the robot has no parameters; give 'parameters' (a URDF's: gtau.load_robot('arm.urdf').inertias), or a "
-                "'model' of 'gtau identify'"
-            )
         if self.model is not None and (self.parameters or self.curves):
             raise ValueError(
                 "'model' states all parameters and friction; remove 'parameters' and 'curves', or the model"
             )
+        for joint, curve in self.curves.items():
+            if curve.speed and not self.parameters.get(f"fb_{joint}"):
+                raise ValueError(
+                    f"the 'speed' of '{joint}' has no effect without friction that falls with it; add 'fb_{joint}' to "
+                    "'parameters', or remove 'speed'"
+                )
         return self
 
     @model_validator(mode="after")
     def _electrical(self) -> Simulation:
-        servos = [joint for joint, drive in self.drives.items() if drive.proportional_gain is not None]
-        if self.supply is None and (self.logs or servos):
-            what = f"'{self.logs[0]}' is logged" if self.logs else f"'{servos[0]}' is a servo"
-            raise ValueError(f"{what} without a supply; add 'supply: {{voltage: ...}}'")
+        stated = {joint: drive.model_dump(exclude_defaults=True) for joint, drive in self.drives.items()}
+        idle = [f"'{key}' of '{joint}' is given" for joint in stated for key in ELECTRICAL if key in stated[joint]]
+        if self.supply is None and (what := [*(f"'{key}' is logged" for key in self.logs), *idle]):
+            raise ValueError(f"{what[0]} without a supply; add 'supply: {{voltage: ...}}', or remove it")
         if lacking := [joint for joint, drive in self.drives.items() if self.supply and drive.resistance is None]:
             raise ValueError(f"the motor of '{lacking[0]}' has no 'resistance', which a supply needs; add its ohms")
         if self.every != self.rate / (self.log_rate or self.rate):
@@ -181,6 +194,22 @@ def check_joints(simulation: Simulation, robot: Robot, path: str | Path) -> None
         trajectories.require_joints(simulation.prior_gains, robot, f"{path}, prior_gains")
 
 
+def parameters_of(simulation: Simulation, robot: Robot) -> dict[str, float]:
+    """Return the stated parameters, with the inertias of the robot's file where these state none; raises GtauError."""
+    stated, names = simulation.parameters, parameter_names(robot)
+    if any(parameter_of(name).kind in INERTIAL for name in stated):
+        return dict(stated)
+    file = {name: value for name, value in robot.inertias.items() if name in names}  # without the ground's
+    if not (light := massless(robot, file)):
+        return file | stated
+    if not stated:
+        raise GtauError(
+            f"the robot has no parameters, as the file of '{robot.name}' has no mass and inertia of "
+            f"{', '.join(light)}; give 'parameters', or a 'model' of 'gtau identify'."
+        )
+    return dict(stated)
+
+
 def _truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, float], JointFriction]:
     """Return the standard parameters of the simulated robot, and its friction."""
     smoothing = simulation.friction_width.model_dump()
@@ -192,7 +221,7 @@ def _truth(simulation: Simulation, model: InverseDynamics) -> tuple[dict[str, fl
                 "its experiment file corrected; name the same robot file."
             )
         return identified_friction(result, smoothing)
-    values, shapes = dict(simulation.parameters), dict[Parameter, float]()
+    values, shapes = parameters_of(simulation, model.robot), dict[Parameter, float]()
     for joint, curve in simulation.curves.items():
         stated = {Parameter("width", joint): curve.width, Parameter("vs", joint): curve.speed}
         shapes |= {name: value for name, value in stated.items() if value}
