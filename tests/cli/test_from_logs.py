@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from bags import TOPIC, write_bag
 from five_bar_logs import STEEL, Plant
+from models_to_export import model_of
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
@@ -140,6 +141,40 @@ def test_check_drafts_as_identify_does(tmp_path: Path, motion: Any, monkeypatch:
     stated = LogOptions("arm.urdf", [f"{LOADED}=0.75"], kind="current")
     experiment_of([Path(log) for log in logs], stated, Path("looked"))  # an unedited draft is replaced
     assert read_experiment(tmp_path / "looked" / "experiment.yaml").signals.kind == "current"
+
+
+def test_a_refused_draft_leaves_the_folder_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    model_of(load_robot("five-bar")).save("model.json")
+    (tmp_path / "bad.csv").write_text("a,b\n1,2\n3,4\n")
+    Plant().run("good", seed=1).to_frame().write_csv("good.csv")
+
+    def refused(*arguments: str) -> str:
+        done = CliRunner().invoke(app, [arguments[0], "model.json", *arguments[1:]])
+        assert done.exit_code == 2, done.output
+        return done.stderr
+
+    left = {"bad.csv", "good.csv", "model.json"}
+    for command in ("payload", "validate"):
+        for log, *more in (
+            ("bad.csv",),
+            ("no.csv",),
+            ("good.csv", "--payload", "good"),
+            ("good.csv", "--position", "z*"),
+        ):
+            refused(command, log, *more)
+            refused(command, log, *more, "--out", "out")
+            assert {path.name for path in tmp_path.iterdir()} == left
+    assert "there is no export to 'abc'; did you mean 'abb'?" in refused("payload", "good.csv", "--to", "abc")
+    assert "name it by --frame" in refused("payload", "good.csv", "--to", "ur")
+    assert {path.name for path in tmp_path.iterdir()} == left
+    Path("out").mkdir()
+    for name in ("robot.yaml", "experiment.yaml"):
+        Path("out", name).write_text("mine\n")
+    assert "is not an unedited gtau draft" in refused("payload", "good.csv", "--out", "out")
+    assert {path.name: path.read_text() for path in Path("out").iterdir()} == dict.fromkeys(
+        ("robot.yaml", "experiment.yaml"), "mine\n"
+    )
 
 
 def test_a_log_that_is_refused_has_no_figures(tmp_path: Path, motion: Any) -> None:

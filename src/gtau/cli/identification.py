@@ -148,7 +148,7 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
     From logs it drafts DIR/experiment.yaml, or result/experiment.yaml.
     """
     hold(out)
-    experiment, guessed = experiment_of(sources, stated, out or Path("result"))
+    experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.compare import compare as run
         from gtau.estimation.compare import to_document

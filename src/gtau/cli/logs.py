@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -32,6 +32,7 @@ from gtau.errors import GtauError, tidy
 if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
     from gtau.findings import Finding
+    from gtau.robots.robot import Robot
 
 WIDTH = 80
 
@@ -175,7 +176,7 @@ def check(
     From logs it drafts DIR/experiment.yaml, or result/experiment.yaml. Exit code 2: an error; 3: a warning.
     """
     hold(out)
-    experiment, guessed = experiment_of(sources, stated, out or Path("result"))
+    experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.check_logs import check
         from gtau.estimation.experiment_runs import Options
@@ -195,13 +196,18 @@ def check(
 
 
 def experiment_of(
-    sources: list[Path], stated: LogOptions, folder: Path, weigh: bool = False, model: IdentifiedModel | None = None
+    sources: list[Path],
+    stated: LogOptions,
+    out: Path | None,
+    default: str = "result",
+    weigh: bool = False,
+    model: IdentifiedModel | None = None,
 ) -> tuple[Path, tuple[Finding, ...]]:
-    """Return an experiment file, drafted from logs to ``folder`` if need be, and a note on every guess in the draft.
+    """Return an experiment file, drafted from logs if need be, and a note on every guess in the draft.
 
-    Logs without a stated payload carry none, or with ``weigh`` an unknown one. By default they are of the robot of a
-    ``model``, and have the columns of its logs. Raises GtauError if experiment files are mixed with logs, or the draft
-    needs an answer of the user.
+    The draft is in ``out``, which is held, or in a ``default`` folder. Logs without a stated payload carry none, or
+    with ``weigh`` an unknown one. By default they are of the robot of a ``model``, and have the columns of its logs.
+    Raises GtauError if experiment files are mixed with logs, or the draft needs an answer of the user.
     """
     if len(sources) == 1 and not is_log(sources[0]):
         if stated.given and sources[0].exists():
@@ -213,25 +219,39 @@ def experiment_of(
     from gtau.signals.reading.drafting import guesses, write_draft
     from gtau.uses.logs import drafted
 
-    robot, kind, recording = stated.robot, stated.kind, None
+    if out is None:
+        hold(Path(default))
+    file = (out or Path(default)) / "experiment.yaml"
+    kind, recording, own = stated.kind, None, nullcontext(stated.robot)
     if model is not None:
-        from gtau.robots.readers.native import native_text
-
         kind, recording = kind or ("current" if model.kind == "current" else "torque"), model.recording
-        if robot is None:
-            robot = str(folder_of(folder) / "robot.yaml")
-            write_atomically(robot, native_text(model.robot))
-    file = folder / "experiment.yaml"
-    with skeleton_if_unrecognised(sources, robot, file):
+        own = nullcontext(stated.robot) if stated.robot else _beside(file, model.robot)
+    with own as robot, skeleton_if_unrecognised(sources, robot, file):
         draft = drafted(
             sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording, stated.xacro
         )
-    write_draft(draft, file)
+        write_draft(draft, file)
     held = (
         f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""
     )
     typer.echo(tidy(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}{held}."), err=True)
     return file, guesses(draft, file)
+
+
+@contextmanager
+def _beside(file: Path, robot: Robot) -> Iterator[str]:
+    """Write a robot beside the draft in a ``file``; without a new draft the folder stays as it was."""
+    from gtau.robots.readers.native import native_text
+
+    path = folder_of(file.parent) / "robot.yaml"
+    before, draft = (written.read_bytes() if written.is_file() else None for written in (path, file))
+    write_atomically(path, native_text(robot))
+    try:
+        yield str(path)
+    except BaseException:
+        if draft == (file.read_bytes() if file.is_file() else None):
+            write_atomically(path, before) if before else path.unlink()
+        raise
 
 
 @contextmanager

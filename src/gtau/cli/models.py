@@ -65,7 +65,7 @@ def validate(
         from gtau.uses.identify import experiment_of as experiment_for
 
         result = load(model)
-        experiment, guessed = experiment_of(sources, stated, out or Path("check"), model=result)
+        experiment, guessed = experiment_of(sources, stated, out, "check", model=result)
         with said_if_refused(guessed):
             described = experiment_for(result, experiment)
         if is_log(sources[0]):
@@ -135,27 +135,29 @@ def payload(
         from gtau.uses.weigh import exact_gains, weigh
 
         result = load(model)
-        experiment, guessed = experiment_of(sources, stated, out or Path("payload"), weigh=True, model=result)
-        described = read_experiment(experiment)
-        file = described.robot if isinstance(described.robot, str) else described.robot.file
+        file = stated.robot or ""  # of the links that a frame may name
+        if not is_log(sources[0]):
+            robot = read_experiment(sources[0]).robot
+            file = robot if isinstance(robot, str) else robot.file
         if to is not None:
             _refuse_controller(to, frame, result, file)
+        experiment, guessed = experiment_of(sources, stated, out, "payload", True, result)
+        described = read_experiment(experiment)
         with said_if_refused(guessed):
             weighed = weigh(result, experiment, gains=gains, progress=progress)
     has_bodies = bool(frame or to or find_spec("clarabel"))
     bodies = [payload.in_frame(frame, file) for payload in weighed] if has_bodies else []
     notes = [] if has_bodies else [str(missing_extra("a centre of mass", "clarabel", "consistency"))]
     notes += [f"{guess.what}; {guess.advice}".removesuffix("; ") for guess in guessed]
-    written: list[Path] = []
+    exports = [] if to is None or out is None else export_bodies(bodies, to, out)
+    notes += [note for exported in exports for note in exported.notes]
+    written = [path for exported in exports for path in exported.files]
     exact = exact_gains(result, described, gains)
     page = partial(weighing_page, result, weighed, gains, exact, bodies)
     if out is not None:
         inputs = (("model", model), *inputs_of(experiment, described))
         settings = {**settings_of(result), "drive gains": gains}
-        written = [write_report(page(described.expected_gains), folder_of(out), seconds(), inputs, settings)]
-        for exported in () if to is None else export_bodies(bodies, to, out):
-            written += exported.files
-            notes += exported.notes
+        written.insert(0, write_report(page(described.expected_gains), folder_of(out), seconds(), inputs, settings))
     document = {
         "payloads": payload_documents(weighed),
         "bodies": bodies_document(bodies),
