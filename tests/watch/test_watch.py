@@ -274,7 +274,8 @@ def test_an_alarm_ends(model: Result, healthy: list[LogStatistics]) -> None:
     watch.undo("day 203")
     assert watch.count == count + 1
     for call, sentence in (
-        (lambda: watch.forget("day 999"), "holds no log 'day 999'"),
+        (lambda: watch.forget("day 999"), "holds no log 'day 999'; give one of its names, such as day 20"),
+        (lambda: Watch(model).forget("day 1"), "holds no log 'day 1'; it is empty, watch logs first"),
         (lambda: watch.acknowledge("why"), "there is no alarm to acknowledge"),
         (lambda: watch.undo("day 999"), "nothing was done about 'day 999'"),
     ):
@@ -429,6 +430,9 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     ]
     empty = tmp_path / "day_2026-01-03b.csv"
     empty.write_text("")
+    for words in (("--reset", "2026-01-01"), ("--forget", "x"), ("--forget", "x", str(logs[0]))):
+        assert "SN1 holds no history to act on; give the folder of a watched robot by --out." in call(*words).stderr
+    assert not (tmp_path / "fleet").exists()
     first = call(*map(str, [*logs[5::-1], empty]), "--json", "--baseline", "4")  # in any order
     assert first.exit_code == 3, first.output
     lines = [json.loads(line) for line in first.stdout.splitlines()]

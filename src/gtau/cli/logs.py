@@ -222,11 +222,11 @@ def experiment_of(
     if out is None:
         hold(Path(default))
     file = (out or Path(default)) / "experiment.yaml"
-    kind, recording, own = stated.kind, None, nullcontext(stated.robot)
+    kind, recording, robots = stated.kind, None, nullcontext(stated.robot)
     if model is not None:
         kind, recording = kind or ("current" if model.kind == "current" else "torque"), model.recording
-        own = nullcontext(stated.robot) if stated.robot else _beside(file, model.robot)
-    with own as robot, skeleton_if_unrecognised(sources, robot, file):
+        robots = nullcontext(stated.robot) if stated.robot else _beside(file, model.robot)
+    with robots as robot, skeleton_if_unrecognised(sources, robot, file):
         draft = drafted(
             sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording, stated.xacro
         )

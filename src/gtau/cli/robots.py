@@ -221,14 +221,14 @@ def simulate(
 
         written = simulate(simulation, out, progress)
     described = read_simulation(simulation)
-    light, taken = (), False
+    light, of_file = (), False
     if described.model is None:
         robot = load_robot(described.robot)
         parameters = parameters_of(described, robot)
-        light, taken = massless(robot, parameters), parameters != described.parameters
+        light, of_file = massless(robot, parameters), parameters != described.parameters
     files = [str(path) for path in written]
-    answer(json_, lambda: {"files": files, "massless": light, "inertias_of_file": taken}, written=written)
+    answer(json_, lambda: {"files": files, "massless": light, "inertias_of_file": of_file}, written=written)
     if light and not json_:
         typer.echo(f"without mass and inertia, because 'parameters' lists none for them: {', '.join(light)}")
-    if taken and not json_:
+    if of_file and not json_:
         typer.echo(f"masses and inertias are of the robot's file {robot.source}, as 'parameters' states none")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,32 +33,51 @@ Watched = Annotated[
     Path, argument("MODEL.json|DIR", "A model, or a folder of histories: a page with a line per robot.")
 ]
 HistoryFolder = Annotated[Path, option("DIR", "Folder of the history, which is continued, and of report.html.")]
-FalseAlarms = Annotated[float | None, option("NUMBER", "False alarms a year, of the whole fleet (1).", min=1e-6)]
-Reset = Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date.")]
-Acknowledge = Annotated[str | None, option("NOTE", "End the alarm and accept the change as the new reference.")]
-Forget = Annotated[str | None, option("LOG", "Leave out a log.")]
-Following = "Follow a folder of finished logs, or a growing text log, until Ctrl-C."
-Block = Annotated[float, option("SECONDS", "Blocks of a growing log.", min=10.0, max=60.0)]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings that a history keeps."""
+
+    baseline: Annotated[int | None, option("NUMBER", "Healthy logs that form the baseline (10).")] = None
+    false_alarms_per_year: Annotated[
+        float | None, option("NUMBER", "False alarms a year, of the whole fleet (1).", min=1e-6)
+    ] = None
+    robots: Annotated[int | None, option("NUMBER", "Robots in the fleet (1).", min=1)] = None
+    logs_per_year: Annotated[float | None, option("NUMBER", "Logs a year of each robot (365).", min=1.0)] = None
+
+
+@dataclass(frozen=True)
+class Actions:
+    """What a user does about a history."""
+
+    reset: Annotated[str | None, option("DATE", "Begin a new baseline with the first log from this date.")] = None
+    acknowledge: Annotated[str | None, option("NOTE", "End the alarm and accept the change as the new reference.")] = (
+        None
+    )
+    forget: Annotated[str | None, option("LOG", "Leave out a log.")] = None
+    undo: Annotated[str | None, option("LOG|DATE", "Undo the last action on a log or a date.")] = None
+
+
+Follow = Annotated[
+    bool, option("", "Follow a folder of finished logs, or a growing text log, until Ctrl-C.", "--follow")
+]
+Power = Annotated[bool, option("", "Only show which changes the motion of a log reveals.", "--power")]
 
 
 @refusing
 def watch(
     model: Watched,
+    *,
     logs: Annotated[list[Path] | None, argument("LOG...", "Finished logs, or folders of them.")] = None,
     out: HistoryFolder = Path("history"),
     experiment: Columns = None,
     carries: CarriedPayload = None,
-    baseline: Annotated[int | None, option("NUMBER", "Healthy logs that form the baseline (10).")] = None,
-    false_alarms_per_year: FalseAlarms = None,
-    robots: Annotated[int | None, option("NUMBER", "Robots in the fleet (1).", min=1)] = None,
-    logs_per_year: Annotated[float | None, option("NUMBER", "Logs a year of each robot (365).", min=1.0)] = None,
-    reset: Reset = None,
-    acknowledge: Acknowledge = None,
-    forget: Forget = None,
-    undo: Annotated[str | None, option("LOG|DATE", "Undo the last action on a log or a date.")] = None,
-    follow: Annotated[bool, option("", Following, "--follow")] = False,
-    block: Block = 30.0,
-    power: Annotated[bool, option("", "Only show which changes the motion of a log reveals.", "--power")] = False,
+    settings: Settings,
+    actions: Actions,
+    follow: Follow = False,
+    block: Annotated[float, option("SECONDS", "Blocks of a growing log.", min=10.0, max=60.0)] = 30.0,
+    power: Power = False,
     json_: Annotated[bool, option("", "Print a line of JSON for each log instead of a table.", "--json")] = False,
 ) -> None:
     """Compare the logs of a robot with its model and with each other, and name the change.
@@ -79,15 +99,14 @@ def watch(
     from gtau.watch.watch import Watch
 
     sources = logs or []
-    actions = {"reset": reset, "acknowledge": acknowledge, "forget": forget, "undo": undo}
-    _refuse_logs(sources, follow, power, alone=any(actions.values()))
-    settings = {"false_alarms_per_year": false_alarms_per_year, "robots": robots, "logs_per_year": logs_per_year}
+    asked = {action: subject for action, subject in vars(actions).items() if subject is not None}
+    _refuse_logs(sources, follow, power, out, asked)
     with progress_bar() as progress:
         given = [] if follow else logs_of(sources)
         result = load(model)
         tolerances = read_experiment(experiment).tolerances if experiment else None
         read = partial(read_log, result, experiment=experiment, payload=carries)
-        watched = Watch(result, None if power else out, tolerances, baseline=baseline, **settings)
+        watched = Watch(result, None if power else out, tolerances, **vars(settings))
         if power:
             progress(f"reading {given[-1].name}", 0, 1)
             watched.imagine(read(given[-1]))
@@ -96,9 +115,8 @@ def watch(
 
         answer(json_, lambda: power_rows(watched), lambda: power_page(watched))
         return
-    for action, subject in actions.items():
-        if subject is not None:
-            getattr(watched, action)(subject)
+    for action, subject in asked.items():
+        getattr(watched, action)(subject)
     statuses = _taken(watched, given, read)
     if follow:  # silent while it waits for the next log
         statuses = followed(watched, sources[0], read, block, busy=lambda log: progress_lines(f"reading {log}", EVERY))
@@ -106,14 +124,18 @@ def watch(
         raise typer.Exit(3)
 
 
-def _refuse_logs(sources: list[Path], follow: bool, power: bool, alone: bool) -> None:
-    """Refuse logs, or none, that the options do not go with; an action may stand ``alone``."""
+def _refuse_logs(sources: list[Path], follow: bool, power: bool, out: Path, actions: Collection[str]) -> None:
+    """Refuse logs, or none, that the options do not go with, and ``actions`` without the history in ``out``."""
+    from gtau.watch.history import HISTORY
+
     if follow and len(sources) != 1:
         raise GtauError("--follow takes one folder or one growing text log; give it alone.")
-    if not (sources or alone):
+    if not (sources or actions):
         raise GtauError("there is no log to compare; give logs.")
     if power and (follow or not sources):
         raise GtauError("--power shows what the motion of a finished log can reveal; give one.")
+    if {*actions} - ({"reset"} if sources else set()) and not (out / HISTORY).exists():
+        raise GtauError(f"{out} holds no history to act on; give the folder of a watched robot by --out.")
 
 
 def _taken(watched: Watch, logs: list[Path], read: Read) -> Iterator[Status]:

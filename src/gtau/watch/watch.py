@@ -220,8 +220,10 @@ class Watch:
         """Leave out a log of another robot or state; raises GtauError if the history has no such log."""
         names = self.view.logs.names.tolist()
         if log not in names:
-            some = ", ".join(names[-3:]) or "none yet"
-            raise UnknownName(f"the history holds no log '{log}'; give one of its names, such as {some}.")
+            advice = (
+                f"give one of its names, such as {', '.join(names[-3:])}" if names else "it is empty, watch logs first"
+            )
+            raise UnknownName(f"the history holds no log '{log}'; {advice}.")
         self._do("forget", log)
 
     @takes(subject=TEXT)
