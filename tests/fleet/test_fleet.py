@@ -18,9 +18,10 @@ import gtau
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.fleets import fleet
-from gtau.fleets.fleet import Member, Report, fleet_table, identify_fleet, read_fleet
+from gtau.fleets.fleet import Member, identify_fleet, read_fleet
+from gtau.fleets.page import fleet_page
+from gtau.fleets.table import Report, fleet_table
 from gtau.fleets.workers import serial_map
-from gtau.report.fleet import fleet_page
 from gtau.report.render.terminal import plain
 from gtau.result import identify, load
 from gtau.signals.reading.experiment import read_experiment
@@ -121,7 +122,7 @@ def test_what_fails_in_the_middle_is_reported(
     monkeypatch.setattr("gtau.uses.identify.identify", Mock(side_effect=error))
     (report,) = identify_fleet(some(cells, 3), tmp_path, serial_map)
     assert says in report.sentence
-    assert fleet_table([report]).refused[0][0] == report.member.name
+    assert fleet_table([report]).refused[0][0] == report.robot
 
 
 def test_lost_robots_are_reported(cells: Path, tmp_path: Path) -> None:
@@ -246,6 +247,12 @@ def test_wrong_fleet_files(tmp_path: Path, text: str, says: str) -> None:
 def test_python_does_what_the_command_does(cells: Path, tmp_path: Path) -> None:
     table = gtau.fleet([cells / "robot_1" / "experiment.yaml"], tmp_path, jobs=1)
     assert table.robots == ("experiment",)
+    assert table.summary() == plain(fleet_page(table))
+    assert "they are too few to detect outliers" in table.summary()
+    frame = table.to_frame()
+    assert frame.select("robot", "joint").rows() == [("experiment", joint) for joint in JOINTS]
+    assert frame["gain"].to_list() == pytest.approx([gain.gain for gain in table.gains])
+    assert fleet_table([Report("broken", None, "no logs")]).to_frame()["why"].to_list() == ["no logs"]
     assert gtau.load(tmp_path / "models" / "experiment.json").gains == pytest.approx([g.gain for g in table.gains])
 
 
@@ -266,7 +273,7 @@ def report(name: str, gains: tuple[float, ...], std: float = 0.01) -> Report:
         {"joint": joint, "value": g, "std": std, "unit": "N m/A", "freedom": 39, "outcome": "good", "why": ""}
         for joint, g in zip("ab", gains, strict=True)
     ]
-    return Report(Member(name, Path(name)), {"robot": "arm", "drive_gains": estimates})
+    return Report(name, {"robot": "arm", "drive_gains": estimates})
 
 
 def test_gains_that_are_all_off_alike_point_to_the_payload() -> None:

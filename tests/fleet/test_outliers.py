@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from gtau.fleets.fleet import LEAST, FleetTable, Member, Report, fleet_table
+from gtau.fleets.table import LEAST, FleetGains, Report, fleet_table
 
 JOINTS = 3
 
 
-def table_of(values: np.ndarray, std: np.ndarray) -> FleetTable:
+def table_of(values: np.ndarray, std: np.ndarray) -> FleetGains:
     """Compare robots with gains (N,) or (JOINTS, N), whose standard deviations have 39 degrees of freedom."""
     reports = []
     for k, (gains, stds) in enumerate(zip(np.atleast_2d(values).T, np.atleast_2d(std).T, strict=True)):
@@ -21,7 +19,7 @@ def table_of(values: np.ndarray, std: np.ndarray) -> FleetTable:
             | {"outcome": "good", "why": ""}
             for joint, (gain, gain_std) in enumerate(zip(gains.tolist(), stds.tolist(), strict=True))
         ]
-        reports.append(Report(Member(f"{k}", Path(f"{k}.yaml")), {"robot": "arm", "drive_gains": rows}))
+        reports.append(Report(f"{k}", {"robot": "arm", "drive_gains": rows}))
     return fleet_table(reports)
 
 

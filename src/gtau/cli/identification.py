@@ -152,8 +152,8 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.compare import compare as run
         from gtau.estimation.compare import to_document
+        from gtau.report.comparison import comparison_page
         from gtau.report.evidence import inputs_of
-        from gtau.report.fleet import comparison_page
         from gtau.report.render.html import write_report
         from gtau.signals.reading.experiment import read_experiment
 
@@ -190,7 +190,7 @@ def fleet(
     hold(out)
     from gtau.fleets.fleet import fleet as run
     from gtau.fleets.fleet import read_fleet
-    from gtau.report.fleet import fleet_document, fleet_page, write_fleet
+    from gtau.fleets.page import fleet_document, fleet_page, write_fleet
     from gtau.report.render.html import write_report
 
     try:

@@ -1,39 +1,25 @@
-"""Show estimators compared on the same logs, and a fleet of robots."""
+"""Show a fleet of robots."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gtau.documents.files import write_table
-from gtau.estimation.compare import EstimatorComparison
-from gtau.findings import counted, percent_text
-from gtau.report.chart import Axis, Chart, Panel, Rule, Series, intervals
-from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Table, Text, joint_label, table_of
-
-if TYPE_CHECKING:
-    from gtau.fleets.fleet import FleetTable, JointOfFleet
+from gtau.findings import counted
+from gtau.fleets.table import FleetGains, JointOfFleet
+from gtau.report.chart import Axis, Chart, Panel, Rule, Series
+from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, table_of
 
 LISTED = 20  # most outliers or refused robots that are listed
 NAMED = 40  # most robots whose names fit below the axis
-TRUSTED = ("good", "weak")
-GAIN_COLUMNS = (
-    ("String", "robot model joint"),
-    ("Float64", "gain std"),
-    ("String", "unit outcome why"),
-    ("Float64", "difference_percent z limit"),
-    ("Boolean", "outlier"),
-    ("Float64", "half_width"),
-)
-"""Columns of the table of gains in their order, by their Polars type."""
 
 
-def fleet_document(fleet: FleetTable) -> dict[str, Any]:
+def fleet_document(fleet: FleetGains) -> dict[str, Any]:
     """Describe the fleet as a JSON document: joints over the fleet, gains by robot, robots that were refused."""
     return {
         "schema": "gtau-fleet/1",
@@ -43,7 +29,7 @@ def fleet_document(fleet: FleetTable) -> dict[str, Any]:
     }
 
 
-def fleet_page(fleet: FleetTable, full: bool = False) -> Page:
+def fleet_page(fleet: FleetGains, full: bool = False) -> Page:
     """Show each joint over the robots, outliers and refused robots; in ``full`` also every gain of every robot."""
     gains = table_of(fleet.gains, *GAIN, (Column("why"), "why"), name="gains-table")
     charts = [fleet_chart(fleet, joint) for joint in fleet.joints if full]
@@ -74,7 +60,7 @@ def fleet_page(fleet: FleetTable, full: bool = False) -> Page:
     )
 
 
-def _verdict(fleet: FleetTable) -> Section:
+def _verdict(fleet: FleetGains) -> Section:
     outliers, robots = fleet.outliers, {gain.robot for gain in fleet.outliers}
     if not fleet.robots:
         words, style = "No robot could be identified.", "bad"
@@ -106,7 +92,7 @@ GAIN: tuple[ColumnOf, ...] = (
 """Columns of a gain and their cells."""
 
 
-def _remarks(fleet: FleetTable) -> list[str]:
+def _remarks(fleet: FleetGains) -> list[str]:
     """List hints on the outliers."""
     joints = Counter(gain.robot for gain in fleet.gains)
     signs = Counter((gain.robot, "large" if (gain.difference_percent or 0) > 0 else "small") for gain in fleet.outliers)
@@ -120,7 +106,7 @@ def _remarks(fleet: FleetTable) -> list[str]:
     return hints
 
 
-def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
+def fleet_chart(fleet: FleetGains, joint: JointOfFleet) -> Chart:
     """Draw gains of a joint on all robots, in per cent of the median, with 95 % intervals and the spread."""
     gains = [
         gain
@@ -146,88 +132,9 @@ def fleet_chart(fleet: FleetTable, joint: JointOfFleet) -> Chart:
     return Chart((panel,), caption="The band is the spread of the fleet.")
 
 
-def write_fleet(fleet: FleetTable, out: Path) -> list[Path]:
+def write_fleet(fleet: FleetGains, out: Path) -> list[Path]:
     """Write ``gains.csv`` and ``gains.parquet``."""
-    import polars as pl
-
-    schema = {name: getattr(pl, kind) for kind, names in GAIN_COLUMNS for name in names.split()}
-    refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in fleet.refused]
-    frame = pl.DataFrame([asdict(gain) for gain in fleet.gains] + refused, schema=schema)
-    written = [out / "gains.csv", out / "gains.parquet"]
+    frame, written = fleet.to_frame(), [out / "gains.csv", out / "gains.parquet"]
     for path in written:
         write_table(frame, path)
     return written
-
-
-# Estimators
-
-
-def comparison_page(comparison: EstimatorComparison, prior: Mapping[str, float] | None = None) -> Page:
-    """Show the results of each estimator."""
-    said = [f"{row.method}: {row.refusal}" for row in comparison.rows if row.refusal]
-    judged = [(row.method, row.outcome.value) for row in comparison.rows if row.outcome]
-    said += [f"{method}: the gains are {outcome}" for method, outcome in judged if outcome not in TRUSTED]
-    said += map(str, comparison.notes)
-    verdict = Text(_agreement(comparison), tuple(said), "neutral")
-    words = "residual: worst joint, % of its current; time: estimation alone; ±: half the 95 % interval"
-    return Page(
-        f"Estimators on {comparison.robot}",
-        Section("Verdict", verdict, id="verdict"),
-        Section("Estimators", comparison_table(comparison), Text(words, style="soft"), id="estimators"),
-        Section("Drive gains by estimator", *_charts(comparison, prior or {}), id="gains"),
-    )
-
-
-def _agreement(comparison: EstimatorComparison) -> str:
-    """Summarise the agreement of the estimators in one sentence."""
-    rows = [row for row in comparison.rows if row.gains is not None and row.std is not None]
-    trusted = [row for row in rows if row.outcome is not None and row.outcome.value in TRUSTED]
-    if len(trusted) < 2:
-        return f"{len(trusted) or 'None'} of {len(rows)} estimators that find drive gains give trustworthy ones."
-    gains = np.array([row.gains for row in trusted])
-    spread = 100 * np.ptp(gains, axis=0) / np.abs(np.median(gains, axis=0))
-    j = int(np.argmax(spread))
-    return (
-        f"{len(trusted)} of {len(rows)} estimators find trustworthy gains, which agree to "
-        f"{percent_text(spread[j])} % or better, and differ most at {comparison.joints[j]}."
-    )
-
-
-def comparison_table(comparison: EstimatorComparison) -> Table:
-    """Tabulate each estimator: worst verdict, residual, time, and gains with their 95 % intervals."""
-    units = zip(comparison.joints, _units(comparison), strict=True)
-    labels = [f"{joint_label(joint)}, {unit}" for joint, unit in units]
-    columns = (
-        Column("estimator", Kind.NAME),
-        Column("worst verdict", Kind.BADGE),
-        Column("residual, %", Kind.NUMBER, decimals=2),
-        Column("time, s", Kind.NUMBER, decimals=2),
-        *(Column(label, Kind.SPREAD, 5) for label in labels),
-    )
-    rows: list[tuple[object, ...]] = []
-    for row in comparison.rows:
-        if row.gains is None or row.residuals is None:
-            rows.append((row.method, "refused", None, None, *([None] * len(comparison.joints))))
-            continue
-        halves = np.zeros(len(comparison.joints)) if row.half_widths is None else row.half_widths
-        outcome = "given" if row.outcome is None else row.outcome.value
-        gains = zip(row.gains.tolist(), halves.tolist(), strict=True)
-        rows.append((row.method, outcome, float(row.residuals.max()), row.seconds, *gains))
-    return Table(columns, rows)
-
-
-def _charts(comparison: EstimatorComparison, prior: Mapping[str, float]) -> list[Chart]:
-    """Draw the gain of each joint by every estimator, with 95 % intervals and the prior gain."""
-    rows = {row.method: (row.gains, row.half_widths) for row in comparison.rows}
-    shown = {method: (g.tolist(), h.tolist()) for method, (g, h) in rows.items() if g is not None and h is not None}
-    charts = []
-    for j, (joint, unit) in enumerate(zip(comparison.joints, _units(comparison), strict=True) if shown else ()):
-        values = [gains[j] for gains, _ in shown.values()]
-        halves = [half[j] for _, half in shown.values()]
-        given, axis = ("prior", [prior.get(joint)] * len(shown)), f"{joint_label(joint)}, {unit}"
-        charts.append(Chart((intervals(list(shown), values, halves, axis, other=given),)))
-    return charts
-
-
-def _units(comparison: EstimatorComparison) -> tuple[str, ...]:
-    return comparison.units or ("N m/A or N per A",) * len(comparison.joints)
