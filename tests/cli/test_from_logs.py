@@ -501,6 +501,9 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     assert document["recording"]["units"] == {"time": "ms"}
     model, free = load_model("result/model.json"), run_of("again.csv")
     assert model.recording == load_model("result/model.json").recording
+    for option in (["--preset", "tape"], ["--kind", "torque"]):  # as stated, not as recorded
+        refused = CliRunner().invoke(app, ["validate", "result/model.json", "again.csv", *option])
+        assert "no columns of positions are recognised" in refused.stderr
     (weighed,) = json.loads(invoke("payload", "other.csv", "again.csv", "--payload", "again.csv=0"))["payloads"]
     mass = next(entry for kind, entry in weighed["parameters"].items() if kind == "m")
     assert mass["value"] == pytest.approx(1.2, rel=0.01)

@@ -273,7 +273,11 @@ def test_bodies_without_parameters_are_listed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "advice"),
-    [("gain_lef", r"did you mean 'gain_left'\?"), ("nonsense", "choose gains, condition, logdet, trace, or names of")],
+    [
+        ("gain_lef", r"did you mean 'gain_left'\?"),
+        ("nonsense", "choose gains, condition, logdet, trace, or names of"),
+        ("", "choose gains"),
+    ],
 )
 def test_an_unknown_criterion_is_refused_shortly(designed: Design, name: str, advice: str) -> None:
     with pytest.raises(GtauError, match=f"there is no criterion or parameter '{name}'; {advice}") as refusal:

@@ -357,15 +357,22 @@ def drive(**keys: float) -> dict:
         (drive(dead_band=0.1), "'dead_band' has no effect without 'proportional_gain'"),
         (drive(inductance=1e-3), "'inductance' of '12' is given without a supply; add 'supply: {voltage: ...}'"),
         (drive(proportional_gain=2.0), "'proportional_gain' of '12' is given without a supply"),
+        ({"parameters": {"m_P": -1.0}}, "'m_P' is negative, which no mass or inertia is; write 0 or more"),
+        (drive(gain=1e-300), "a drive with a gain of 1e-300 gives no torque"),
+        (
+            {"runs": [{"name": "a", "trajectory": {"csv": "slow.csv"}}]},
+            "run 'a' would last 4000 s; give a trajectory of",
+        ),
         ({"curves": {"11": {}}}, "neither 'width' nor 'speed' is given"),
         ({"curves": {"11": {"speed": 0.1}}}, "the 'speed' of '11' has no effect without friction that falls with it"),
     ],
 )
 def test_what_a_simulation_file_may_not_say(changes, sentence, tmp_path):
+    (tmp_path / "slow.csv").write_text("t,q_11,q_12,q_13\n" + "".join(f"{500 * k},0,0,0\n" for k in range(9)))
     with pytest.raises(GtauError) as refused:
         simulate(written(tmp_path, **changes), tmp_path, silent)
     assert sentence in str(refused.value)
-    assert [path.name for path in tmp_path.iterdir()] == ["simulation.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["simulation.yaml", "slow.csv"]
 
 
 def test_inertias_that_only_the_robots_file_states_are_taken(tmp_path):

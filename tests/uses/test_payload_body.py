@@ -148,6 +148,7 @@ def test_links_fixed_to_the_carrier_are_offered(tmp_path: Path) -> None:
         ("tool9", "has no link 'tool9'; on 'elbow' are arm, elbow, flange, to_flange, tool0, to_tool"),
         ("base", "link 'base' of .* is not fixed to 'elbow', which carries the payload; choose from"),
         ("0 0 0.1", "has 3 numbers; write 'x y z roll pitch yaw'"),
+        ("nan 0 0 0 0 0", "has a number that is not finite; write 'x y z roll pitch yaw'"),
     ],
 )
 def test_frames_that_are_refused(tmp_path: Path, frame: str, sentence: str) -> None:

@@ -101,6 +101,12 @@ def test_what_cannot_be_used_is_refused(result: gtau.Result, tmp_path: Path) -> 
     done = CliRunner().invoke(app, ["use", str(tmp_path / "model.json"), str(log)])
     assert done.exit_code == 2
     assert "or name its columns by --experiment EXPERIMENT.yaml." in done.stderr
+    before = log.read_bytes()
+    done = CliRunner().invoke(
+        app, ["use", str(tmp_path / "model.json"), str(log), "--out", str(tmp_path / "check.csv")]
+    )
+    assert f"--out would replace the log {log}; give the table another name." in done.stderr
+    assert log.read_bytes() == before
     with pytest.raises(gtau.GtauError, match=r"ends in neither .csv nor .parquet"):
         write_table(torques_along_log(result, PLANT.run("check", seconds=3.0)), tmp_path / "torques.txt")
 

@@ -288,6 +288,8 @@ def use(
         raise GtauError(
             "--force-only applies to a contact frame; name the frame by --frame LINK, or omit --force-only."
         )
+    if out is not None and out.exists() and log.exists() and out.samefile(log):
+        raise GtauError(f"--out would replace the log {log}; give the table another name.")
     result = load(model)
     at = None
     if frame is not None:

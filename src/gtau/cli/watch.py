@@ -93,7 +93,7 @@ def watch(
     refuse_as_folder(out)
     from gtau.estimation.results.model_file import load
     from gtau.signals.reading.experiment import read_experiment
-    from gtau.uses.identify import read_log
+    from gtau.uses.identify import read_log, require_payload
     from gtau.watch.follow import follow as followed
     from gtau.watch.follow import logs_of
     from gtau.watch.watch import Watch
@@ -104,6 +104,8 @@ def watch(
     with progress_bar() as progress:
         given = [] if follow else logs_of(sources)
         result = load(model)
+        if carries is not None:
+            require_payload(result, carries)
         tolerances = read_experiment(experiment).tolerances if experiment else None
         read = partial(read_log, result, experiment=experiment, payload=carries)
         watched = Watch(result, None if power else out, tolerances, **vars(settings))

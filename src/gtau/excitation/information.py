@@ -217,7 +217,7 @@ def criterion(name: str, unknowns: Information) -> Criterion:
         chosen = np.array([unknown.kind == "gain" for unknown in names])
     else:
         wanted = [word.strip() for word in name.split(",")]
-        if unknown := next((word for word in wanted if word not in names), None):
+        if (unknown := next((word for word in wanted if word not in names), None)) is not None:
             choices = [*NAMED, *np.array(names)[estimated].tolist()]
             close = get_close_matches(unknown, choices, n=1)
             examples = f"names of gains and base parameters such as {choices[-1]} or {choices[len(NAMED)]}"

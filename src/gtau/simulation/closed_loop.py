@@ -69,8 +69,8 @@ def pid(
 
 
 def _not_zero(gain: float) -> float:
-    if gain == 0:
-        raise ValueError("a drive with a gain of 0 gives no torque; write its N m/A (or N per A)")
+    if abs(gain) < 1e-12:
+        raise ValueError(f"a drive with a gain of {gain:g} gives no torque; write its N m/A (or N per A)")
     return gain
 
 

@@ -42,6 +42,7 @@ ELECTRICAL = (
     "proportional_gain",
 )
 """Keys of motors on a supply."""
+HEAVY = kinds_where(lambda kind: kind.nonnegative and "kg" in kind.units[0])
 RUBBING = (*kinds_where(lambda kind: kind.nonnegative and kind.friction), DAMPING)
 HELD = 10  # samples after which the controller updates its inertia matrix
 NAME = r"\w[\w.-]*"
@@ -124,10 +125,12 @@ class Simulation(Keys):
 
     @field_validator("parameters")
     @classmethod
-    def _friction_takes_energy(cls, parameters: dict[str, float]) -> dict[str, float]:
+    def _bodies_can_be(cls, parameters: dict[str, float]) -> dict[str, float]:
         for name, value in parameters.items():
             parameter = parameter_of(name)
             kind, rest = parameter.kind, Parameter("fs", parameter.body)
+            if kind in HEAVY and value < 0:
+                raise ValueError(f"'{name}' is negative, which no mass or inertia is; write 0 or more")
             if kind in RUBBING and value < 0:
                 raise ValueError(f"the friction '{name}' is negative, and would drive the robot; write 0 or more")
             if kind == "fb" and parameters.get(rest, 0.0) + value < 0:

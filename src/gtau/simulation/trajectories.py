@@ -28,7 +28,8 @@ REST = 0.05  # s, between two moves
 ROUNDED = 1.01  # tolerance factor on limits of speed and acceleration, for rounded samples
 PerJoint = dict[str, FiniteFloat]
 NotNegative = Annotated[FiniteFloat, Field(ge=0)]
-Duration = Annotated[FiniteFloat, Field(ge=3, le=3600)]
+LONGEST = 3600  # s, of a run
+Duration = Annotated[FiniteFloat, Field(ge=3, le=LONGEST)]
 Share = Annotated[FiniteFloat, Field(gt=0, le=1)]
 
 
@@ -212,6 +213,8 @@ class MotionEntry(Keys):
 def make_trajectory(motion: MotionEntry, robot: Robot, where: str) -> tuple[Trajectory, float]:
     """Make the trajectory that a file describes, with its duration, s; ``where`` names the run in messages."""
     trajectory, duration = _unchecked(motion, robot, where)
+    if duration > LONGEST:
+        raise GtauError(f"{where} would last {duration:.4g} s; give a trajectory of at most {LONGEST} s.")
     _check_limits(trajectory(np.arange(0.0, duration, 0.005)), robot, where)
     return trajectory, duration
 

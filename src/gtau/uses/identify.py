@@ -57,10 +57,15 @@ def read_log(
 
 def carrying(model: IdentifiedModel, run: Run, payload: str) -> Run:
     """Return the run with one of the model's payloads; raises GtauError where the model does not know its mass."""
+    require_payload(model, payload)
+    return replace(run, payload=Payload(name=payload))
+
+
+def require_payload(model: IdentifiedModel, payload: str) -> None:
+    """Refuse a name of no payload whose mass the model knows; raises GtauError."""
     known = [name for name in dict.fromkeys(payload.name for payload in model.payloads) if "m" in model.payload(name)]
     if payload not in known:
         raise GtauError(f"the model knows no payload '{payload}'; choose from {', '.join(known) or 'none'}.")
-    return replace(run, payload=Payload(name=payload))
 
 
 def experiment_of(model: IdentifiedModel, path: str | Path) -> Experiment:

@@ -51,7 +51,8 @@ def drafted(
 
     Logs with the columns of a ``recording`` are read as it says. Raises GtauError where an answer is needed.
     """
-    if recording and robot and not columns and _has_columns(logs[0], recording):
+    as_recorded = recording and robot and not (columns or preset) and kind in (None, recording.signals.kind)
+    if recording and robot and as_recorded and _has_columns(logs[0], recording):
         draft = draft_as(recording, logs, robot, payload)
     else:
         draft = draft_logs(logs, robot, masses=payload, kind=kind, preset=preset, columns=columns, xacro=xacro)

@@ -221,10 +221,9 @@ def frame_on(body: str, frame: str | Pose, file: str | Path | None) -> tuple[str
         numbers = [float(word) for word in frame.replace(",", " ").split()]
     except ValueError:
         return frame, _link(body, frame, file)
-    if len(numbers) != 6:
-        raise GtauError(
-            f"frame '{frame}' has {len(numbers)} numbers; write 'x y z roll pitch yaw' (m, rad) from {body_frame}."
-        )
+    if len(numbers) != 6 or not np.isfinite(numbers).all():
+        wrong = f"has {len(numbers)} numbers" if len(numbers) != 6 else "has a number that is not finite"
+        raise GtauError(f"frame '{frame}' {wrong}; write 'x y z roll pitch yaw' (m, rad) from {body_frame}.")
     x, y, z, roll, pitch, yaw = numbers
     return f"{x:g} {y:g} {z:g} m, {roll:g} {pitch:g} {yaw:g} rad from {body_frame}", Pose((x, y, z), (roll, pitch, yaw))
 
