@@ -243,9 +243,13 @@ def test_a_refused_log_cancel_and_a_reload_in_mid_run(project, chromium, tutoria
     hand.press("button", "Draft")
     hand.sees("nonsense.csv has 1 sample")
     hand.drop(1, *(tutorial / log for log in LOGS))
+    strange = project.folder / "a_strange.csv"  # then the file is drafted without columns
+    strange.write_text((tutorial / LOGS[0]).read_text().replace("t,qleft,qright,vleft,vright", "t,a,b,c,d"))
     hand.press("button", "Draft without nonsense.csv")
+    hand.sees("a_strange.csv: no columns of positions are recognised")
+    hand.press("button", "Draft without a_strange.csv")
+    hand.until(lambda: [run.log for run in Project(project.folder).runs()] == list(LOGS))
     hand.sees("Check the logs")
-    assert [run.log for run in Project(project.folder).runs()] == list(LOGS)
     chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     hand.until(lambda: chromium.execute_script("return window.innerWidth") == 375)
     wide = "return document.scrollingElement.scrollWidth - document.scrollingElement.clientWidth"

@@ -240,7 +240,7 @@ def test_two_arms_are_not_told_apart_by_number(tmp_path: Path) -> None:
     log = save(tmp_path / "a.csv", "t,q1,q2,i1,i2", TIME, Q, V)
     arm = handed(0).joints[1:]
     other = (Joint("k1", "ground", "revolute", Mdh(alpha=1.5)), Joint("k2", "k1", "revolute", Mdh(d=0.5)))
-    with pytest.raises(GtauError, match=r"of 2 joints .* has 4 actuated ones; name the columns after their joints"):
+    with pytest.raises(GtauError, match=r"\.csv: the log has .* of 2 joints .* has 4 actuated ones; name the columns"):
         discover([log], Robot("twin", (*arm, *other)), "twin.urdf")
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Set
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,8 @@ from nicegui import events, ui
 
 from gtau.doors.command import Answer, Command, within
 from gtau.doors.project import BY_JOINT, COMMANDS, Project, RunEntry, settings_in
-from gtau.doors.scene import Drawing, along, at_home
+from gtau.doors.scene import along, at_home
+from gtau.doors.widgets import draw_in, drawing_of, refusal_of, refused, report, trace
 from gtau.errors import GtauError
 from gtau.extensions import names
 from gtau.robots.readers.read import catalog_names
@@ -168,10 +169,10 @@ class Cards:
                     self.button("Weigh its load", partial(self.weigh, log))
             if (drafted := project.answers.get("init")) is not None and drafted.refusal:
                 refused(drafted.refusal + " Or choose the roles of the columns below." * bool(project.text))
-                for log in waiting if waiting[1:] and not project.text else ():
-                    if log in drafted.refusal:
-                        rest = [other for other in waiting if other != log]
-                        self.button(f"Draft without {log}", partial(self.draft, rest))
+                logs = {*(run.log for run in project.runs()), *waiting} - project.left_out
+                for log in sorted(logs) if project.text == project.skeleton else ():
+                    if log in drafted.refusal and (rest := sorted(logs - {log})):
+                        self.button(f"Draft without {log}", partial(self.draft, rest, project.left_out | {log}))
             if not project.text:
                 return
             findings = self.findings("check")
@@ -197,11 +198,15 @@ class Cards:
         with self.trying("2  Logs"):
             change(field.value)
 
-    async def draft(self, logs: list[str]) -> None:
-        """Draft the experiment file; where columns are not recognised, it lacks them."""
-        if not self.project.chosen:
+    async def draft(self, logs: list[str], left_out: Set[str] = frozenset()) -> None:
+        """Draft the experiment file, some logs ``left_out``; where columns are not recognised, it lacks them."""
+        project = self.project
+        if not project.chosen:
             raise GtauError("no robot is chosen; choose it above first.")
-        await self.command("init", *logs, "--robot", self.project.chosen)
+        if project.text and project.text == project.skeleton:  # of a refused draft, as it was written
+            project.file.unlink()
+        await self.command("init", *logs, "--robot", project.chosen)
+        project.skeleton, project.left_out = project.text, left_out
 
     def log(self, entry: RunEntry, findings: list[dict[str, Any]]) -> None:
         """Show a log: its payload, use, findings, and columns."""
@@ -272,7 +277,7 @@ class Cards:
             arguments = ("identify", project.file.name, "--out=result")
             self.button("Identify", lambda: self.command(*arguments, *["--consistent"] * consistent.value))
             refusal_of(project.answers.get("identify"))
-            report(project, "result")
+            report(project.folder, "result")
 
     # Then
 
@@ -333,7 +338,7 @@ class Cards:
                 ui.link(str(place), f"/files/{place}", new_tab=True)
                 self.button("Show the motion", partial(self.animate, motion))
                 self.upload("Drop the logs of this motion, played", lambda name: None, str(place.parent))
-        report(project, name)
+        report(project.folder, name)
 
     async def animate(self, motion: Path) -> None:
         """Show a motion before it is played."""
@@ -373,63 +378,6 @@ def draw(project: Project) -> None:
     ui.timer(0.5, view.changed)
 
 
-def refused(sentence: str) -> None:
-    """Show a sentence of refusal."""
-    ui.label(sentence).classes("text-negative").props("role=alert")
-
-
-def refusal_of(answer: Answer | None) -> None:
-    """Show with which sentence a command refused, if it did."""
-    if answer is not None and answer.refusal:
-        refused(answer.refusal)
-
-
-def report(project: Project, name: str) -> None:
-    """Show the report that a command wrote."""
-    path = project.folder / name / "report.html"
-    if path.exists():
-        address = f"/files/{name}/report.html?{path.stat().st_mtime:.0f}"
-        ui.link("Open the report alone", address, new_tab=True)
-        ui.element("iframe").classes("report").props(f'src="{address}" title="report of {name}"')
-
-
 def about(finding: dict[str, Any], entry: RunEntry) -> bool:
     """Decide whether a finding is about a log."""
     return bool(finding["source"]) and finding["source"] in entry.log
-
-
-def trace(values: list[float]) -> None:
-    """Draw a column over its samples, to be zoomed by the wheel."""
-    options = {
-        "xAxis": {"type": "category", "show": False, "data": list(range(len(values)))},
-        "yAxis": {"type": "value", "scale": True, "axisLabel": {"fontSize": 9}, "splitNumber": 2},
-        "grid": {"left": 52, "right": 8, "top": 6, "bottom": 6},
-        "dataZoom": [{"type": "inside"}],
-        "animation": False,
-        "series": [{"type": "line", "data": [None if value != value else value for value in values], "symbol": "none"}],
-    }
-    ui.echart(options).classes("grow").style("height: 90px; min-width: 200px")
-
-
-def drawing_of(drawing: Drawing) -> ui.scene:
-    """Draw a robot that can be turned."""
-    size = max(float(abs(line).max()) for line in drawing[0])
-    with ui.scene(width=340, height=260, grid=(round(4 * size + 1), 10), background_color="#dde3ea").classes(
-        "max-w-full"
-    ) as scene:
-        draw_in(scene, drawing)
-    scene.move_camera(x=0.9 * size, y=-1.5 * size, z=0.9 * size, look_at_z=0.4 * size, duration=0)
-    return scene
-
-
-def draw_in(scene: ui.scene, drawing: Drawing) -> None:
-    """Draw lines and driven joints into a scene."""
-    lines, joints = drawing
-    size = max(float(abs(line).max()) for line in lines)
-    with scene:
-        for start, end in (line.tolist() for line in lines):
-            middle = [(a + b) / 2 for a, b in zip(start, end, strict=True)]
-            scene.quadratic_bezier_tube(start, middle, end, 2, 0.01 * size).material("#1f4e79")
-        for name, place in joints.items():
-            scene.sphere(0.02 * size).move(*place.tolist()).material("#c0392b")
-            scene.text(name, "color: #222").move(*place.tolist())

@@ -6,7 +6,7 @@ What the page changes in the file can be changed by hand as well; comments stay 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass, field
 from io import StringIO
@@ -48,12 +48,17 @@ class RunEntry:
 
 @dataclass
 class Project:
-    """A folder, the robot chosen before there is an experiment file, the command that runs, and the last answers."""
+    """A folder, the robot chosen before there is an experiment file, the command that runs, and the last answers.
+
+    ``skeleton`` is the text of the experiment file as it was drafted, without the logs ``left_out``.
+    """
 
     folder: Path
     chosen: str | None = None
     running: Command | None = None
     answers: dict[str, Answer] = field(default_factory=dict)
+    skeleton: str = ""
+    left_out: Set[str] = frozenset()
     _lock: Lock = field(default_factory=Lock, repr=False)
     _robots: dict[tuple[str, float], Robot] = field(default_factory=dict, repr=False)
     _traces: dict[tuple[Path, float], dict[str, np.ndarray]] = field(default_factory=dict, repr=False)

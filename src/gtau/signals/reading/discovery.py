@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gtau.documents.validation import read_group
-from gtau.errors import GtauError
+from gtau.errors import GtauError, errors_at
 from gtau.pages import page
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
@@ -133,7 +133,8 @@ def discover(
     else:
         log, command_log, runs = _sources(paths, robot)
     positions, commands = _groups(log, command_log, robot)
-    positions_of, currents, labels, how, by_name = matched(positions, commands, robot)
+    with errors_at(paths[0]):
+        positions_of, currents, labels, how, by_name = matched(positions, commands, robot)
     clock, why_time, open_ = _clock(log, command_log, positions)
     kind, doubts = _kind(commands, command_log, currents)
     sensors, still = _sensors(command_log, "sensor", labels)
@@ -207,6 +208,8 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
         return first, first, runs
     second = LogContents.read(paths[half], robot)
     if second.group("position") and not first.group("position"):
+        if second.command_group():  # which needs no other log, so the first one is the odd one
+            return first, first, runs
         return second, first, list(zip(paths[half:], paths[:half], strict=True))
     return first, second, list(zip(paths[:half], paths[half:], strict=True))
 
