@@ -140,6 +140,14 @@ def test_the_scale_of_the_gains_is_checked_before_they_are_identified(folder: Pa
     assert expectation([unknown]) == "gtau payload can use these logs as they are."
 
 
+def test_exchanged_columns_are_the_cause_and_not_what_their_gains_suggest(folder: Path) -> None:
+    """Of a five-bar; of a UR10e's pairs of neighbours the wrists had shown negative gains, the others nothing."""
+    path = damaged(folder, "exchanged", "{left: v1, right: v2}", "{left: v2, right: v1}")
+    (note,) = check(path).notes
+    assert (note.kind, set(note.joints), note.severity) == ("swapped channels", {"left", "right"}, Grade.WARNING)
+    assert "look swapped" in note.what
+
+
 @pytest.mark.parametrize("method", [None, "ml", "wls", "tls"])
 @pytest.mark.parametrize(
     "known",

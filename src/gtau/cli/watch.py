@@ -36,7 +36,7 @@ HistoryFolder = Annotated[Path, option("DIR", "Folder of the history, which is c
 
 
 @dataclass(frozen=True)
-class Settings:
+class HistoryOptions:
     """Settings that a history keeps."""
 
     baseline: Annotated[int | None, option("NUMBER", "Healthy logs that form the baseline (10).")] = None
@@ -73,7 +73,7 @@ def watch(
     out: HistoryFolder = Path("history"),
     experiment: Columns = None,
     carries: CarriedPayload = None,
-    settings: Settings,
+    settings: HistoryOptions,
     actions: Actions,
     follow: Follow = False,
     block: Annotated[float, option("SECONDS", "Blocks of a growing log.", min=10.0, max=60.0)] = 30.0,

@@ -13,6 +13,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import Examination, estimates_of
+from gtau.estimation.diagnostics.effort import MISFIT_TRIED, columns_of_effort, middle_rows
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
     doubtful_commands,
@@ -20,6 +21,7 @@ from gtau.estimation.diagnostics.log_checks import (
     smoothed_commands,
 )
 from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravity, doubtful_payloads, units_and_signs
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import Options, Subject, describe, geometry_of, read_runs, refusal_note
@@ -261,6 +263,9 @@ def _together(subject: Subject, preparation: Preparation, progress: Progress) ->
             require_payload_excitation(system)
     with suppress(GtauError):  # of equations that only the friction selected for them can solve
         fit = fit_by(ml_or_wls(gains), system, gains is None)
+        misfit = float(unexplained_shares(fit).max()) > MISFIT_TRIED
+        if misfit and (misread := columns_of_effort(middle_rows(fit))):
+            return [*notes, *misread]  # of such gains units and signs mean nothing
         estimates = estimates_of(fit, Examination(), correlated=False)
         notes += units_and_signs(fit, estimates, subject.options.gains, None)
     return notes
