@@ -150,7 +150,7 @@ def run_c(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Tracking errors (N, n) and currents (N, n) of the C controller, cycle by cycle."""
     reference: Reference = law.reference
-    assert not parts.delay.any()
+    assert not parts.keys["delay"].any()
     period, n = float(reference.time[1] - reference.time[0]), reference.q.shape[1]
     memory = ctypes.create_string_buffer(1 << 12)  # a controller is smaller
     state = engine.start(reference.q[0])
@@ -171,12 +171,12 @@ def run_c(
         )
 
     velocity = 10 * np.abs(reference.qd).max(axis=0)  # a margin for the resolution of the encoders
-    limits = at(parts.current_limit), at(velocity), at(3 / law.bandwidth * velocity)
+    limits = at(parts.keys["current_limit"]), at(velocity), at(3 / law.bandwidth * velocity)
     configuration = Configuration(period, law.bandwidth, *limits, 0)
     assert library.orthoglide_controller_start(memory, ctypes.byref(configuration), at(reference.q[0])) == 0
     error, current, out = np.empty_like(reference.q), np.empty_like(reference.q), at(np.zeros(n))
     for k in range(len(reference.time)):
-        seen = rounded(state.q, parts.position_quantum)
+        seen = rounded(state.q, parts.keys["position_quantum"])
         references = (at(reference.q[k]), at(reference.qd[k]), at(reference.qdd[k]))
         assert cycle(memory, ctypes.c_double(period), *references, at(seen), parameters, out) == 0
         current[k], error[k] = out, reference.q[k] - state.q

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from pydantic import ConfigDict, Field, FiniteFloat
 
-from gtau.documents.files import folder_of, json_in, system_refusals, write_atomically
+from gtau.documents.files import digest_of, folder_of, json_in, system_refusals, write_atomically
 from gtau.documents.validation import Keys, Positive, validate
 from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
@@ -167,7 +167,7 @@ def digest(paths: Iterable[Path], base: Path) -> dict[str, str]:
     hashes = {}
     for path in paths:
         name = Path(relpath(path, base)).as_posix()
-        hashes[name] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+        hashes[name] = digest_of(path) if path.is_file() else ""
     return hashes
 
 

@@ -10,20 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import (
-    METHODS,
-    Json,
-    ReportFolder,
-    answer,
-    argument,
-    hold,
-    option,
-    progress_bar,
-    refusing,
-    seconds,
-)
+from gtau.cli.console import answer, hold, progress_bar, refusing, seconds
 from gtau.cli.interruption import stop_request
 from gtau.cli.logs import LogOptions, Sources, experiment_of, said_if_refused
+from gtau.cli.options import METHODS, Json, ReportFolder, argument, option
 from gtau.documents.files import folder_of, write_atomically
 
 if TYPE_CHECKING:
@@ -38,16 +28,10 @@ Method = Annotated[
     ),
 ]
 Ratio = Annotated[
-    float | None,
-    option("RATIO", "The paper's ratio for essential parameters, 10 to 30; default: BIC.", min=1.0),
+    float | None, option("RATIO", "The paper's ratio for essential parameters, 10 to 30; default: BIC.", min=1.0)
 ]
 AsPaper = Annotated[
-    bool,
-    option(
-        "",
-        "Follow the paper: its TLS (or wls, ols), filter, friction, reduction; no delays.",
-        "--as-paper",
-    ),
+    bool, option("", "Follow the paper: its TLS (or wls, ols), filter, friction, reduction; no delays.", "--as-paper")
 ]
 Consistent = Annotated[bool, option("", "Also find physically consistent standard parameters.", "--consistent")]
 PriorInertias = Annotated[
@@ -70,12 +54,7 @@ def percent(text: str | float) -> float:
 
 
 Accuracy = Annotated[
-    float,
-    option(
-        "PERCENT",
-        "A gain is good if its 95 % interval is within +- PERCENT, 0.01 to 50.",
-        parser=percent,
-    ),
+    float, option("PERCENT", "A gain is good if its 95 % interval is within +- PERCENT, 0.01 to 50.", parser=percent)
 ]
 Verbose = Annotated[bool, option("", "Print all parameters, the fit of each joint and all notes.", "--verbose", "-v")]
 
@@ -166,11 +145,7 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
 
 
 Experiments = Annotated[
-    list[str],
-    argument(
-        "EXPERIMENT.yaml|FLEET.yaml",
-        "Experiment files or patterns, or a fleet file.",
-    ),
+    list[str], argument("EXPERIMENT.yaml|FLEET.yaml", "Experiment files or patterns, or a fleet file.")
 ]
 
 

@@ -11,21 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gtau.cli.console import (
-    METHODS,
-    Json,
-    XacroArguments,
-    answer,
-    argument,
-    base_choice,
-    hold,
-    named_values,
-    option,
-    print_json,
-    progress_bar,
-    refusing,
-    seconds,
-)
+from gtau.cli.console import answer, hold, print_json, progress_bar, refusing, seconds
+from gtau.cli.options import METHODS, Json, XacroArguments, argument, base_choice, named_values, option
 from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_other_kind, write_atomically
 from gtau.errors import GtauError, tidy
 
@@ -37,10 +24,7 @@ if TYPE_CHECKING:
 WIDTH = 80
 
 
-Sources = Annotated[
-    list[Path],
-    argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs."),
-]
+Sources = Annotated[list[Path], argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs.")]
 
 
 @dataclass(frozen=True)
@@ -76,8 +60,7 @@ class LogOptions:
         option("current|torque", "With logs: what columns such as 'effort' contain; default: by name."),
     ] = None
     preset: Annotated[
-        str | None,
-        option("PRESET", "With logs: their recorder (ur-current, franka-ros, lerobot, ...)."),
+        str | None, option("PRESET", "With logs: their recorder (ur-current, franka-ros, lerobot, ...).")
     ] = None
     xacro_arg: XacroArguments = None
 
@@ -113,10 +96,7 @@ class LogOptions:
 
 @refusing
 def init(
-    logs: Annotated[
-        list[Path],
-        argument("LOG", "One log per run; or logs of positions, then as many of commands."),
-    ],
+    logs: Annotated[list[Path], argument("LOG", "One log per run; or logs of positions, then as many of commands.")],
     stated: LogOptions,
     base: Annotated[
         str | None, option("fixed|ROLL,PITCH,YAW", "Fix a floating base, or rotate it by these angles, rad.")

@@ -12,20 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gtau.cli.console import (
-    CarriedPayload,
-    Columns,
-    Json,
-    ModelFile,
-    answer,
-    argument,
-    hold,
-    option,
-    progress_bar,
-    refusing,
-    seconds,
-)
+from gtau.cli.console import answer, hold, progress_bar, refusing, seconds
 from gtau.cli.logs import LogOptions, Sources, experiment_of, is_log, said_if_refused
+from gtau.cli.options import CarriedPayload, Columns, Json, ModelFile, argument, option
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError, missing_extra
 from gtau.findings import Grade
@@ -45,8 +34,7 @@ def validate(
     sources: Sources,
     stated: LogOptions,
     out: Annotated[
-        Path | None,
-        option("DIR", "Folder for report.html and tables of all samples. Default: no files."),
+        Path | None, option("DIR", "Folder for report.html and tables of all samples. Default: no files.")
     ] = None,
     json_: Json = False,
 ) -> None:
@@ -202,8 +190,7 @@ def export(
     out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("exported"),
     into: Annotated[Path | None, option("FILE", "URDF or MJCF to copy with the identified parameters.")] = None,
     samples: Annotated[
-        int,
-        option("N", "Also draw N parameter sets, for domain randomization: samples.npz.", min=0),
+        int, option("N", "Also draw N parameter sets, for domain randomization: samples.npz.", min=0)
     ] = 0,
     models: Annotated[int, option("N", "Draws also written as models.", min=0)] = 16,
     seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0,

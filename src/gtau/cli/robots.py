@@ -8,20 +8,9 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import (
-    Json,
-    XacroArguments,
-    answer,
-    argument,
-    base_choice,
-    hold,
-    named_values,
-    option,
-    progress_bar,
-    refusing,
-    seconds,
-)
+from gtau.cli.console import answer, hold, progress_bar, refusing, seconds
 from gtau.cli.interruption import stop_request
+from gtau.cli.options import Json, XacroArguments, argument, base_choice, named_values, option
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
 
@@ -109,8 +98,7 @@ def excite(
     design: Annotated[Path, argument("DESIGN.yaml", "Robot, runs, limits, prior knowledge.")],
     out: Annotated[Path, option("DIR", "Folder for the motion, report.html and design.json.")] = Path("plan"),
     criterion: Annotated[
-        str,
-        option("CRITERION", "gains, condition, logdet, trace, or parameters to estimate best (gain_11,m_PR)."),
+        str, option("CRITERION", "gains, condition, logdet, trace, or parameters to estimate best (gain_11,m_PR).")
     ] = "gains",
     payload_mass: Annotated[str | None, option("KG,KG", "Also show the effect of other payloads.")] = None,
     starts: Annotated[int, option("N", "Searches, each from another random motion.", min=1)] = 2,
@@ -167,8 +155,7 @@ def _masses(listed: str) -> tuple[float, ...]:
 
 @refusing
 def demo(
-    out: Annotated[Path, option("DIR", "Folder for logs, model and figures.")] = Path("demo"),
-    json_: Json = False,
+    out: Annotated[Path, option("DIR", "Folder for logs, model and figures.")] = Path("demo"), json_: Json = False
 ) -> None:
     """Simulate an Orthoglide, identify it from its logs, and weigh a second payload."""
     hold(out)
@@ -194,8 +181,7 @@ def tutorial(
 
 @refusing
 def docs(
-    name: Annotated[str | None, argument("PAGE", "Without it all are listed.")] = None,
-    json_: Json = False,
+    name: Annotated[str | None, argument("PAGE", "Without it all are listed.")] = None, json_: Json = False
 ) -> None:
     """Print a page of the documentation; 'messages' are all findings."""
     from gtau.pages import page_text, titles

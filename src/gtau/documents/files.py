@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import re
@@ -187,6 +188,16 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
         return [(not number, int(number or 0), text) for number, text in re.findall(r"(\d+)|(\D+)", str(path))]
 
     return sorted(paths, key=key)
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 of a file, or of the paths and contents of the files in a folder; raises GtauError."""
+    if path.is_dir():
+        parts = in_order(filter(Path.is_file, path.rglob("*")))
+        text = "".join(f"{part.relative_to(path)}\0{digest_of(part)}" for part in parts)
+        return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()
+    with system_refusals(path), path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def identifier(name: str) -> str:

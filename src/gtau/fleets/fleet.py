@@ -14,7 +14,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from gtau.documents.files import folder_of, in_order, matching, system_refusals, write_atomically
+from gtau.documents.files import digest_of, folder_of, in_order, matching, write_atomically
 from gtau.documents.validation import FUNCTION, NAMES, PATH, TEXT, WHOLE, Keys, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
@@ -205,20 +205,14 @@ def inputs_key(experiment: Experiment, method: str) -> str:
     for text in (method, settings, native_text(load_robot(experiment.robot).with_file(source=""))):
         key.update(text.encode() + b"\0")
     for path in (log for run in experiment.runs for log in run.log):
-        for file in in_order(filter(Path.is_file, path.rglob("*"))) if path.is_dir() else [path]:
-            key.update(f"{path.name}/{file.name}".encode(errors="surrogateescape") + b"\0" + _digest(file))
+        key.update(f"{path.name}\0{digest_of(path)}".encode(errors="surrogateescape"))
     return key.hexdigest()
 
 
 @cache
 def _program() -> bytes:
     root = Path(__file__).parents[1]
-    return hashlib.sha256(b"".join(_digest(path) for path in in_order(root.rglob("*.py")))).digest()
-
-
-def _digest(path: Path) -> bytes:
-    with system_refusals(path), path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").digest()
+    return "".join(digest_of(path) for path in in_order(root.rglob("*.py"))).encode()
 
 
 def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:

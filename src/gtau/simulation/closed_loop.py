@@ -9,7 +9,7 @@ rigid axis at the bandwidth.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import inf, nan
 from pathlib import Path
 from typing import Annotated, Literal
@@ -119,30 +119,25 @@ class JointHardware(Keys):
 
 @dataclass(frozen=True, eq=False)
 class Hardware:
-    """Drives and sensors of all actuated joints, every field an array (n,), and their motors, if on a supply."""
+    """Drives and sensors of all actuated joints: ``keys`` as above, each an array (n,), and motors on a supply."""
 
-    gain: np.ndarray
-    current_limit: np.ndarray
-    ripple: np.ndarray
-    ripple_period: np.ndarray
-    position_quantum: np.ndarray
-    delay: np.ndarray
-    current_noise: np.ndarray
-    current_quantum: np.ndarray
+    keys: Mapping[str, np.ndarray]
     motors: MotorDrives | None = None
 
     def force(self, current: np.ndarray, q: np.ndarray, phase: np.ndarray) -> np.ndarray:
         """Compute forces (n,) from currents (n,) at positions ``q`` (n,), with the ripple's ``phase`` (n,), rad."""
-        return self.gain * current + self.ripple * np.sin(2 * np.pi * q / self.ripple_period + phase)
+        ripple = self.keys["ripple"] * np.sin(2 * np.pi * q / self.keys["ripple_period"] + phase)
+        return np.asarray(self.keys["gain"] * current + ripple)
 
     def measured(self, history: Sequence[PlantState], period: float) -> np.ndarray:
         """Compute the measured positions (n,) from the last states, newest first, ``period`` s apart."""
-        late = self.delay / period
+        late = self.keys["delay"] / period
         periods, joints = late.astype(int), np.arange(len(late))
         q, qd = (np.array([getattr(state, name) for state in history]) for name in ("q", "qd"))
         past, speed, before = q[periods, joints], qd[periods, joints], qd[periods + 1, joints]
         back = (late - periods) * period
-        return rounded(past - back * speed + back**2 / (2 * period) * (speed - before), self.position_quantum)
+        exact = past - back * speed + back**2 / (2 * period) * (speed - before)
+        return rounded(exact, self.keys["position_quantum"])
 
 
 def hardware(
@@ -155,8 +150,7 @@ def hardware(
     drawn = np.random.default_rng([seed, len(joints)]).standard_normal(len(joints))
     c = np.array([CONVENTIONS[name] for name in columns["convention"]])
     emf = columns["gain"] / (1 + columns["commutation"] * drawn) / c
-    motors = None if supply is None else MotorDrives(supply, emf, columns)
-    return Hardware(**{field.name: columns[field.name] for field in fields(Hardware)[:-1]}, motors=motors)
+    return Hardware(columns, None if supply is None else MotorDrives(supply, emf, columns))
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,11 +182,11 @@ def close_loop(
     blend = float(np.exp(-FILTER * bandwidth * period))
     phase = rng.uniform(0.0, 2 * np.pi, (1, n))[0]
     state = engine.start(reference.q[0])
-    history = [state] * (2 + int(np.ceil(hardware.delay.max() / period)))
+    history = [state] * (2 + int(np.ceil(hardware.keys["delay"].max() / period)))
     position, current, error, duty = (np.empty((samples, n)) for _ in range(4))
     motors, voltage = hardware.motors, np.empty(samples)
     supplied = nan if motors is None else motors.supply.voltage
-    slope, integral = np.zeros(n), np.zeros(n)
+    slope, integral, limit = np.zeros(n), np.zeros(n), hardware.keys["current_limit"]
     behind = controller.weight * reference.q[0] - hardware.measured(history, period)
     for k in range(samples):
         measured = hardware.measured(history, period)
@@ -201,7 +195,7 @@ def close_loop(
         behind = ahead
         pushed = kp * e + ki * (integral + period * e) + kd * slope
         wanted = (controller.inertia[k] @ pushed + controller.feedforward[k]) / controller.gains
-        current[k] = np.clip(wanted, -hardware.current_limit, hardware.current_limit)
+        current[k] = np.clip(wanted, -limit, limit)
         if motors is not None:
             voltage[k] = supplied
             current[k], duty[k] = motors.currents(current[k], e, state.qd, supplied, k / samples)
@@ -213,17 +207,20 @@ def close_loop(
         if k % 1000 == 0:
             progress(k, samples)
     progress(samples, samples)
-    noise = hardware.current_noise * rng.standard_normal(current.shape)
-    logged, side = rounded(current + noise, hardware.current_quantum), dict[str, SideValues]()
+    noise = hardware.keys["current_noise"] * rng.standard_normal(current.shape)
+    logged, side = rounded(current + noise, hardware.keys["current_quantum"]), dict[str, SideValues]()
     if motors is not None:
         beside = motors.logged(period, current, duty, voltage, reference.q)
-        beside["supply_current"] = rounded(beside["supply_current"] + noise, hardware.current_quantum)
-        units = {signal.key: signal.units[0] for signal in SIDE_SIGNALS}
-        for key, values in beside.items():
-            columns = dict(zip(joints, np.round(values, DIGITS).T, strict=True))
-            side[key] = SideValues(reference.time, columns, units[key])
+        beside["supply_current"] = rounded(beside["supply_current"] + noise, hardware.keys["current_quantum"])
+        side = {key: _side(reference.time, values, joints, key) for key, values in beside.items()}
     run = Run(name, joints, reference.time, np.round(position, DIGITS), np.round(logged, DIGITS), log=Log(side=side))
     return Simulated(run, error)
+
+
+def _side(time: np.ndarray, values: np.ndarray, joints: Sequence[str], key: str) -> SideValues:
+    """Make a side signal of values (N, n)."""
+    (unit,) = (signal.units[0] for signal in SIDE_SIGNALS if signal.key == key)
+    return SideValues(time, dict(zip(joints, np.round(values, DIGITS).T, strict=True)), unit)
 
 
 def write_log(run: Run, path: str | Path) -> None:

@@ -270,7 +270,7 @@ def make_run(
             f"run '{described.name}': the inertia matrix is not positive definite along the motion, so the masses and "
             "inertias are of no rigid bodies; 'gtau robot ROBOT --verbose' lists those that have an effect."
         )
-    controller = closed_loop.pid(reference, inertia, parts.gain, simulation.bandwidth)
+    controller = closed_loop.pid(reference, inertia, parts.keys["gain"], simulation.bandwidth)
     rng = np.random.default_rng([simulation.seed, *described.name.encode()])
     simulated = closed_loop.close_loop(described.name, engine, controller, parts, rng, model.actuated, progress)
     run, logged = simulated.run, slice(None, None, simulation.every)

@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
 
-from gtau.documents.files import in_order, system_refusals
+from gtau.documents.files import digest_of, in_order, system_refusals
 from gtau.errors import GtauError
 from gtau.signals.reading.logs import find_columns, is_log_folder
 from gtau.signals.run import Run
@@ -64,20 +64,10 @@ def date_of(log: Path) -> str:
     return datetime.fromtimestamp(log.stat().st_mtime, UTC).isoformat(timespec="seconds")
 
 
-def _digest_of(path: Path) -> str:
-    digest = hashlib.sha256()
-    with system_refusals(path):
-        for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
-            if part.is_file():
-                with part.open("rb") as file:
-                    digest.update(hashlib.file_digest(file, "sha256").digest())
-    return digest.hexdigest()
-
-
 def take(watch: Watch, log: Path, read: Read) -> Status | None:
     """Add a finished log, or set it aside with the reason why it cannot be read; None if its samples are known."""
     try:
-        digest = _digest_of(log)
+        digest = digest_of(log)
         if watch.history.seen(digest):
             return None
         status = watch.update(replace(read(log), name=log.stem), digest, date_of(log))

@@ -47,11 +47,12 @@ from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.model.loops import Labels, Motion
 from gtau.model.singularities import random_motion
+from gtau.robots.geometry import refuse_floating
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
-from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters
+from gtau.uses.prediction import check_temperature_unit, friction_along, loaded_parameters, suited
 
 STEP = 1e-3  # rad or m of an encoder zero, or share of the rate: torques are linear over this
 FEWEST_ROWS = 50  # of a joint in a log, as in an identification
@@ -272,8 +273,8 @@ def normal_equations(
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     name = f"run '{run.name}'"
-    _refuse_other_kind(model, run)
-    run = run.ordered(idm.actuated, link_side=False)
+    refuse_floating(model.robot, "watching is")
+    run = suited(model, run).ordered(idm.actuated, link_side=False)
     check_wrenches(model.robot, run)
     check_temperature_unit(model, run)
     preparation = at_rate_of([run], model.preparation)
@@ -314,17 +315,6 @@ def normal_equations(
             "give a longer log."
         )
     return G, rows, way / np.maximum(count, 1)
-
-
-def _refuse_other_kind(model: IdentifiedModel, run: Run) -> None:
-    """Refuse a robot whose base floats, and a log of another kind than the model's."""
-    if model.robot.floating:
-        raise GtauError(f"the base of robot '{model.robot.name}' floats; only robots with a fixed base are watched.")
-    if run.kind != model.kind:
-        raise GtauError(
-            f"run '{run.name}' holds {run.kind}s, but the model was identified from {model.kind}s; "
-            "give a log of the same kind."
-        )
 
 
 def _columns(
