@@ -115,18 +115,16 @@ def payload(
     out = out or (None if to is None else Path("payload"))
     hold(out)
     with progress_bar() as progress:
-        from gtau.estimation.results.model_file import load, payload_documents
+        from gtau.estimation.results.model_file import load
         from gtau.report.evidence import inputs_of, settings_of
         from gtau.report.render.html import write_report
-        from gtau.report.validation import bodies_document, weighing_page
+        from gtau.report.validation import weighing_document, weighing_page
         from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.weigh import exact_gains, weigh
 
         result = load(model)
-        file = stated.robot or ""  # of the links that a frame may name
-        if not is_log(sources[0]):
-            robot = read_experiment(sources[0]).robot
-            file = robot if isinstance(robot, str) else robot.file
+        # of the links that a frame may name
+        file = (stated.robot or "") if is_log(sources[0]) else read_experiment(sources[0]).robot_file
         if to is not None:
             _refuse_controller(to, frame, result, file)
         experiment, guessed = experiment_of(sources, stated, out, "payload", True, result)
@@ -146,15 +144,8 @@ def payload(
         inputs = (("model", model), *inputs_of(experiment, described))
         settings = {**settings_of(result), "drive gains": gains}
         written.insert(0, write_report(page(described.expected_gains), folder_of(out), seconds(), inputs, settings))
-    document = {
-        "payloads": payload_documents(weighed),
-        "bodies": bodies_document(bodies),
-        "files": [str(path) for path in written],
-        "notes": notes,
-        "gains": gains,
-        "gain_uncertainty_included": not exact,
-    }
-    answer(json_, lambda: document, page, written)
+    document = weighing_document(weighed, bodies, gains, exact)
+    answer(json_, lambda: document | {"files": [str(path) for path in written], "notes": notes}, page, written)
     _show_notes([] if json_ else notes)
     doubted = gains == "identified" and not exact and not result.believable
     if doubted or Grade.CONTRADICTORY in {payload.verdict.outcome for payload in weighed}:
@@ -280,8 +271,7 @@ def use(
     result = load(model)
     at = None
     if frame is not None:
-        file = None if experiment is None else read_experiment(experiment).robot
-        at = frame_on(result.robot.tool, frame, file if file is None or isinstance(file, str) else file.file)
+        at = frame_on(result.robot.tool, frame, None if experiment is None else read_experiment(experiment).robot_file)
     with progress_bar() as progress:
         progress("torques along the log", 0, 1)
         run = read_log(result, log, experiment, payload=carries)

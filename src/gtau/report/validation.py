@@ -8,7 +8,7 @@ from typing import Any
 
 from gtau.documents.files import write_table
 from gtau.estimation.results.conclusions import headline as headline_of_model
-from gtau.estimation.results.model_file import torque_error
+from gtau.estimation.results.model_file import payload_documents, torque_error
 from gtau.estimation.results.payload_body import PayloadBody, PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade, percents, to_width
@@ -154,9 +154,11 @@ def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
     return Section("For a controller", *parts, id="controller") if parts else None
 
 
-def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
-    """Describe bodies as JSON, with null for quantities that the motion does not show."""
-    return [
+def weighing_document(
+    payloads: tuple[PayloadEstimate, ...], bodies: Sequence[PayloadBody], gains: str, exact: Sequence[str]
+) -> dict[str, Any]:
+    """Describe weighed payloads as JSON, with null for quantities of bodies that the motion does not show."""
+    described = [
         {
             "name": body.name,
             "run": body.run,
@@ -168,6 +170,12 @@ def bodies_document(bodies: Sequence[PayloadBody]) -> list[dict[str, Any]]:
         }
         for body in bodies
     ]
+    return {
+        "payloads": payload_documents(payloads),
+        "bodies": described,
+        "gains": gains,
+        "gain_uncertainty_included": not exact,
+    }
 
 
 def masses_words(payloads: Sequence[PayloadEstimate], given: str) -> str:

@@ -151,10 +151,14 @@ class Experiment(Keys):
     _guesses: tuple[Finding, ...] = PrivateAttr(())
 
     def __repr__(self) -> str:
-        robot = self.robot if isinstance(self.robot, str) else self.robot.file
         joints = ", ".join(self.signals.joints)
         runs = f"runs: {len(self.runs)}, validation: {len(self.validation)}"
-        return f"Experiment({robot!r}, joints {joints}, {runs})"
+        return f"Experiment({self.robot_file!r}, joints {joints}, {runs})"
+
+    @property
+    def robot_file(self) -> str:
+        """File or catalog name of the robot."""
+        return self.robot if isinstance(self.robot, str) else self.robot.file
 
     @field_validator("robot")
     @classmethod
