@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -202,10 +202,11 @@ def experiment_of(
     if out is None:
         hold(Path(default))
     file = (out or Path(default)) / "experiment.yaml"
-    kind, recording, robots = stated.kind, None, nullcontext(stated.robot)
+    kind, recording = stated.kind, None
+    robots: AbstractContextManager[str | None] = nullcontext(stated.robot)
     if model is not None:
         kind, recording = kind or ("current" if model.kind == "current" else "torque"), model.recording
-        robots = nullcontext(stated.robot) if stated.robot else _beside(file, model.robot)
+        robots = robots if stated.robot else _beside(file, model.robot)
     with robots as robot, skeleton_if_unrecognised(sources, robot, file):
         draft = drafted(
             sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording, stated.xacro

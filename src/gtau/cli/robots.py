@@ -206,12 +206,11 @@ def simulate(
         from gtau.simulation.simulate import parameters_of, read_simulation, simulate
 
         written = simulate(simulation, out, progress)
-    described = read_simulation(simulation)
-    light, of_file = (), False
-    if described.model is None:
+        described = read_simulation(simulation)
         robot = load_robot(described.robot)
-        parameters = parameters_of(described, robot)
-        light, of_file = massless(robot, parameters), parameters != described.parameters
+    parameters = {} if described.model else parameters_of(described, robot)
+    light = () if described.model else massless(robot, parameters)
+    of_file = parameters != described.parameters
     files = [str(path) for path in written]
     answer(json_, lambda: {"files": files, "massless": light, "inertias_of_file": of_file}, written=written)
     if light and not json_:
