@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,15 +18,6 @@ LEAST = 8  # values: the spread of fewer is too uncertain to call one an outlier
 FALSE_ALARM = 0.05  # chance of an outlier in a fleet without outliers; 0.1 where the spread is small
 EFFICIENCY = 0.37  # of a median-based spread, relative to the standard deviation
 QUARTILE = 0.4549364  # median of the chi-square distribution with one degree of freedom
-COLUMNS = (
-    ("String", "robot model joint"),
-    ("Float64", "gain std"),
-    ("String", "unit outcome why"),
-    ("Float64", "difference_percent z limit"),
-    ("Boolean", "outlier"),
-    ("Float64", "half_width"),
-)
-"""Columns of the table of gains in their order, by their Polars type."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +88,8 @@ class FleetGains:
         """Return all gains by robot and joint, and the refused robots, as a Polars table: that of ``gains.csv``."""
         import polars as pl
 
-        schema = {name: getattr(pl, kind) for kind, names in COLUMNS for name in names.split()}
+        types = {"str": pl.String, "bool": pl.Boolean}
+        schema = {field.name: types.get(str(field.type), pl.Float64) for field in fields(FleetGain)}
         refused = [{"robot": robot, "outcome": "refused", "why": why, "outlier": False} for robot, why in self.refused]
         return pl.DataFrame([asdict(gain) for gain in self.gains] + refused, schema=schema)
 
