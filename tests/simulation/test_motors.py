@@ -73,6 +73,10 @@ def test_voltage_limits_the_current(tmp_path: Path) -> None:
     [
         ({"supply": None}, "'duty' is logged without a supply"),
         ({"drives": {joint: {"gain": 1.0} for joint in JOINTS}}, "the motor of 'left' has no 'resistance'"),
+        (
+            {"drives": {joint: {"gain": 1.0, "proportional_gain": 9.0, "inductance": 1e-3} for joint in JOINTS}},
+            "a servo .* has currents without a lag; remove 'inductance'",
+        ),
         ({"log_rate": 300}, "a log_rate of 300 Hz is no part of the rate, 500 Hz"),
     ],
 )

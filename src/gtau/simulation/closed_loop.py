@@ -25,7 +25,7 @@ from gtau.signals.run import Log, Run
 from gtau.simulation.motors import MotorDrives, Supply, rounded
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant, PlantState
-from gtau.simulation.trajectories import NotNegative, Trajectory, log_column
+from gtau.simulation.trajectories import NotNegative, Trajectory
 
 BANDWIDTH = 100.0  # rad/s
 FILTER = 10.0  # bandwidth of the derivative's filter over the bandwidth of the loop
@@ -109,8 +109,9 @@ class JointHardware(Keys):
 
     @model_validator(mode="after")
     def _no_key_in_vain(self) -> JointHardware:
-        if self.proportional_gain is not None and self.current_limit is not None:
-            raise ValueError("a servo ('proportional_gain') is limited by its voltage; remove 'current_limit'")
+        for key, why in (("current_limit", "is limited by its voltage"), ("inductance", "has currents without a lag")):
+            if self.proportional_gain is not None and getattr(self, key):
+                raise ValueError(f"a servo ('proportional_gain') {why}; remove '{key}'")
         for key, other in (("ripple_period", "ripple"), ("dead_band", "proportional_gain")):
             if key in self.model_dump(exclude_defaults=True) and not getattr(self, other):
                 raise ValueError(f"'{key}' has no effect without '{other}'; add '{other}', or remove '{key}'")
@@ -227,9 +228,6 @@ def write_log(run: Run, path: str | Path) -> None:
     """Write a run as CSV, atomically: ``t``; ``q``, ``v`` and ``duty_``, or another signal, before the joint's name."""
     import polars as pl
 
-    columns = {"t": np.round(run.time, DIGITS)}
-    columns |= {log_column("q", joint): run.position[:, j] for j, joint in enumerate(run.joints)}
-    columns |= {log_column("v", joint): run.command[:, j] for j, joint in enumerate(run.joints)}
-    for key, side in run.side.items():
-        columns |= {log_column(f"{key}_", joint): values for joint, values in side.by_joint.items()}
-    write_table(pl.DataFrame(columns), path)
+    beside = {f"{key}_{joint}": values for key, side in run.side.items() for joint, values in side.by_joint.items()}
+    table = run.to_frame().with_columns(pl.col("t").round(DIGITS), **beside)
+    write_table(table.rename(str.rstrip), path)  # readers strip blanks
