@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -211,96 +210,44 @@ class ExcitationByHand:
         return np.array([(self.value(x + step * e) - value) / step for e in np.eye(len(x))])
 
 
-@dataclass(frozen=True)
-class FigarohFit:
-    """FIGAROH's base parameters: expressions, values, standard deviations in per cent; what predicts torques (N, n)."""
-
-    names: list[str]
-    values: np.ndarray
-    percent: np.ndarray
-    predicted: np.ndarray
-    measured: np.ndarray
-    predict: Callable[[np.ndarray], np.ndarray]
-
-
-def figaroh_fit(
-    robot: Robot,
-    chi: dict[str, float],
-    q: np.ndarray,
-    tau: np.ndarray,
-    step: float,
-    cutoff: float,
-    factor: int,
-    thin: int = 1,
-    motors: np.ndarray | None = None,
-) -> FigarohFit:
-    """FIGAROH's way from a log (N, n) to weighted least squares.
-
-    Filter, derivatives, regressor, base parameters, weighted least squares and their standard deviations are its public
-    functions; the columns are decimated by SciPy, as in its examples. ``motors`` (n, n) are speeds of motors per joint
-    speed: one that turns with two joints has rotor inertia and friction of its own.
-    """
-    from figaroh.identification.identification_tools import (
-        low_pass_filter_data,
-        relative_stdev,
-        weigthed_least_squares,
-    )
-    from figaroh.tools.qrdecomposition import QRDecomposer
-    from figaroh.tools.regressor import build_regressor_basic, build_regressor_reduced, get_index_eliminate
-    from scipy.signal import decimate
-
-    tree, n = Pinocchio(robot, chi), q.shape[1]
-    joints = robot.actuated
-    names = [
-        f"{k}_{name}" for name in robot.bodies for k in ("m", "mx", "my", "mz", "xx", "xy", "yy", "xz", "yz", "zz")
-    ]
-    names += [f"{kind}_{name}" for kind in ("fv", "fs", "ia", "off") for name in joints]
-    coupled = [] if motors is None else [j for j in range(n) if np.count_nonzero(abs(motors[j]) > 1e-9) > 1]
-    names += [f"{kind}_motor_{j}" for j in coupled for kind in ("ia", "fv", "fs")]
-    settings = {"ts": step, "cut_off_frequency_butterworth": min(4 * cutoff, 1.98 / step), "is_joint_torques": True}
-    settings |= {"has_friction": True, "has_actuator_inertia": True, "has_joint_offset": True, "act_idxv": [*range(n)]}
-
-    def regressor(q: np.ndarray) -> np.ndarray:  # joint by joint
-        q = low_pass_filter_data(q, settings)
-        qd = np.gradient(q, step, axis=0)
-        qdd = np.gradient(qd, step, axis=0)
-        W = [build_regressor_basic(tree, q, qd, qdd, settings)]
-        for j in coupled:
-            a, v = qdd @ motors[j], qd @ motors[j]
-            W.append(np.concatenate([each * np.stack([a, v, np.sign(v)], axis=1) for each in motors[j]]))
-        return np.hstack(W)
-
-    W = np.concatenate([decimate(each, factor, axis=0)[20:-20:thin] for each in np.split(regressor(q), n)])
-    tau = np.concatenate([decimate(each, factor)[20:-20:thin] for each in tau[25:-25].T])
-    index, kept = get_index_eliminate(W, dict.fromkeys(names, 0.0), 1e-3)
-    W = build_regressor_reduced(W, index)
-    decomposer = QRDecomposer()
-    W_b, _, expressions, phi, *_ = decomposer.double_decomposition(tau, W, kept)
-    rows = len(tau) // n
-    settings["idx_tau_stop"] = [rows * (j + 1) for j in range(n)]
-    phi = weigthed_least_squares(tree, phi, W_b, tau, W_b @ phi, settings)
-
-    def predict(q: np.ndarray) -> np.ndarray:
-        W = build_regressor_reduced(regressor(q), index)[:, decomposer.get_base_indices()]
-        return np.pad((W @ phi).reshape(n, -1).T, ((25, 25), (0, 0)), mode="edge")
-
-    return FigarohFit(expressions, phi, relative_stdev(W_b, phi, tau), W_b @ phi, tau, predict)
-
-
 def figaroh_wls(
     robot: Robot, chi: dict[str, float], folder: Path, cutoff: float, factor: int
 ) -> Callable[[], tuple[np.ndarray, np.ndarray]] | None:
-    """:func:`figaroh_fit` from a log's file, giving torques predicted and measured; None without FIGAROH."""
+    """FIGAROH's way from a log's file to torques predicted and measured; None without FIGAROH.
+
+    Filter, derivatives, regressor, base parameters and weighted least squares are its public functions; the columns are
+    decimated by SciPy, as in its examples. The board calls its classes.
+    """
     if find_spec("figaroh") is None:
         return None
 
     def work() -> tuple[np.ndarray, np.ndarray]:
+        from figaroh.identification.identification_tools import low_pass_filter_data, weigthed_least_squares
+        from figaroh.tools.qrdecomposition import QRDecomposer
+        from figaroh.tools.regressor import build_regressor_basic, build_regressor_reduced, get_index_eliminate
+        from scipy.signal import decimate
+
         table = pl.read_parquet(folder / "0.parquet")
         time = table["t"].to_numpy()
         step = (time[-1] - time[0]) / (len(time) - 1)
         q, tau = (table.select(name for name in table.columns if name.startswith(kind)).to_numpy() for kind in "qv")
-        fit = figaroh_fit(robot, chi, q, tau, step, cutoff, factor)
-        return fit.predicted, fit.measured
+        tree, n = Pinocchio(robot, chi), q.shape[1]
+        inertial = ("m", "mx", "my", "mz", "xx", "xy", "yy", "xz", "yz", "zz")
+        names = [f"{kind}_{name}" for name in robot.bodies for kind in inertial]
+        names += [f"{kind}_{name}" for kind in ("fv", "fs", "ia", "off") for name in robot.actuated]
+        settings = {"ts": step, "cut_off_frequency_butterworth": min(4 * cutoff, 1.98 / step), "is_joint_torques": True}
+        settings |= {"has_friction": True, "has_actuator_inertia": True, "has_joint_offset": True}
+        settings["act_idxv"] = [*range(n)]
+        q = low_pass_filter_data(q, settings)
+        qd = np.gradient(q, step, axis=0)
+        W = build_regressor_basic(tree, q, qd, np.gradient(qd, step, axis=0), settings)  # joint by joint
+        W = np.concatenate([decimate(block, factor, axis=0)[20:-20] for block in np.split(W, n)])
+        tau = np.concatenate([decimate(column, factor)[20:-20] for column in tau[25:-25].T])
+        index, kept = get_index_eliminate(W, dict.fromkeys(names, 0.0), 1e-3)
+        W, _, _, phi, *_ = QRDecomposer().double_decomposition(tau, build_regressor_reduced(W, index), kept)
+        settings["idx_tau_stop"] = [len(tau) // n * (j + 1) for j in range(n)]
+        phi = weigthed_least_squares(tree, phi, W, tau, W @ phi, settings)
+        return W @ phi, tau
 
     return work
 

@@ -78,6 +78,15 @@ HEADER = (
     "what gtau says",
     "s",
 )
+ELSEWHERE = (
+    "orthoglide",
+    "ur10e",
+    "tx40",
+    "panda",
+    "aliengo",
+    "upv",
+    "upv_gains",
+)  # on the board, or on the robot's page
 SHOWN = 0, 2, 3, 4  # of these, on the page; the rest in logs.csv
 
 
@@ -87,9 +96,14 @@ def line(cells: Sequence[str]) -> str:
 
 
 def of_page(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the table of the page: what others published, with the best and the worst joint in place of all."""
+    """Return the table of the page: what others published, with the best and the worst joint in place of all.
+
+    Rows that stand elsewhere are left out.
+    """
     head, *body = ([cells[k] for k in SHOWN] for cells in rows)
     body = [[*cells[:2], *map(extremes, cells[2:])] for cells in body if cells[3] != "none published"]
+    elsewhere = {entry.robot for entry in ENTRIES if entry.name in ELSEWHERE}
+    body = [cells for cells in body if cells[0] not in elsewhere]
     return [line(head), line(["---"] * len(head)), *map(line, body)]
 
 
