@@ -27,6 +27,7 @@ def main() -> None:
     except KeyboardInterrupt as interruption:
         report_ending(str(interruption))
         code = exit_code()
+    gc.freeze()  # else the interpreter searches everything for garbage before it ends, which takes 0.5 s
     sys.exit(code)
 
 

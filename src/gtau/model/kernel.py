@@ -147,6 +147,24 @@ def scatter(made, order, places, table, start, count):  # type: ignore[no-untype
             table[start + n, places[k]] = made[order[k], n]
 
 
+@_compiled(types.void(_NUMBERS, _NUMBERS))
+def recur(sections, rows):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Filter ``rows`` (K, N) in place by ``sections`` (S, 5), b0, b1, b2, a1, a2, whose gain at 0 Hz is 1.
+
+    Each row begins in the steady state of its first sample.
+    """
+    for k in range(len(rows)):
+        for i in range(len(sections)):
+            b0, b1, b2, a1, a2 = sections[i]
+            state, next_state = (1.0 - b0) * rows[k, 0], (b2 - a2) * rows[k, 0]
+            for n in range(rows.shape[1]):
+                x = rows[k, n]
+                y = b0 * x + state
+                state = b1 * x - a1 * y + next_state
+                next_state = b2 * x - a2 * y
+                rows[k, n] = y
+
+
 @_inlined
 def _newton(programs, scale, limits, trial, now, going, good, share, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Close the loops from the initial guess ``trial`` on the paths ``going``; ``good`` becomes where that succeeded.

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.results.result import IdentifiedModel
@@ -14,6 +15,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series, colour, intervals
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
+from gtau.signals.spectrum import fast_length
 
 SEGMENT = 256  # most samples in a segment of the spectrum
 FEWEST = 16  # samples needed for a statistic
@@ -109,23 +111,23 @@ def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
 
     Masked residuals count as zero, and the density is scaled by the share of unmasked ones.
     """
-    from scipy.signal import welch
-
     runs = _centred(residuals)
     if not runs:
         return None
     length = min(SEGMENT, *(len(values) for _, values, _ in runs))
-    total, weight, frequency = np.zeros(length // 2 + 1), 0.0, np.zeros(0)
+    window = 0.5 - 0.5 * np.cos(2 * np.pi / length * np.arange(length))
+    total, weight = np.zeros(length // 2 + 1), 0.0
     for step, values, kept in runs:
-        frequency, density = welch(values, 1 / step, nperseg=length, detrend=False)
-        total += kept.sum() * density / kept.mean()
+        parts = sliding_window_view(values, length)[:: length - length // 2] * window
+        power = np.mean(np.abs(np.fft.rfft(parts)) ** 2, axis=0)
+        total += step * len(kept) * power / (window**2).sum()
         weight += kept.sum()
-    return frequency[1:], total[1:] / weight
+    total[: (length + 1) // 2] *= 2
+    return np.fft.rfftfreq(length, runs[-1][0])[1:], total[1:] / weight
 
 
 def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float] | None:
     """Compute lags (L,), s, autocorrelation (L,) over pairs of unmasked residuals, and the 95 % band of white noise."""
-    from scipy.signal import correlate
     from scipy.special import ndtri
 
     runs = _centred(residuals)
@@ -134,9 +136,11 @@ def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float
     lags = min(LAGS, min(len(values) for _, values, _ in runs) // 2)
     products, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
     for _, values, kept in runs:
-        middle = slice(len(values) - 1, len(values) + lags)
-        products += correlate(values, values)[middle]
-        pairs += correlate(kept.astype(float), kept.astype(float))[middle].round()
+        size = fast_length(len(values) + lags)
+        powers = np.abs(np.fft.rfft([values, kept], size)) ** 2
+        along = np.fft.irfft(powers, size)[:, : lags + 1]
+        products += along[0]
+        pairs += along[1].round()
     variance = products[0] / pairs[0]
     if not variance > 0:
         return None

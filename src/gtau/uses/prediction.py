@@ -30,6 +30,7 @@ from gtau.signals.preparation.filters import HIGHEST_CUTOFF, Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
+from gtau.signals.spectrum import taper
 from gtau.signals.storage import spans
 
 if TYPE_CHECKING:
@@ -133,10 +134,8 @@ def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tup
 
 def _bands(time: np.ndarray, raw: np.ndarray, valid: np.ndarray, bandwidth: float) -> tuple[BandError, ...]:
     """Compute rms of error and signal (2, N) in octaves from the ``bandwidth`` (Hz) of the motion to Nyquist."""
-    from scipy.signal.windows import tukey
-
     rate = (len(time) - 1) / float(time[-1] - time[0])
-    window = tukey(len(time), 0.1) * valid
+    window = taper(len(time)) * valid
     frequency = np.fft.rfftfreq(len(time), 1 / rate)
     power = []
     for values in raw:

@@ -26,7 +26,7 @@ from itertools import combinations, product
 from operator import itemgetter
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gtau.errors import GtauError
 from gtau.estimation.effects.effect import hats
@@ -149,7 +149,7 @@ def _fit(y: np.ndarray, S: np.ndarray, logs: int) -> tuple[np.ndarray, np.ndarra
     x, _, rank, _ = np.linalg.lstsq(S, y, rcond=1e-6)
     misfit = float(np.sum((y - S @ x) ** 2))
     variances = np.diag(np.linalg.pinv(S.T @ S, rcond=1e-8)) * max(1.0, misfit / max(len(y) - int(rank), 1))
-    factor = student.ppf(0.975, max(logs - 1, FEWEST))
+    factor = float(stdtrit(max(logs - 1, FEWEST), 0.975))
     return x / norms, factor * np.sqrt(variances) / norms, misfit + PER_PARAMETER * int(rank)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import ndtr, ndtri
+from scipy.special import chdtrc, ndtr, ndtri
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import refitted, residual_ratio
@@ -283,8 +283,6 @@ def _without_voltages(fit: Fit, motors: Sequence[MotorEquation]) -> Fit | None:
 
 def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
     """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
-    from scipy.stats import chi2
-
     masses = {run.payload.name: run.payload.mass for run in fit.dataset.runs if run.payload}
     known = {name: mass for name, mass in masses.items() if mass is not None}
     judged = np.flatnonzero(half_widths(fit, estimates) < 1)
@@ -296,7 +294,7 @@ def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Fi
     variance = 1 / float(precision.sum())
     scale, std = variance * float(precision.sum(axis=0) @ gains), float(np.sqrt(variance))
     apart = float((gains - scale) @ precision @ (gains - scale))
-    if chi2.sf(apart, len(judged) - 1) > ALIKE_SCALES and abs(scale - 1) > max(APART * std, accuracy):
+    if chdtrc(len(judged) - 1, apart) > ALIKE_SCALES and abs(scale - 1) > max(APART * std, accuracy):
         ((name, mass),) = known.items()
         yield Finding(
             "common torque scale",

@@ -134,7 +134,6 @@ def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: bool) -> JointSpectrum:
     """Find the end of the signal and the bandwidth in the spectrum of one joint's accelerations."""
     from scipy.ndimage import grey_closing
-    from scipy.signal import find_peaks
 
     centre, band_means = _in_bands(frequency, density)
     band_gain = np.interp(centre, frequency, gain)
@@ -142,7 +141,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
         return JointSpectrum(centre, band_means, band_means, np.nan, np.nan, 0.0)
     level = -np.log(np.maximum(grey_closing(band_means, size=CLOSING, mode="nearest"), 1e-30 * band_means.max()))
     bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls throughout ends at its last frequency
-    valleys = find_peaks(np.r_[bottom, level, bottom], prominence=np.log(PROMINENCE))[0] - 1
+    valleys = _peaks(np.r_[bottom, level, bottom], np.log(PROMINENCE)) - 1
     speed = density / gain
     held = np.cumsum(speed)
     below = held[np.searchsorted(frequency, centre[valleys], side="right") - 1]
@@ -166,6 +165,21 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
         bandwidth=float(frequency[edge]) if moves else np.nan,
         signal_to_noise=ratio,
     )
+
+
+def _peaks(values: np.ndarray, prominence: float) -> np.ndarray:
+    """Find the middles of the peaks that rise by ``prominence`` above the higher saddle to a higher peak or end."""
+    firsts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0)
+    lasts, heights, middles = np.r_[firsts[1:], len(values)] - 1, values[firsts], []
+    for k in range(1, len(heights) - 1):
+        higher = np.flatnonzero(heights > heights[k])
+        at = int(np.searchsorted(higher, k))
+        start = higher[at - 1] if at else 0
+        stop = higher[at] if at < len(higher) else len(heights)
+        saddle = max(heights[start : k + 1].min(), heights[k:stop].min())
+        if heights[k] > max(heights[k - 1], heights[k + 1]) and heights[k] - saddle >= prominence:
+            middles.append((firsts[k] + lasts[k]) // 2)
+    return np.array(middles, dtype=int)
 
 
 def _is_white(frequency: np.ndarray, position: np.ndarray, valley: int, end: int) -> bool:

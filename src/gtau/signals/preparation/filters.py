@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from gtau.signals.spectrum import fast_length
 from gtau.signals.storage import block, spans
 
 STENCIL = 2  # samples that a central difference reaches to either side
@@ -72,10 +73,19 @@ def low_pass(x: np.ndarray, rate: float, cutoff: float) -> np.ndarray:
 
     The gain at frequency f is ``1 / (1 + (f / cutoff)^8)``: 1 - 1e-8 at a tenth of the cut-off.
     """
-    from scipy.signal import butter, sosfiltfilt
+    from gtau.model.kernel import recur
 
-    edge = min(len(x) - 1, filter_edge(rate, cutoff))
-    return sosfiltfilt(butter(4, 2 * cutoff / rate, output="sos"), x, axis=0, padlen=edge)
+    edge, y = min(len(x) - 1, filter_edge(rate, cutoff)), x.reshape(len(x), -1).T.copy()
+    # each end is continued by its point reflection
+    y = np.concatenate([2 * y[:, :1] - y[:, edge:0:-1], y, 2 * y[:, -1:] - y[:, -2 : -edge - 2 : -1]], axis=1)
+    k, damping = np.tan(np.pi * cutoff / rate), 2 * np.sin(np.pi / 8 * np.array([1, 3]))
+    gain, one = k**2 / (1 + damping * k + k**2), np.ones(2)
+    poles = np.array([2 * (1 - k**-2) * one, (1 - damping * k + k**2) / k**2])
+    sections = (gain * np.array([one, 2 * one, one, *poles])).T.copy()
+    for _ in range(2):
+        recur(sections, y)
+        y = y[:, ::-1].copy()
+    return np.ascontiguousarray(y[:, edge : edge + len(x)].T).reshape(x.shape)
 
 
 def smooth_path(position: np.ndarray, rate: float, cutoff: Cutoff, start: int, stop: int) -> np.ndarray:
@@ -168,13 +178,11 @@ class Decimator:
 
     @cached_property
     def kernel(self) -> np.ndarray:
-        """Taps of the FIR, preceded by zeros so that their number less one is a multiple of the factor."""
-        from scipy.signal import firwin
-
+        """Taps of the FIR: 3 ``factor`` and one or two more."""
         half = ceil(1.5 * self.factor)
         # beta = 5: side lobes 50 dB down, and a main lobe as narrow as so short a filter allows.
-        taps = firwin(2 * half + 1, PASSED / self.factor, window=("kaiser", 5.0))
-        return np.concatenate([np.zeros(-2 * half % self.factor), taps])
+        taps = np.sinc(PASSED / self.factor * np.arange(-half, half + 1)) * np.kaiser(2 * half + 1, 5.0)
+        return taps / taps.sum()
 
     def _chebyshev(self, columns: np.ndarray) -> np.ndarray:
         """Filter columns (..., M) forward and backward."""
@@ -230,11 +238,13 @@ class Decimator:
             return columns[..., at]
         if self.kind == "chebyshev":
             return self._chebyshev(columns)[..., at]
-        from scipy.signal import upfirdn
-
-        # The padded kernel puts the outputs on multiples of the factor, which upfirdn computes alone.
-        skipped = (len(self.kernel) - 1) // self.factor
-        return upfirdn(self.kernel, columns, down=self.factor, axis=-1)[..., skipped : skipped + count]
+        # an output needs three blocks of ``factor`` samples, each times its taps, and one or two samples after them
+        rows = columns[..., : (count + 2) * self.factor].reshape(*columns.shape[:-1], -1, self.factor)
+        parts = rows @ self.kernel[: 3 * self.factor].reshape(3, self.factor).T
+        made = sum(parts[..., k : k + count, k] for k in range(3))
+        for k in range(3 * self.factor, len(self.kernel)):
+            made += self.kernel[k] * columns[..., k :: self.factor][..., :count]
+        return made
 
     def smooth(self, columns: np.ndarray, first: int, count: int) -> np.ndarray:
         """Filter without decimation: compute the outputs at ``count`` samples of a block from its ``first`` on.
@@ -244,14 +254,13 @@ class Decimator:
         """
         if self.factor == 1 or self.kind == "chebyshev":
             return (columns if self.factor == 1 else self._chebyshev(columns))[..., first : first + count]
-        from scipy.signal import oaconvolve
-
         lacking = max(self.support - first, 0), max(first + count + self.support - columns.shape[-1], 0)
         ends = [(0, 0)] * (columns.ndim - 1)
         seen = np.pad(columns, [*ends, lacking], mode="edge")[..., first + lacking[0] - self.support :]
-        taps = np.trim_zeros(self.kernel, "f")
-        taps = np.reshape(taps, (1,) * (columns.ndim - 1) + (-1,))
-        return oaconvolve(seen[..., : count + 2 * self.support], taps, mode="valid", axes=-1)
+        whole = count + 2 * self.support
+        size = fast_length(whole)
+        product = np.fft.rfft(seen[..., :whole], size) * np.fft.rfft(self.kernel, size)
+        return np.fft.irfft(product, size)[..., 2 * self.support : whole]
 
     def near(self, usable: np.ndarray) -> np.ndarray:
         """Mark the samples (N,) or (N, n) with no unusable sample and no end of the log within ``guard``."""
