@@ -15,9 +15,10 @@ from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
 from gtau.report.motion import paths_chart
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
-from gtau.report.render.charts import figure_of, palette, svg_of
+from gtau.report.render.charts import figure_of, palette
 from gtau.report.render.html import arrays_for, frame, html, spec_of
 from gtau.report.render.html import words as in_html
+from gtau.report.render.svg import svg_of
 from gtau.report.render.terminal import plain
 from gtau.report.torques import stretches
 
@@ -208,7 +209,7 @@ def test_an_svg_draws_a_matrix_spans_and_steps() -> None:
     spans = Series("", np.array([[0.0, 1.0], [2.0, 3.0]]), np.array([0.0]), mark="spans")
     steps = Series("", np.arange(4.0), np.ones(3), mark="steps")
     matrix = Panel(x, y, matrix=np.array([[1.0, -0.5], [-0.5, 1.0]]))
-    for panel, part in ((matrix, "<image"), (Panel(x, y, (spans,)), "var(--predicted)"),
+    for panel, part in ((matrix, "var(--negative)"), (Panel(x, y, (spans,)), "var(--predicted)"),
                         (Panel(x, y, (steps,)), "var(--predicted)")):  # fmt: skip
         assert part in svg_of(panel, alone=True)
 
@@ -219,12 +220,23 @@ def test_numbers_in_words_keep_their_digits() -> None:
     assert svg_of(panel, alone=True).count(f">{words}<") == 2
 
 
-def test_drawings_of_a_page_share_no_ids() -> None:
-    x, y = Axis("x"), Axis("y")
-    pair = [svg_of(Panel(x, y, lines_of(np.arange(5.0), count)), alone=True) for count in (1, 2)]
-    first, second = (set(re.findall(r' id="(.*?)"', text)) for text in pair)
-    assert first
-    assert not first & second
+def test_drawings_of_a_page_need_no_ids() -> None:
+    text = svg_of(Panel(Axis("x"), Axis("y"), lines_of(np.arange(5.0), 2)), alone=True)
+    assert not re.search(r"\bid=|url\(", text)
+
+
+def test_the_grid_of_a_panel_is_where_its_values_are() -> None:
+    line = Series("", np.array([0.0, 4.0]), np.array([1.0, 2.0]))
+    panel = Panel(Axis("x", limits=(0.0, 4.0)), Axis("y"), (line,))
+    root = ElementTree.fromstring(svg_of(panel, alone=True))
+    at = {
+        word.text: (float(word.attrib["x"]), float(word.attrib["y"]))
+        for word in root.iter("text")
+        if "middle" in word.attrib["style"]
+    }
+    (drawn,) = [path.attrib["d"] for path in root.iter("path") if "--predicted" in path.attrib["style"]]
+    ends = np.array(re.findall(r"[\d.]+", drawn), dtype=float).reshape(2, 2)
+    np.testing.assert_allclose(ends[:, 0], [at["0"][0], at["4"][0]], atol=0.2)
 
 
 # Figures

@@ -1,16 +1,13 @@
-"""Charts and sketches drawn by Matplotlib: figures for notebooks and files, inline SVG for pages."""
+"""Charts and sketches drawn by Matplotlib: figures for notebooks and files."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cache
-from hashlib import sha256
-from html import escape
 from importlib.resources import as_file, files
-from io import BytesIO, StringIO
+from io import BytesIO
 from math import ceil
 from pathlib import Path
 from typing import Any, Literal
@@ -27,17 +24,12 @@ from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Series, Sketch, Word
 from gtau.report.page import number
+from gtau.report.render.svg import LEVEL, NAMES, SMALLEST, STEPS, size_of_names
 from gtau.report.robot_figure import sketch_of
 from gtau.robots.robot import Robot
 
 ASSETS = files("gtau.report.render") / "assets"
 WIDTH = 7.2  # inches, width of a figure
-NARROW, WIDE = 300.0, 360.0  # points, width of panels of a page, side by side or alone
-INCH = 90.0  # points, an inch of height
-NAMES, SMALLEST = 220.0, 5.5  # points: room for the names along an axis, and their smallest size
-LETTER = 0.56  # width of a letter over the size of its font
-LEVEL = 36  # letters of names that fit side by side below an axis
-STEPS = [1, 2, 2.5, 5, 10]  # of a decade, between ticks
 HALO = 2.4  # points, of the page's colour around words
 
 Colours = Mapping[str, Any]
@@ -64,11 +56,6 @@ def palette() -> Colours:
         *rgb, alpha = map(float, parts)
         colours[name] = (*(part / 255 for part in rgb), alpha)
     return colours
-
-
-def page_palette() -> Colours:
-    """Give each colour a code that :func:`_inline` replaces by the variable of the page's style sheet."""
-    return {name: f"#00fe{k:02x}" for k, name in enumerate(palette())}
 
 
 # Figures
@@ -126,77 +113,6 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     with styled(palette()):
         figure.savefig(content, format=kind, metadata={"Software": None} if kind == "png" else {"CreationDate": None})
     write_atomically(path, content.getvalue())
-
-
-# Inline SVG
-
-
-def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
-    """Draw a panel without its title as SVG, wider where it stands ``alone``; screen readers read ``title`` first."""
-    width = WIDE if alone else NARROW
-    height = width if panel.matrix is not None else 0.8 * width if panel.equal else INCH * panel.height
-    axes = " over ".join(filter(None, (panel.y.label, panel.x.label)))
-    key = ", ".join(series.label for series in panel.series if series.label)
-    colours = page_palette()
-    heading = {"axes.titlecolor": colours["soft"], "axes.titlesize": 10, "axes.titleweight": "normal"}
-    with styled(colours, **heading, **{"font.size": 10, "axes.titlepad": 5}):
-        figure = Figure(figsize=(width / 72, height / 72))
-        title_above = replace(panel, title=panel.y.label, y=replace(panel.y, label=""))
-        _draw(figure.subplots(gridspec_kw=_margins(panel, width, height)), title_above, colours)
-        return _inline(figure, "; ".join(filter(None, (title, axes, key))))
-
-
-def _margins(panel: Panel, width: float, height: float) -> dict[str, float]:
-    """Leave room around a panel for its labels, as shares of its size in points.
-
-    The room follows from the letters, as a layout by Matplotlib takes as long as the drawing itself.
-    """
-    rows, columns = panel.y.names.values(), panel.x.names.values()
-    beside = 10 + LETTER * (_size_of_names(panel.y) * max(map(len, rows)) if rows else 55)
-    upright = sum(len(name) + 1 for name in columns) > LEVEL
-    below = LETTER * _size_of_names(panel.x) * max(map(len, columns)) if upright else 10
-    bottom = 14 + below + (14 if panel.x.label else 0)
-    top = 22 if panel.y.label else 8
-    return {
-        "left": min(beside / width, 0.6),
-        "right": 1 - 10 / width,
-        "bottom": bottom / height,
-        "top": 1 - top / height,
-    }
-
-
-def svg_of_robot(robot: Robot) -> str:
-    """Draw a robot at home as SVG."""
-    sketch = sketch_of(robot)
-    with styled(page_palette()):
-        figure = Figure(figsize=tuple(sketch.size / 72))
-        _draw_sketch(figure, sketch, page_palette())
-        return _inline(figure, f"robot {robot.name} at home")
-
-
-def _inline(figure: Figure, label: str) -> str:
-    """Write a figure as compact SVG whose colours and font come from the page around it."""
-    content = StringIO()
-    for patch in (figure.patch, *(axes.patch for axes in figure.axes)):
-        patch.set_visible(False)
-    figure.savefig(content, format="svg", metadata={"Date": None})
-    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>", "", content.getvalue(), flags=re.DOTALL)
-    text = re.sub(r"<[^>]+>", _compact, text[text.index(">", text.index("<svg")) + 1 :])
-    text = re.sub(r"<g/>|<defs></defs>", "", re.sub(r">\s+<", "><", text.strip()))
-    prefix = f"s{sha256(text.encode()).hexdigest()[:8]}"  # no id occurs twice on a page
-    text = re.sub(r'( id="|url\(#|href="#)', rf"\1{prefix}", text)
-    width, height = 72 * figure.get_size_inches()
-    return f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{escape(label)}">{text}'
-
-
-def _compact(tag: re.Match[str]) -> str:
-    """Shorten a tag: one decimal is enough, groups need no ids, and the page gives fonts and colours."""
-    names = list(palette())
-    text = re.sub(r'(?<=<g) id="[^"]*"| font-family: [^;"]*;', "", re.sub(r"\s+", " ", tag[0]))
-    text = re.sub(r'(?<=[ "(])-?\d+\.\d{2,}(?=[ ")])', lambda digits: f"{float(digits[0]):.1f}", text)
-    text = re.sub(r"M ([\d.-]+ [\d.-]+) L \1(?= [M\"])", r"M \1h0", text)  # a dot by the round cap
-    text = re.sub(r" ?([ML]) ", r"\1", text)
-    return re.sub(r"#00fe(\w\w)", lambda code: f"var(--{names[int(code[1], 16)]})", text)
 
 
 # Panels and sketches on axes
@@ -258,16 +174,13 @@ def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
     if axis.names:
         shown = list(axis.names.items())[:: ceil(SMALLEST * len(axis.names) / NAMES)]
         names = [name for _, name in shown]
-        ticks.set_ticks([place for place, _ in shown], names, fontsize=_size_of_names(axis))
+        ticks.set_ticks(
+            [place for place, _ in shown], names, fontsize=size_of_names(axis, float(rcParams["font.size"]))
+        )
         long = sum(len(name) + 1 for _, name in shown) > LEVEL
         ticks.set_tick_params(rotation=90 if which == "x" and long else 0)
     if any(end is not None for end in axis.limits):
         axes.set(**{f"{which}lim": axis.limits})
-
-
-def _size_of_names(axis: Axis) -> float:
-    """Choose the font size at which the names along an axis fit, points."""
-    return min(float(rcParams["font.size"]), max(SMALLEST, NAMES / len(axis.names)))
 
 
 def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:

@@ -6,7 +6,6 @@ As ``report.html`` a page says how it was made: command, hashes of input files, 
 from __future__ import annotations
 
 import json
-import logging
 import platform
 import re
 import shlex
@@ -30,6 +29,7 @@ from markupsafe import Markup, escape
 from gtau.documents.files import write_atomically
 from gtau.report.chart import MINUS, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Facts, Item, Kind, Page, Section, Table, Text
+from gtau.report.render.svg import svg_of, svg_of_robot
 
 Inputs = tuple[tuple[str, Path], ...]
 """Files with their purpose."""
@@ -48,8 +48,6 @@ FIT = (
 
 def html(page: Page, embedded: bool = False) -> str:
     """Render a page as HTML; an ``embedded`` page goes into a frame of a notebook."""
-    from gtau.report.render.charts import svg_of, svg_of_robot  # imports Matplotlib
-
     arrays = arrays_for(page.sections)
     live = next(live_charts(page.sections), None) is not None
     scripts = [asset("uPlot.iife.min.js")] if live else []
@@ -215,7 +213,6 @@ def write_report(
 ) -> Path:
     """Write a page to a folder, with the current command, its ``inputs``, ``settings`` and ``seconds`` taken."""
     command = shlex.join(["gtau", *sys.argv[1:]])
-    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # services without a home get no warning about its cache
     write_atomically(folder / REPORT, html(stamped(page, settings or {}, command, inputs, seconds)))
     return folder / REPORT
 
