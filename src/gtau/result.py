@@ -57,7 +57,7 @@ class Result(IdentifiedModel):
 
     def summary(self, verbose: bool = True) -> str:
         """Summarise the result as text: one screen, or with ``verbose`` all of it."""
-        from gtau.report.plots import text
+        from gtau.report.identification import text
 
         return text(self, verbose)
 

@@ -108,7 +108,7 @@ def _write(result: IdentifiedModel, out: Path) -> list[Path]:
     from gtau.estimation.results.conclusions import torque_scale_text, torque_scales
     from gtau.estimation.results.estimate import write_distances
     from gtau.estimation.results.model_file import save
-    from gtau.report.plots import text
+    from gtau.report.identification import text
 
     written = [folder_of(out) / name for name in ("model.json", "summary.txt", "singularities.parquet")]
     save(result, written[0])

@@ -106,7 +106,7 @@ async def _reply(context: Context[Any, Any], command: Command, out: Path, verbos
         raise ToolError("\n".join(dict.fromkeys((answer.refusal, *answer.said.splitlines()))))
     if command.arguments[0] == "identify":
         from gtau.estimation.results.model_file import load
-        from gtau.report.plots import text
+        from gtau.report.identification import text
 
         summary, longest = text(load(command.folder / out / "model.json"), verbose), 0
     document, report = answer.document, out / "report.html"

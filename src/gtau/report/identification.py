@@ -31,6 +31,7 @@ from gtau.report.motion import logs_section, motion_section, singularities_secti
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, joint_label, table_of
 from gtau.report.parameters import corrections, friction_section, inertias_section, parameters_section
 from gtau.report.render.html import write_report
+from gtau.report.render.terminal import plain
 from gtau.report.robot import geometry_section
 from gtau.report.torques import determination, fit_table, torques_section
 from gtau.report.uncertainty import PAPER, correlation_section, effects_section, residuals_section
@@ -42,6 +43,11 @@ from gtau.signals.run import Run
 MOST = 3  # findings, and guesses, on the short page
 MOVED = 0.5  # standard deviations; smaller moves are not listed
 LISTED = 12
+
+
+def text(result: IdentifiedModel, verbose: bool) -> str:
+    """Write a result as text, in full or on one screen."""
+    return plain(full_page(result) if verbose else summary_page(result))
 
 
 def summary_page(result: IdentifiedModel) -> Page:

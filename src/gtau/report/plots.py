@@ -23,14 +23,13 @@ from gtau.report.check import check_page
 from gtau.report.comparison import comparison_page
 from gtau.report.evidence import RunEvidence, gather, settings_of
 from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_section, unknown_payloads, value_cells
-from gtau.report.identification import full_page, report_page, summary_page, verdict_section
+from gtau.report.identification import report_page, verdict_section
 from gtau.report.motion import TIME, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label
 from gtau.report.parameters import friction_chart
 from gtau.report.render.charts import figure_of, robot_figure
 from gtau.report.render.html import frame, stamped
 from gtau.report.render.html import html as rendered
-from gtau.report.render.terminal import plain
 from gtau.report.torques import torques_chart
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
@@ -48,11 +47,6 @@ SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a no
 def html(shown: object) -> str:
     """Write the page of an object as a frame for a notebook."""
     return frame(view(shown))
-
-
-def text(result: IdentifiedModel, verbose: bool) -> str:
-    """Write a result as text, in full or on one screen."""
-    return plain(full_page(result) if verbose else summary_page(result))
 
 
 def write(result: IdentifiedModel, path: Path) -> None:
