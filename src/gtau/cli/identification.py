@@ -83,13 +83,14 @@ def identify(
     hold(out)
     experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
+        from gtau.signals.reading.experiment import read_experiment
+
+        described = read_experiment(experiment)  # a file that cannot be read is refused at once
         from gtau.estimation.experiment_runs import Options, read, read_validation
         from gtau.estimation.results.model_file import to_document
         from gtau.report.identification import full_page, summary_page, write_identification
-        from gtau.signals.reading.experiment import read_experiment
         from gtau.uses.identify import identify_subject, with_requirements
 
-        described = read_experiment(experiment)
         options = Options(method, as_paper, consistent, accuracy / 100, ratio, prior_inertias=prior_inertias)
         result = identify_subject(read(described, None, options, progress), progress)
         validation, unread = read_validation(described, progress)
