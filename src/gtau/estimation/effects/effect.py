@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -30,10 +30,10 @@ Torques = Callable[[Rows], np.ndarray]
 """Gives torques (n, K, m), or (c, K, m) of all channels, in N m or N at each block of a window's rows, in order."""
 
 
-def window_motion(model: InverseDynamics, window: SampleWindow, c: np.ndarray | None = None) -> Motion:
-    """Compute the motion along a window, with configurations ``c`` (n_c, N); raises GtauError at a singularity."""
-    samples, c = window.samples(), configurations(model, window) if c is None else c
-    c, qd, qdd = map(np.ascontiguousarray, (c, samples.qd.T, samples.qdd.T))
+def window_motion(model: InverseDynamics, window: SampleWindow) -> Motion:
+    """Compute the motion along a window; raises GtauError at a singularity."""
+    samples = window.samples()
+    c, qd, qdd = map(np.ascontiguousarray, (configurations(model, window), samples.qd.T, samples.qdd.T))
     return model.rates(c, qd, qdd, instants(window.run.name, samples.time))
 
 
@@ -74,6 +74,11 @@ class FitWindow:
         """Decimator of the run."""
         return self.fit.dataset.preparation.at(self.window.run.rate).decimator
 
+    @cached_property
+    def unmoved(self) -> np.ndarray:
+        """Torques (n, N) of the base columns at every sample of the window."""
+        return self.torques_along(self.motion, self.values)
+
     def torques_along(self, motion: Motion, values: np.ndarray) -> np.ndarray:
         """Compute the torques (n, N) of the base columns with some values along a motion."""
         return self.regressor.torques_along(self.fit.dataset.model.layout, motion, values)
@@ -99,19 +104,23 @@ class FitWindow:
 
         Wrong zeros and scales of positions, and elastic joints, add such torques.
         """
-        model, window = self.fit.dataset.model, self.window
         before = self.torques_along(self.motion, values)
-        labels = instants(window.run.name, window.time)
-        columns = []
-        for q, qd, qdd in moved:
-            other = replace(window, q=q, qd=qd, qdd=qdd, part_of=None)
-            try:  # from each configuration, so that loops are closed as before
-                path = model.near(self.motion.c, np.ascontiguousarray(q.T), labels)
-                after = self.torques_along(window_motion(model, other, path), values)
-            except GtauError:
-                after = before  # the loops do not close there: nothing is said of this joint
-            columns.append((after - before) / STEP)
-        return self.decimated(np.array(columns))
+        return self.decimated((self._moved(list(moved), values, before) - before) / STEP)
+
+    def _moved(
+        self, motions: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], values: np.ndarray, before: np.ndarray
+    ) -> np.ndarray:
+        """Compute the torques (m, n, N) along m other motions in one call, ``before`` where loops do not close."""
+        model, labels = self.fit.dataset.model, instants(self.window.run.name, np.tile(self.window.time, len(motions)))
+        q, qd, qdd = (np.concatenate(parts).T.copy() for parts in zip(*motions, strict=True))
+        try:  # from each configuration, so that loops are closed as before
+            path = model.near(np.tile(self.motion.c, len(motions)), q, labels)
+            along = self.torques_along(model.rates(path, qd, qdd, labels), values)
+        except GtauError:
+            if len(motions) == 1:
+                return before[None]  # nothing is said of this joint
+            return np.concatenate([self._moved([motion], values, before) for motion in motions])
+        return along.reshape(len(along), len(motions), -1).swapaxes(0, 1)
 
     def rows(self, torques: WindowTorques | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Compute the decimated rows of the window (c, K, columns + m), and which of them are kept (c, K).
@@ -270,20 +279,6 @@ def rms_speeds(fit: Fit) -> np.ndarray:
     """Return the largest rms speed in a run, rad/s or m/s; 1 of a joint that rests."""
     speeds = np.sqrt(np.max([np.diag(run.speeds) for run in fit.dataset.prepared], axis=0))
     return np.where(speeds > 0, speeds, 1.0)
-
-
-def ranges(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Return the lowest and highest positions in all runs, rad or m."""
-    windows = [window for _, window in fit.dataset.windows()]
-    return np.min([w.q.min(axis=0) for w in windows], axis=0), np.max([w.q.max(axis=0) for w in windows], axis=0)
-
-
-def rms_accelerations(fit: Fit) -> np.ndarray:
-    """Compute rms accelerations over all runs, rad/s2 or m/s2; 1 of a joint that rests."""
-    windows = [window for _, window in fit.dataset.windows()]
-    squares = np.sum([np.sum(window.qdd**2, axis=0) for window in windows], axis=0)
-    rms = np.sqrt(squares / sum(map(len, windows)))
-    return np.where(rms > 0, rms, 1.0)
 
 
 def friction_torques(fit: Fit) -> np.ndarray:

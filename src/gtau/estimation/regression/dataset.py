@@ -104,6 +104,20 @@ class Dataset:
         """Cut the middle of every run into windows; see :func:`.run_blocks.central_windows`."""
         return self.prepared.windows(pieces)
 
+    @cached_property
+    def travels(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest positions of the joints in the middles of all runs, (n,) each."""
+        q = [window.q for _, window in self.windows()]
+        return np.min([part.min(axis=0) for part in q], axis=0), np.max([part.max(axis=0) for part in q], axis=0)
+
+    @cached_property
+    def rms_accelerations(self) -> np.ndarray:
+        """Rms accelerations of the joints over all runs (n,), rad/s2 or m/s2; 1 of a joint that rests."""
+        windows = [window for _, window in self.windows()]
+        squares = np.sum([np.sum(window.qdd**2, axis=0) for window in windows], axis=0)
+        rms = np.sqrt(squares / sum(map(len, windows)))
+        return np.where(rms > 0, rms, 1.0)
+
     @property
     def notes(self) -> tuple[Finding, ...]:
         """Notes on implausible parts of the robot, and on repairs and omissions in each run."""

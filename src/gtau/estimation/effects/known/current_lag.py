@@ -13,7 +13,7 @@ PLAUSIBLE = 1e-4  # s2: a filter of 14 ms (experience)
 
 
 def _torques(at: FitWindow) -> Torques:
-    _, change = differentiate(at.torques_along(at.motion, at.values).T, at.window.run.rate)
+    _, change = differentiate(at.unmoved.T, at.window.run.rate)
     return at.decimated(change.T[None])
 
 

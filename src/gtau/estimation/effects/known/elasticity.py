@@ -15,7 +15,6 @@ from gtau.estimation.effects.effect import (
     FitWindow,
     Torques,
     Words,
-    rms_accelerations,
     rms_torques,
 )
 from gtau.estimation.estimators.estimator import Fit
@@ -34,7 +33,7 @@ def _motors(fit: Fit) -> list[str]:
 def _torques(at: FitWindow) -> Torques:
     fit, window = at.fit, at.window
     leads = at.torques_along(at.motion, at.transmitted).T * SI / rms_torques(fit)
-    rotors = window.samples().qdd * SI / rms_accelerations(fit)
+    rotors = window.samples().qdd * SI / fit.dataset.rms_accelerations
     motions, deflected = (window.q, window.qd, window.qdd), []
     for lead in (leads, rotors):
         steps = (lead, *differentiate(lead, window.run.rate))

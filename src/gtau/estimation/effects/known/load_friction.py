@@ -15,7 +15,6 @@ from gtau.estimation.effects.effect import (
     FitWindow,
     Torques,
     Words,
-    rms_accelerations,
     rms_torques,
 )
 from gtau.estimation.estimators.estimator import Fit
@@ -30,7 +29,7 @@ def _torques(at: FitWindow) -> Torques:
     missing = np.array([Parameter("fl", joint) not in terms for joint in joints])
     load = at.torques_along(at.motion, at.transmitted).T
     qdd, torques = at.window.samples().qdd, rms_torques(at.fit)
-    turned = np.sign(load) * np.sign(qd) * qdd * torques / rms_accelerations(at.fit)
+    turned = np.sign(load) * np.sign(qd) * qdd * torques / at.fit.dataset.rms_accelerations
     return at.decimated(np.stack([(np.abs(load) * np.sign(qd) * missing).T, turned.T]))
 
 

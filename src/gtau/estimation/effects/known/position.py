@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, hats, ranges, rms_torques
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, hats, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.01  # of the rms torque: ripple of 0.5 to 2 % (data sheets of servo motors), cables of a dVRK 5 %
@@ -15,7 +15,7 @@ KNOTS = 24
 
 
 def _torques(at: FitWindow) -> Torques:
-    columns = hats(at.window.samples().q, np.linspace(*ranges(at.fit), KNOTS))
+    columns = hats(at.window.samples().q, np.linspace(*at.fit.dataset.travels, KNOTS))
     return at.decimated(columns * rms_torques(at.fit)[:, None])
 
 

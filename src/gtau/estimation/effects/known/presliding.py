@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, friction_torques, ranges
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, friction_torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.hysteresis import stop
 
@@ -16,7 +16,7 @@ LENGTHS = (0.001, 0.003, 0.01, 0.03, 0.1)  # of the joint's range in the logs: a
 
 
 def _torques(at: FitWindow) -> Torques:
-    low, high = ranges(at.fit)
+    low, high = at.fit.dataset.travels
     whole, first = at.window.part_of or (at.window, 0)  # which knows the reversals before the window
     lengths = np.outer(np.where(high > low, high - low, 1.0), LENGTHS)
     states = [stop(q, widths, np.sign(qd[:1])) for q, qd, widths in zip(whole.q.T, whole.qd.T, lengths, strict=True)]

@@ -18,7 +18,7 @@ LARGE = 2.0  # rms currents: where the fall is stated
 
 def _torques(at: FitWindow) -> Torques:
     # at every sample: the square of a decimated torque lacks what friction adds where it reverses
-    tau = at.torques_along(at.motion, at.values)
+    tau = at.unmoved
     return at.decimated((np.abs(tau) * tau / (LARGE * rms_torques(at.fit)[:, None]))[None])
 
 
