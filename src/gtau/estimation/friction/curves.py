@@ -80,11 +80,18 @@ def friction_step(
     curves: dict[str, FrictionCurve] = {}
     names_of_curves: list[Parameter] = []
     errors: dict[str, tuple[float, float]] = {}
-    filtered = normal_equations(fit, law, joints)  # errors are stated behind the filter of these rows
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
-    for group, rows in zip(_on_all_samples(fit, law, joints), filtered, strict=True):
-        if len(group.G):
-            candidate, plain, evidence = choose(group)
+    groups = _on_all_samples(fit, law, joints)
+    choices = [choose(group) if len(group.G) else None for group in groups]
+    mixes = {joint: np.zeros(joint.count) for joint in joints}
+    for group, choice in zip(groups, choices, strict=True):
+        if choice is not None:
+            ends = np.cumsum([joint.count for joint in group.joints])
+            mixes |= dict(zip(group.joints, np.split(_error(choice[0]), ends), strict=False))
+    filtered = normal_equations(fit, law, joints, mixes=mixes)  # errors are stated behind the filter of these rows
+    for group, choice, rows in zip(groups, choices, filtered, strict=True):
+        if choice is not None:
+            candidate, plain, evidence = choice
             names, values, slopes, scatter = group_estimates(group, candidate)
             unknowns = [name_of.get(name, name) for name in names]
             freedom = float(len(group.G) - 1)
@@ -94,7 +101,7 @@ def friction_step(
             names_of_curves += unknowns
             curves |= _curves(group, candidate, plain, evidence)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)
-            errors |= dict(zip(motors, _errors(rows, candidate), strict=True))
+            errors |= dict(zip(motors, _errors(rows), strict=True))
     if curves:
         replaced = set(fit.system.terms).difference(names_of_curves)
         estimates = estimates.select([name for name in estimates.unknowns if name not in replaced])
@@ -134,9 +141,9 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
     return unit_of(name.kind, robot, name.body) + per_temperature
 
 
-def _errors(group: FrictionGroup, candidate: FrictionFit) -> list[tuple[float, float]]:
-    error = _error(candidate)
-    squares = np.einsum("p,bmpq,q->m", error, group.G, error) / group.weights**2
+def _errors(group: FrictionGroup) -> list[tuple[float, float]]:
+    """Compute rms errors and torques of the motors; the columns of a group are what each joint takes of the torque."""
+    squares = group.G.sum(axis=(0, 2, 3)) / group.weights**2
     counts = np.maximum(group.signals[:, 0], 1)
     rms = np.sqrt(np.maximum(squares, 0.0) / counts)
     signal = np.sqrt(group.signals[:, 1] / counts)

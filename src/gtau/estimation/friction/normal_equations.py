@@ -5,7 +5,7 @@ Each joint with friction has candidate columns of presliding, and of friction th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -113,8 +113,13 @@ def friction_joints(dataset: Dataset, law: FrictionLaw) -> tuple[FrictionJoint, 
     return tuple(joints)
 
 
-def columns_along(joints: Sequence[FrictionJoint], dataset: Dataset, run: int) -> Law:
-    """Make the columns (., N) of all joints along a run in blocks, and then their |speeds| (joints, N)."""
+def columns_along(
+    joints: Sequence[FrictionJoint], dataset: Dataset, run: int, mixes: Mapping[FrictionJoint, np.ndarray] | None
+) -> Law:
+    """Make the columns (., N) of all joints along a run in blocks, and then their |speeds| (joints, N).
+
+    With ``mixes``, coefficients of a joint's columns, their sum is its only one.
+    """
     prepared, warm = dataset.prepared[run], dataset.temperatures
     states = [PreslidingState(joint.widths) for joint in joints]
 
@@ -131,7 +136,8 @@ def columns_along(joints: Sequence[FrictionJoint], dataset: Dataset, run: int) -
             v = motion.yd[joint.row]
             load = 0.0 if joint.motor is None else effort[joint.motor] / joint.ratios[joint.motor]
             z = np.vstack([np.sign(v), state(time, joint.ratios @ q)])
-            parts.append(joint.columns(v, z, load, above(joint, time)))
+            made = joint.columns(v, z, load, above(joint, time))
+            parts.append(made if mixes is None else mixes[joint] @ made)
             speeds.append(np.abs(v))
         return np.vstack([*parts, speeds])
 
@@ -179,12 +185,14 @@ def normal_equations(
     joints: Sequence[FrictionJoint],
     finer: int = 1,
     weigh: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
+    mixes: Mapping[FrictionJoint, np.ndarray] | None = None,
 ) -> tuple[FrictionGroup, ...]:
     """Stream all runs and reduce the torque that friction has to explain, to ``finer`` rows for one of identification.
 
     Rows count where speeds rest on good samples and some joint of the group moves: at rest, anything within the band of
     friction holds it. With ``weigh``, for each group coefficients (p + 1,) and limits (m,), rows have Huber's weights
-    ``min(1, limit / |residual|)``, as in :func:`gtau.estimation.regression.factors.reduce_rows`. Raises GtauError.
+    ``min(1, limit / |residual|)``, as in :func:`gtau.estimation.regression.factors.reduce_rows`. With ``mixes`` a joint
+    has the sum of its columns by these coefficients alone. Raises GtauError.
     """
     dataset = fit.dataset
     n = len(fit.gains)
@@ -193,7 +201,7 @@ def normal_equations(
     weights = 1 / np.maximum(np.abs(fit.gains) * fit.solution.sigma[:n], 1e-300)
     groups, residuals = [], []
     for members, motors in groups_of(joints):
-        p, m = sum(joint.count for joint in members), len(motors)
+        p, m = len(members) if mixes else sum(joint.count for joint in members), len(motors)
         G = np.zeros((runs * count, m, p + 1, p + 1))
         cross = np.zeros((p, n + dataset.base.count))
         residuals.append(Store((m,)))
@@ -203,7 +211,7 @@ def normal_equations(
         decimator = dataset.preparation.at(prepared.run.rate).decimator
         decimator = replace(decimator, factor=max(decimator.factor // finer, 1))
         outputs = decimator.outputs(len(prepared))
-        for part, columns, torques in _rows_along(fit, law, joints, run, decimator):
+        for part, columns, torques in _rows_along(fit, law, joints, run, decimator, mixes):
             first, last = (decimator.factor * k for k in (part.outputs.start, part.outputs.stop - 1))
             valid = decimator.keep(prepared.valid(first, last + 2 * decimator.support + 1)[:, :n]).T
             blocks = run * count + np.arange(part.outputs.start, part.outputs.stop) * count // outputs
@@ -231,7 +239,12 @@ def normal_equations(
 
 
 def _rows_along(
-    fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint], run: int, decimator: Decimator
+    fit: Fit,
+    law: FrictionLaw,
+    joints: Sequence[FrictionJoint],
+    run: int,
+    decimator: Decimator,
+    mixes: Mapping[FrictionJoint, np.ndarray] | None,
 ) -> Iterator[tuple[Rows, dict[FrictionJoint, np.ndarray], np.ndarray]]:
     """Stream a run: its rows, the columns (., K) of each joint with its |speed| last, and torques (2, n, K).
 
@@ -242,7 +255,7 @@ def _rows_along(
     dataset, solution, model = fit.dataset, fit.solution, fit.dataset.model
     n = len(fit.gains)
     names = {joint.name for joint in joints}
-    columns_of_run = columns_along(joints, dataset, run)
+    columns_of_run = columns_along(joints, dataset, run, mixes)
     load = fit.system.load(run, solution.theta)
     motion_values = fit.system.motion(run, solution.theta)
     passive: dict[str, float] = {
@@ -254,7 +267,7 @@ def _rows_along(
     def friction(time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
         return np.vstack([columns_of_run(time, motion, effort), effort, law.torques(motion, passive, effort)])
 
-    ends = np.cumsum([*(joint.count for joint in joints), len(joints), n])
+    ends = np.cumsum([*(1 if mixes else joint.count for joint in joints), len(joints), n])
     regressor = model.columns(dataset.base.standard)
     for part in stream_rows(model, regressor, dataset.prepared[run], decimator, load, friction=friction):
         assert part.friction is not None

@@ -276,7 +276,7 @@ def assemble_problem(
         maps = [
             column_map(effects, run, channel, 0.0 if warm is None else warm[:, channel.row]) for channel in channels
         ]
-        blocks.append(np.stack([factor.R[:, j] @ M for j, M in enumerate(maps)], axis=1))
+        blocks.append(factor.R @ np.stack(np.broadcast_arrays(*maps), axis=-3))
         if warm is None:  # all blocks of a run have the same map: their factors need not be merged again
             merged.append([T @ M for T, M in zip(factor.merged, maps, strict=True)])
     rows = np.concatenate([factor.rows for factor in factors])
@@ -285,13 +285,16 @@ def assemble_problem(
     numbers = [np.arange(len(factor.rows)) for factor in factors]
     count = max(map(len, numbers))
     clusters = np.concatenate([motion * count + number for motion, number in zip(motion_numbers, numbers, strict=True)])
+    along = np.concatenate(blocks)
+    if not filled.all():
+        along, rows, clusters = along[filled], rows[filled], clusters[filled]
     return Problem(
         unknown_names(effects),
         tuple(channels),
-        np.concatenate(blocks)[filled],
-        rows[filled],
+        along,
+        rows,
         np.broadcast_to(longest_delays, len(channels)),
-        clusters=clusters[filled],
+        clusters=clusters,
         factored=tuple(triangle(*parts) for parts in zip(*merged, strict=True)) if merged else None,
     )
 
