@@ -32,14 +32,12 @@ ASSETS = files("gtau.report.render") / "assets"
 WIDTH = 7.2  # inches, width of a figure
 HALO = 2.4  # points, of the page's colour around words
 
-Colours = Mapping[str, Any]
-
 
 @contextmanager
-def styled(colours: Colours, **settings: Any) -> Iterator[None]:
+def styled() -> Iterator[None]:
     """Draw in the style of the package, and restore the user's settings afterwards."""
     roles = ("axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
-    settings |= dict.fromkeys(roles, colours["soft"]) | {"grid.color": colours["grid"]}
+    settings = dict.fromkeys(roles, palette()["soft"]) | {"grid.color": palette()["grid"]}
     with rc_context(), as_file(ASSETS / "figure.mplstyle") as path:
         rcdefaults()
         style.use(path)
@@ -48,7 +46,7 @@ def styled(colours: Colours, **settings: Any) -> Iterator[None]:
 
 
 @cache
-def palette() -> Colours:
+def palette() -> Mapping[str, Any]:
     """Read the light colours of the style sheet by name."""
     text = (ASSETS / "light.css").read_text(encoding="utf-8")
     colours: dict[str, Any] = dict(re.findall(r"--([\w-]+): (#\w+);", text))
@@ -66,7 +64,7 @@ class ShownFigure(Figure):
 
     def _repr_png_(self) -> bytes:
         content = BytesIO()
-        with styled(palette()):
+        with styled():
             self.savefig(content, format="png")
         return content.getvalue()
 
@@ -75,14 +73,14 @@ def figure_of(chart: Chart) -> Figure:
     """Draw a chart as one figure, its panels in rows of ``columns``, its key above them."""
     rows = -(-len(chart.panels) // chart.columns)
     heights = [max(panel.height for panel in chart.panels[k * chart.columns :][: chart.columns]) for k in range(rows)]
-    with styled(palette()):
+    with styled():
         figure = ShownFigure(figsize=(WIDTH, 0.5 + 1.15 * sum(heights)), layout="constrained")
         grid = figure.subplots(
             rows, chart.columns, squeeze=False, height_ratios=heights, sharex="col" if chart.live else "none"
         )
         places = grid.reshape(-1)
         for axes, panel in zip(places, chart.panels, strict=False):
-            _draw(axes, panel, palette(), last=not chart.live or axes in grid[-1])
+            _draw(axes, panel, last=not chart.live or axes in grid[-1])
         for axes in places[len(chart.panels) :]:
             axes.set_axis_off()
         places[0].set_title(": ".join(filter(None, (chart.title, chart.panels[0].title))))
@@ -98,9 +96,9 @@ def figure_of(chart: Chart) -> Figure:
 def robot_figure(robot: Robot) -> Figure:
     """Draw a robot at home; see :func:`gtau.report.robot_figure.sketch_of`."""
     sketch = sketch_of(robot)
-    with styled(palette()):
+    with styled():
         figure = ShownFigure(figsize=tuple(sketch.size / 72))
-        _draw_sketch(figure, sketch, palette(), [withStroke(linewidth=HALO, foreground=palette()["page"])])
+        _draw_sketch(figure, sketch)
     return figure
 
 
@@ -110,7 +108,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     if kind not in ("png", "pdf"):
         raise GtauError(f"figures are written as PNG or PDF, so '{path}' would mislead; let its name end in .png.")
     content = BytesIO()
-    with styled(palette()):
+    with styled():
         figure.savefig(content, format=kind, metadata={"Software": None} if kind == "png" else {"CreationDate": None})
     write_atomically(path, content.getvalue())
 
@@ -118,21 +116,20 @@ def save_figure(figure: Figure, path: str | Path) -> None:
 # Panels and sketches on axes
 
 
-def _draw(axes: Axes, panel: Panel, colours: Colours, last: bool = True) -> None:
+def _draw(axes: Axes, panel: Panel, last: bool = True) -> None:
     """Draw a panel; the horizontal axis is labelled on the ``last`` one."""
     if panel.matrix is not None:  # correlations by the strength of two colours
-        light = palette()
-        hues = to_rgba_array([light["positive"], light["negative"]])[(panel.matrix < 0).astype(int)]
+        hues = to_rgba_array([palette()["positive"], palette()["negative"]])[(panel.matrix < 0).astype(int)]
         hues[..., 3] = np.abs(panel.matrix)
         axes.imshow(hues, interpolation="none", aspect="equal")
         axes.grid(False)
     if panel.band is not None:
-        axes.axhspan(*panel.band, color=colours["shade"], linewidth=0)
+        axes.axhspan(*panel.band, color=palette()["shade"], linewidth=0)
     for start, stop in () if panel.shaded is None else panel.shaded.reshape(-1, 2):
-        axes.axvspan(start, stop, color=colours["shade"], linewidth=0)
-    _draw_rules(axes, panel, colours)
+        axes.axvspan(start, stop, color=palette()["shade"], linewidth=0)
+    _draw_rules(axes, panel)
     for series in panel.series:
-        _draw_series(axes, series, colours)
+        _draw_series(axes, series)
     _draw_axis(axes, panel.x, "x")
     _draw_axis(axes, panel.y, "y")
     axes.set(title=panel.title, xlabel=panel.x.label if last else "", ylabel=panel.y.label)
@@ -145,16 +142,16 @@ def _draw(axes: Axes, panel: Panel, colours: Colours, last: bool = True) -> None
         axes.set_aspect("equal", adjustable="datalim")
 
 
-def _draw_rules(axes: Axes, panel: Panel, colours: Colours) -> None:
+def _draw_rules(axes: Axes, panel: Panel) -> None:
     """Draw dashed lines across a panel; the first label is left of its line, further ones right, so that all show."""
-    dashed: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8, "linestyle": (0, (3, 3))}
+    dashed: dict[str, Any] = {"color": palette()["soft"], "linewidth": 0.8, "linestyle": (0, (3, 3))}
     upright = sorted((rule.x, rule.label) for rule in panel.rules if rule.x is not None)
     for k, (x, label) in enumerate(upright):
         axes.axvline(x, **dashed)
         place: dict[str, Any] = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points"}
         side, offset = ("left", 2.0) if k else ("right", -2.0)
         axes.annotate(label, (x, 1.0), (offset, -2.0), **place, rotation=90, va="top", ha=side,
-                      fontsize="small", color=colours["soft"])  # fmt: skip
+                      fontsize="small", color=palette()["soft"])  # fmt: skip
     for rule in panel.rules:
         if rule.y is not None:
             axes.axhline(rule.y, **dashed)
@@ -183,8 +180,8 @@ def _draw_axis(axes: Axes, axis: Axis, which: Literal["x", "y"]) -> None:
         axes.set(**{f"{which}lim": axis.limits})
 
 
-def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
-    look: dict[str, Any] = {"color": colours[series.colour], "label": series.label or None}
+def _draw_series(axes: Axes, series: Series) -> None:
+    look: dict[str, Any] = {"color": palette()[series.colour], "label": series.label or None}
     if series.mark == "steps":
         axes.stairs(series.y, series.x, linewidth=series.width, **look)
     elif series.mark == "spans":
@@ -205,7 +202,7 @@ def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
         half = np.zeros(len(series.x)) if series.half is None else series.half
         marks: dict[str, dict[str, Any]] = {
             "disc": {"marker": "o", "elinewidth": 1.2, "capsize": 3},
-            "diamond": {"marker": "D", "markerfacecolor": colours["page"], "elinewidth": 0, "capsize": 0},
+            "diamond": {"marker": "D", "markerfacecolor": palette()["page"], "elinewidth": 0, "capsize": 0},
             "thick": {"marker": "", "elinewidth": 4, "capsize": 0},
         }
         look |= {"yerr" if series.upright else "xerr": half, "linestyle": "none", "markersize": 4.5}
@@ -213,22 +210,23 @@ def _draw_series(axes: Axes, series: Series, colours: Colours) -> None:
         axes.margins(x=0.06, y=0.1)
 
 
-def _draw_sketch(figure: Figure, sketch: Sketch, colours: Colours, effects: list[Any] | None = None) -> None:
-    """Draw a sketch over a whole figure, its words with ``effects``."""
+def _draw_sketch(figure: Figure, sketch: Sketch) -> None:
+    """Draw a sketch over a whole figure."""
+    halo = [withStroke(linewidth=HALO, foreground=palette()["page"])]
     sides = {"start": "left", "middle": "center", "end": "right"}
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     look: dict[str, Any]
     for order, item in enumerate(sketch.items):
         if isinstance(item, Word):
             look = {"fontsize": item.size, "fontweight": "bold" if item.bold else "normal"}
-            look |= {"color": colours[item.colour], "path_effects": effects, "zorder": order}
+            look |= {"color": palette()[item.colour], "path_effects": halo, "zorder": order}
             axes.text(item.place[0], item.place[1], item.text, ha=sides[item.side], va="center", **look)
         elif item.closed:
-            fill = colours[item.fill] if item.fill else "none"
-            axes.fill(*item.points.T, facecolor=fill, edgecolor=colours[item.stroke],
+            fill = palette()[item.fill] if item.fill else "none"
+            axes.fill(*item.points.T, facecolor=fill, edgecolor=palette()[item.stroke],
                       linewidth=item.width, alpha=item.opacity, zorder=order)  # fmt: skip
         else:
-            look = {"color": colours[item.stroke], "linewidth": item.width, "solid_capstyle": "round"}
+            look = {"color": palette()[item.stroke], "linewidth": item.width, "solid_capstyle": "round"}
             axes.plot(*item.points.T, **look, zorder=order)
     ends = np.column_stack([sketch.corner, sketch.corner + sketch.size])
     axes.set(xlim=ends[0], ylim=ends[1])

@@ -6,7 +6,7 @@ Drawn by Matplotlib, the charts of a report took a seventh of the time of an ide
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from math import ceil
 
@@ -24,8 +24,8 @@ SIZE = 10.0  # of the font, points
 LETTER = 0.56  # width of a letter over the size of its font
 LEVEL = 36  # letters of names that fit side by side below an axis
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)  # of a decade, between ticks
-ROOM = {"points": (0.03, 0.05), "line": (0.0, 0.05), "steps": (0.0, 0.05), "spans": (0.0, 0.05)}
-"""Shares of the axes left free around the series by their marks; twice as much around marks with intervals."""
+ROOM = {"points": (0.03, 0.05), **dict.fromkeys(("disc", "diamond", "thick"), (0.06, 0.1))}
+"""Shares of the axes that are free around some marks."""
 TINTS = 10  # strengths of the colours of a matrix
 
 
@@ -59,7 +59,7 @@ class Scale:
         for k, limit in enumerate(self.axis.limits):
             if limit is not None:
                 ends[k] = float(self._scaled(np.array(limit)))
-        return Scale(self.axis, ends[0], ends[1], self.start, self.stop)
+        return replace(self, low=ends[0], high=ends[1])
 
     def ticks(self) -> dict[float, str]:
         """Choose values to mark, with their words."""
@@ -132,60 +132,49 @@ def _page(parts: list[str], width: float, height: float, label: str) -> str:
 
 def _scales(panel: Panel, across: tuple[float, float], up: tuple[float, float]) -> tuple[Scale, Scale]:
     """Fit scales to all that a panel shows."""
-    held: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    x, y = [np.zeros(0)], [np.zeros(0)]
     for series in panel.series:
-        intervals = np.zeros(len(series.y)) if series.half is None else series.half
-        x, y = series.x.ravel(), np.r_[series.y, 0.0] if series.mark == "steps" else series.y
-        if series.mark == "spans":
-            y = y + np.array([-0.35, 0.35])
-        for k, values in enumerate((x, y)):
-            along = series.half is not None and series.upright == (k == 1)
-            held[k].extend((values - intervals, values + intervals) if along else (values,))
-    if panel.matrix is not None:
-        for values in held:
-            values.append(np.array([-0.5, len(panel.matrix) - 0.5]))
-        up = up[::-1]
-    held[0].extend([np.array([rule.x]) for rule in panel.rules if rule.x is not None])
-    held[1].extend([np.array([rule.y]) for rule in panel.rules if rule.y is not None])
-    held[0].extend([] if panel.shaded is None else [panel.shaded.ravel()])
-    held[1].extend([] if panel.band is None else [np.array(panel.band)])
-    room = np.max([ROOM.get(series.mark, (0.06, 0.1)) for series in panel.series] or [(0.0, 0.0)], axis=0).tolist()
-    nothing = np.zeros(0)
+        half = np.zeros(1) if series.half is None else np.array([[-1.0], [1.0]]) * series.half
+        x.append((series.x + half * (not series.upright)).ravel())
+        y.append((series.y + (np.array([-0.35, 0.35]) if series.mark == "spans" else half * series.upright)).ravel())
     floor = any(series.mark == "steps" for series in panel.series)
-    x = Scale(panel.x, 0.0, 1.0, *across).around(np.concatenate([nothing, *held[0]]), room[0])
-    y = Scale(panel.y, 0.0, 1.0, *up).around(np.concatenate([nothing, *held[1]]), room[1], floor)
-    return _equal(x, y) if panel.equal else (x, y)
-
-
-def _equal(x: Scale, y: Scale) -> tuple[Scale, Scale]:
-    """Widen the scale that has more points a unit."""
-    units = max((scale.high - scale.low) / abs(scale.stop - scale.start) for scale in (x, y))
-    widened = []
-    for scale in (x, y):
-        middle, half = (scale.low + scale.high) / 2, units * abs(scale.stop - scale.start) / 2
-        widened.append(Scale(scale.axis, middle - half, middle + half, scale.start, scale.stop))
-    return widened[0], widened[1]
+    y += [np.zeros(1)] if floor else []
+    if panel.matrix is not None:
+        x, y, up = [np.array([-0.5, len(panel.matrix) - 0.5])], [np.array([-0.5, len(panel.matrix) - 0.5])], up[::-1]
+    x += [np.array([rule.x]) for rule in panel.rules if rule.x is not None]
+    y += [np.array([rule.y]) for rule in panel.rules if rule.y is not None]
+    x += [] if panel.shaded is None else [panel.shaded.ravel()]
+    y += [] if panel.band is None else [np.array(panel.band)]
+    room = np.max([ROOM.get(series.mark, (0.0, 0.05)) for series in panel.series] or [(0.0, 0.0)], axis=0).tolist()
+    scales = (
+        Scale(panel.x, 0.0, 1.0, *across).around(np.concatenate(x), room[0]),
+        Scale(panel.y, 0.0, 1.0, *up).around(np.concatenate(y), room[1], floor),
+    )
+    if panel.equal:  # the one with more points a unit is widened
+        unit = max((scale.high - scale.low) / abs(scale.stop - scale.start) for scale in scales)
+        more = [(unit * abs(scale.stop - scale.start) - (scale.high - scale.low)) / 2 for scale in scales]
+        x_scale, y_scale = (replace(s, low=s.low - d, high=s.high + d) for s, d in zip(scales, more, strict=True))
+        return x_scale, y_scale
+    return scales
 
 
 def _grid(panel: Panel, x: Scale, y: Scale, upright: bool) -> Iterator[str]:
     """Draw lines, numbers and names of both axes."""
-    lined = panel.matrix is None
-    for value, text in x.ticks().items():
-        at = float(x.at(np.array(value)))
-        if lined and not panel.x.names:
-            yield _line([at, at], [y.start, y.stop], "grid", 0.7)
-        size, below = size_of_names(panel.x) if panel.x.names else SIZE, max(y.start, y.stop)
-        if upright and panel.x.names:
-            yield _word(text, at + size / 3, below + 4, "end", size, turned=True)
-        else:
-            yield _word(text, at, below + 11.5, size=size)
-    for value, text in y.ticks().items():
-        at = float(y.at(np.array(value)))
-        if lined and not panel.y.names:
-            yield _line([x.start, x.stop], [at, at], "grid", 0.7)
-        size = size_of_names(panel.y) if panel.y.names else SIZE
-        yield _word(text, x.start - 3.5, at + 0.37 * size, "end", size)
-    yield _line([x.start, x.stop], [y.start, y.start] if lined else [y.stop, y.stop], "soft", 0.8)
+    below = max(y.start, y.stop)
+    for scale in (x, y):
+        size = size_of_names(scale.axis) if scale.axis.names else SIZE
+        for value, text in scale.ticks().items():
+            at = float(scale.at(np.array(value)))
+            if panel.matrix is None and not scale.axis.names:
+                ends = ([at, at], [y.start, y.stop]) if scale is x else ([x.start, x.stop], [at, at])
+                yield _line(*ends, "grid", 0.7)
+            if scale is y:
+                yield _word(text, x.start - 3.5, at + 0.37 * size, "end", size)
+            elif upright:
+                yield _word(text, at + size / 3, below + 4, "end", size, turned=True)
+            else:
+                yield _word(text, at, below + 11.5, size=size)
+    yield _line([x.start, x.stop], [below, below], "soft", 0.8)
     if not panel.y.names:
         yield _line([x.start, x.start], [y.start, y.stop], "soft", 0.8)
 
@@ -225,17 +214,15 @@ def _series(series: Series, x: Scale, y: Scale) -> Iterator[str]:
         yield _dots(x.at(series.x), y.at(series.y), hue, 2 + width)
     else:
         half = np.zeros(len(series.x)) if series.half is None else series.half
-        across, up = (half * (not series.upright), half * series.upright)
-        ends = [(x.at(series.x + sign * across), y.at(series.y + sign * up)) for sign in (-1, 1)]
+        side = np.array([-1.0, 1.0, np.nan])  # NaN interrupts the line
         if series.mark != "diamond":
-            (x0, y0), (x1, y1), gap = *ends, np.full(len(half), np.nan)
-            thick = 4 if series.mark == "thick" else 1.2
-            yield _line(np.column_stack([x0, x1, gap]).ravel(), np.column_stack([y0, y1, gap]).ravel(), hue, thick)
+            across = x.at(series.x[:, None] + side * (half * (not series.upright))[:, None])
+            up = y.at(series.y[:, None] + side * (half * series.upright)[:, None])
+            yield _line(across.ravel(), up.ravel(), hue, 4.0 if series.mark == "thick" else 1.2)
         if series.mark == "disc":
-            for x0, y0 in ends:
-                dx, dy = (3.0, 0.0) if series.upright else (0.0, 3.0)
-                caps = np.column_stack([x0 - dx, x0 + dx, gap]), np.column_stack([y0 - dy, y0 + dy, gap])
-                yield _line(caps[0].ravel(), caps[1].ravel(), hue, 1.0)
+            for k in (0, 1):  # caps
+                ends = across[:, [k]] + 3 * side * series.upright, up[:, [k]] + 3 * side * (not series.upright)
+                yield _line(*map(np.ravel, ends), hue, 1.0)
             yield _dots(x.at(series.x), y.at(series.y), hue, 4.5)
         elif series.mark == "diamond":
             places = zip(x.at(series.x).tolist(), y.at(series.y).tolist(), strict=True)
