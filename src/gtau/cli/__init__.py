@@ -18,7 +18,7 @@ def main() -> None:
     Other exit codes: 0 finished, 1 a fault of gtau itself, 3 finished, but the result needs attention, 128 + signal
     after Ctrl-C (130), SIGHUP (129) or SIGTERM (143).
     """
-    gc.set_threshold(50_000)  # imports create many objects and no garbage: collections took a fifth of their time
+    gc.set_threshold(200_000)  # imports create many objects and no garbage: collections took a fifth of their time
     listen()
     try:
         code = _run()

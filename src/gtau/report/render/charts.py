@@ -41,7 +41,7 @@ def styled() -> Iterator[None]:
     with rc_context(), as_file(ASSETS / "figure.mplstyle") as path:
         rcdefaults()
         style.use(path)
-        rcParams.update(settings)  # type: ignore[arg-type]
+        rcParams.update(settings)
         yield
 
 

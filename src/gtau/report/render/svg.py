@@ -117,7 +117,8 @@ def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
 def svg_of_robot(robot: Robot) -> str:
     """Draw a robot at home as SVG."""
     sketch = sketch_of(robot)
-    return _page(_sketched(sketch), *sketch.size.tolist(), f"robot {robot.name} at home")
+    width, height = sketch.size.tolist()
+    return _page(_sketched(sketch), width, height, f"robot {robot.name} at home")
 
 
 def size_of_names(axis: Axis, largest: float = SIZE) -> float:
@@ -221,8 +222,8 @@ def _series(series: Series, x: Scale, y: Scale) -> Iterator[str]:
             yield _line(across.ravel(), up.ravel(), hue, 4.0 if series.mark == "thick" else 1.2)
         if series.mark == "disc":
             for k in (0, 1):  # caps
-                ends = across[:, [k]] + 3 * side * series.upright, up[:, [k]] + 3 * side * (not series.upright)
-                yield _line(*map(np.ravel, ends), hue, 1.0)
+                wide, high = 3 * side * series.upright, 3 * side * (not series.upright)
+                yield _line((across[:, [k]] + wide).ravel(), (up[:, [k]] + high).ravel(), hue, 1.0)
             yield _dots(x.at(series.x), y.at(series.y), hue, 4.5)
         elif series.mark == "diamond":
             places = zip(x.at(series.x).tolist(), y.at(series.y).tolist(), strict=True)
@@ -260,7 +261,7 @@ def _sketched(sketch: Sketch) -> list[str]:
             )
             parts.append(f'<path d="M{path}z" style="{look}"/>')
         else:
-            parts.append(_line(*points.T, item.stroke, item.width, "; stroke-linecap: round"))
+            parts.append(_line(points[:, 0], points[:, 1], item.stroke, item.width, "; stroke-linecap: round"))
     return parts
 
 
