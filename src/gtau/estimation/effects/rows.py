@@ -255,8 +255,11 @@ def linear_at(
     # a change of friction between runs has no effect on known parameters
     friction_groups = np.full(len(per_run), len(rows.layouts))
     common_groups = np.append(friction_groups, shared_groups)
-    largest = [AS_DESCRIBED if layout.effect.description else BOUNDS[1] for layout in rows.layouts] + [BOUNDS[1]]
-    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, np.array(largest), noise)
+    # sensors of wrenches are often not tared, and where they measure, effects do not move estimates
+    largest = np.full(len(rows.layouts) + 1, BOUNDS[1])
+    if not problem.wrenches:
+        largest[:-1][[layout.effect.description for layout in rows.layouts]] = AS_DESCRIBED
+    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, largest, noise)
     slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
     return model, slopes, origin
 
