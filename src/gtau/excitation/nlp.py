@@ -31,6 +31,7 @@ IPOPT: Mapping[str, int | float | str] = {
     "acceptable_obj_change_tol": 1e-3,
     "mu_strategy": "adaptive",
     "mumps_pivot_order": 6,  # for dense columns: every number of a series acts on all instants
+    "mumps_mem_percent": 20,  # instead of 1000, which the kernel would map anew in every factorisation
 }
 
 

@@ -315,7 +315,7 @@ class MixedFit:
 def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     """Find sizes of all effects and the noise of all channels in turn, from those ``near`` them if given."""
     log_s = np.full(len(model.largest), START)
-    log_s = log_s if near is None else np.maximum(near.log_s, log_s)  # a small size has no slope to grow by
+    log_s = log_s if near is None else near.log_s
     for _ in range(PASSES):
         log_s = find_sizes(model, log_s)
         at, before = posterior(model, log_s), model.noise or (Noise(),) * len(model.rows)
