@@ -122,17 +122,18 @@ class MixedModel:
 
     Its m own columns, k of the Jacobian, those that all channels share, and the residuals. ``known`` (k + 1, k + 1) are
     products of further equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and
-    ``shared_groups`` the groups of the columns, and ``largest`` the largest log s of each: before the data s has a
-    half-normal prior of one plausible size. ``noise`` of each channel is of independent rows of unit variance where it
-    was not found yet.
+    ``shared_groups`` the groups of the columns. Before the data the s of each group has a half-normal prior of a
+    standard deviation ``prior``, and log s is at most ``largest``, of all groups or each. ``noise`` of each channel is
+    of independent rows of unit variance where it was not found yet.
     """
 
     rows: tuple[LagProducts, ...]
     known: np.ndarray
     own_groups: np.ndarray
     shared_groups: np.ndarray
-    largest: np.ndarray
+    prior: np.ndarray
     noise: tuple[Noise, ...] = ()
+    largest: float | np.ndarray = BOUNDS[1]
 
     @cached_property
     def grams(self) -> np.ndarray:
@@ -210,7 +211,7 @@ def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
     effects = -(back @ (V @ np.append(common, 1.0))[..., None])[..., 0]
     response = back @ V[..., :count]
     variance = np.sum(root**2, axis=1) + np.sum((response @ half) ** 2, axis=2)
-    prior = sizes**2
+    prior = (sizes / model.prior) ** 2
     groups, left = np.append(model.own_groups, model.shared_groups), 1 - effects**2 - variance
     shared_left = 1 - common[k:] ** 2 - np.diag(covariance)[k:]
     slope = prior + np.bincount(groups, np.append(left.sum(axis=0), shared_left), minlength=len(log_s))
@@ -243,7 +244,8 @@ def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()
     """Maximise the restricted likelihood over the sizes of all groups, from a ``start``: log s, (groups,)."""
     from scipy.optimize import minimize
 
-    log_s = np.minimum(start, model.largest)
+    largest = np.broadcast_to(model.largest, start.shape)
+    log_s = np.minimum(start, largest)
     log_s[list(without)] = BOUNDS[0] - 5.0
     free = np.setdiff1d(np.arange(len(start)), without)
 
@@ -253,7 +255,7 @@ def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()
         return at.loss, at.slope[free]
 
     options = {"maxiter": 60, "ftol": 1e-7, "gtol": 0.02}
-    bounds = [(BOUNDS[0], largest) for largest in model.largest[free]]
+    bounds = [(BOUNDS[0], bound) for bound in largest[free]]
     anew = np.full(len(free), len(free) > 0)
     released = np.zeros(len(free), dtype=bool)
     while anew.any():
@@ -300,7 +302,7 @@ class MixedFit:
             tried[:, group] = np.append(BOUNDS[0], self.log_s[group] + AROUND)
             parts = zip(*(self.at_sizes(log_s, slopes) for log_s in tried), strict=True)
             values, covariances, lost = map(np.array, parts)
-            weights = prior * np.exp(-lost) * (tried[:, group] <= self.model.largest[group])
+            weights = prior * np.exp(-lost) * (tried <= self.model.largest)[:, group]
             mean += np.average(values, 0, weights) - value
             within = np.average(np.diagonal(covariances, axis1=1, axis2=2), 0, weights)
             factor *= np.divide(within, variance, out=np.ones_like(value), where=variance > 0)
@@ -314,7 +316,7 @@ class MixedFit:
 
 def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     """Find sizes of all effects and the noise of all channels in turn, from those ``near`` them if given."""
-    log_s = np.full(len(model.largest), START)
+    log_s = np.full(len(model.prior), START)
     log_s = log_s if near is None else near.log_s
     for _ in range(PASSES):
         log_s = find_sizes(model, log_s)

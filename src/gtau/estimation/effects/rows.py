@@ -256,10 +256,11 @@ def linear_at(
     friction_groups = np.full(len(per_run), len(rows.layouts))
     common_groups = np.append(friction_groups, shared_groups)
     # sensors of wrenches are often not tared, and where they measure, effects do not move estimates
-    largest = np.full(len(rows.layouts) + 1, BOUNDS[1])
+    prior = np.ones(len(rows.layouts) + 1)
+    largest = BOUNDS[1] * prior
     if not problem.wrenches:
         largest[:-1][[layout.effect.description for layout in rows.layouts]] = AS_DESCRIBED
-    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, largest, noise)
+    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, prior, noise, largest)
     slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
     return model, slopes, origin
 

@@ -80,7 +80,7 @@ class Scale:
 
 
 def _words(values: np.ndarray, step: float) -> list[str]:
-    """Write values with as many digits as tell one ``step`` from the next."""
+    """Write values with as many digits as one ``step`` needs."""
     plain = np.abs(values).max() < 1e6
     ways = [f".{k}f" for k in range(5) if plain] + [f".{k}g" for k in range(1, 16)]
     for way in ways:
