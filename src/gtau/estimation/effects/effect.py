@@ -162,7 +162,8 @@ class EffectColumn:
     ``plausible`` is the standard deviation of the sizes that experience allows, in its ``unit``. It is about a
     ``joint``, empty for columns that act on each joint with a size of its own, or a body (``subject``); ``about`` sets
     it apart from the other columns of the effect, such as an axis or a run. Beyond the size ``largest`` it is no longer
-    what the effect adds, as torques are linear in small changes alone.
+    what the effect adds, as torques are linear in small changes alone; a size below ``least`` is impossible, so that
+    the column stands for something else.
     """
 
     plausible: float
@@ -171,6 +172,7 @@ class EffectColumn:
     subject: str = ""
     about: str = ""
     largest: float = np.inf
+    least: float = -np.inf
 
 
 @dataclass(frozen=True)

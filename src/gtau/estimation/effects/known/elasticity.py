@@ -45,7 +45,7 @@ def _torques(at: FitWindow) -> Torques:
 
 def _columns(fit: Fit) -> list[EffectColumn]:
     return [
-        *(EffectColumn(PLAUSIBLE, UNIT, joint) for joint in _motors(fit)),
+        *(EffectColumn(PLAUSIBLE, UNIT, joint, least=0.0) for joint in _motors(fit)),
         *(EffectColumn(ROTOR, UNIT_OF_ROTOR, joint, about="rotor") for joint in _motors(fit)),
     ]
 
