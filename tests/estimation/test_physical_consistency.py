@@ -29,6 +29,7 @@ from gtau.estimation.estimators.physical_consistency import (
 )
 from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
+from gtau.export.consistent import consistent_model
 from gtau.model.home import load_robot
 from gtau.result import Result, identify, load
 from gtau.robots.geometry import extent, longest_placement
@@ -210,6 +211,9 @@ def test_a_search_that_finds_no_bodies_is_a_finding_beside_the_result(runs: list
     assert "no physically consistent parameters" in [note.kind for note in other.notes]
     assert other.drive_gains == result.drive_gains
     assert (other.believable, other.accepted) == (True, False)
+    assert "check the bounds" in other.summary(verbose=False)
+    with pytest.raises(GtauError, match=r"were not found: no rigid bodies .* check the bounds"):
+        consistent_model(other, "URDF")
 
 
 def test_without_the_solver_one_sentence_says_what_to_install(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -181,8 +181,9 @@ def _consistent_bodies(fit: Fit, plain: Fit, options: Options) -> tuple[Consiste
         priors = options.priors or {}
         return consistent(fit.system, fit.solution, plain.solution, priors, fit.free_gains), ()
     except GtauError as refusal:  # what the data contradict, no bodies may have
-        text = f"physically consistent parameters were not found: {str(refusal).rstrip('.')}"
-        return None, (Finding(NO_BODIES, text=text, shown_as="model"),)
+        reason, _, advice = str(refusal).rstrip(".").partition("; ")
+        text = f"physically consistent parameters were not found: {reason}"
+        return None, (Finding(NO_BODIES, text=text, advice=advice, shown_as="model"),)
 
 
 def _data_sheet_notes(drives: Mapping[str, Drive], result: IdentifiedModel) -> tuple[Finding, ...]:

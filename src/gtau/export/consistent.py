@@ -16,12 +16,13 @@ from xml.etree.ElementTree import Comment
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.results.result import IdentifiedModel
+from gtau.estimation.results.result import NO_BODIES, IdentifiedModel
 from gtau.model.singularities import random_motion
 from gtau.robots.parameter import KINDS, Parameter, torque_unit
 from gtau.robots.robot import PLAIN_FRICTION, Robot
 from gtau.uses.identified import identified, torques_of
 
+WITHOUT = "the model has base parameters alone; identify it with --consistent (in Python consistent=True)"
 STATES = 500
 POSES = 200  # at random within the workspace
 
@@ -54,10 +55,8 @@ def consistent_model(result: IdentifiedModel, target: str) -> ConsistentModel:
     """Return the consistent parameters of a result; raises GtauError where it has none, naming the ``target``."""
     consistency = result.consistency
     if consistency is None:
-        raise GtauError(
-            f"an export to {target} needs the parameters of every body, but the model has base parameters alone; "
-            "identify it with --consistent (in Python consistent=True)."
-        )
+        why = next((str(note) for note in result.notes if note.kind == NO_BODIES), WITHOUT)
+        raise GtauError(f"an export to {target} needs the parameters of every body, but {why}.")
     values, straight = dict(consistency.standard), []
     terms = {name: term.value or 0.0 for name, term in result.friction_parameters.items()}
     for joint in (joint.name for joint in result.robot.joints):

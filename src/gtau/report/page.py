@@ -20,9 +20,9 @@ from gtau.report.chart import Chart
 from gtau.robots.robot import Robot
 
 BADGES = {
-    **dict.fromkeys(("given", "good", "passed"), "good"),
-    **dict.fromkeys(("not identifiable", "contradictory", "refused", "failed", "error"), "bad"),
-    "information": "neutral",
+    **dict.fromkeys(("given", "good", "passed", "agrees"), "good"),
+    **dict.fromkeys(("not identifiable", "contradictory", "refused", "failed", "error", "contradicted"), "bad"),
+    **dict.fromkeys(("information", "not stated"), "neutral"),
 }
 """Style of verdicts, grades and results; others are shown as weak."""
 

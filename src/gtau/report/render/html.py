@@ -232,7 +232,7 @@ def stamped(
         (Column("input"), Column("file"), Column("size"), Column("SHA-256", Kind.NAME)),
         [(what, str(path), *_fingerprint(path)) for what, path in inputs],
     )
-    listed = f"Inputs: {len(inputs)} files with their hashes"
+    listed = f"Inputs: {len(inputs)} file{'s' * (len(inputs) > 1)} with hashes"
     provenance = Section(
         "Provenance",
         Section("The command that reproduces this report", Text(command, style="command")) if command else None,
