@@ -207,15 +207,12 @@ def singular_values_chart(values: np.ndarray) -> Chart:
 
 def effects_chart(effects: Sequence[EstimatedEffect]) -> Chart | None:
     """Draw the largest effects by the largest move of a gain, per cent, with 95 % intervals."""
-    by_label: dict[str, EstimatedEffect] = {}
-    for effect in effects:  # of several columns of one effect, such as spring and rotor, the first moves gains most
-        if effect.largest_move > VISIBLE and effect.size:
-            by_label.setdefault(f"{effect.effect} {effect.cause.joint}".strip(), effect)
-    labels, drawn = list(by_label)[:DRAWN], list(by_label.values())[:DRAWN]
+    drawn = [effect for effect in effects if effect.largest_move > VISIBLE and effect.size][:DRAWN]
     if not drawn:
         return None
     moves = [max(effect.moves.values(), key=abs) for effect in drawn]
     halves = [1.96 * abs(move * effect.std / effect.size) for move, effect in zip(moves, drawn, strict=True)]
+    labels = [f"{effect.effect} {effect.cause.joint}".strip() for effect in drawn]
     return Chart((intervals(labels, moves, halves, "moves a gain by, %", zero=True),), "Effects")
 
 
