@@ -202,7 +202,7 @@ def test_ur10e_friction_takes_energy_beyond_the_logged_speeds(ur10e: Result) -> 
         assert np.diff(friction * np.sign(qd[:, j])).max() < 5.0  # N m in 0.1 rad/s: nothing jumps
         if j < 2:
             polynomial = values[f"fs_{joint}"] + 3.1 * values[f"fv_{joint}"] + 3.1**3 * values[f"f3_{joint}"]
-            assert polynomial < -15  # N m
+            assert polynomial < -values[f"fs_{joint}"]  # it propels with more than Coulomb friction resists
             within = friction[np.searchsorted(qd[:, j], logged)]
             assert within < friction[-1] < 3.1 / logged * within
 

@@ -137,6 +137,15 @@ def simulated(rng: np.random.Generator, rows: int = 400, alike: float = 0.0) -> 
     return MixedModel(tuple(columns), known, *GROUPS, np.full(3, 3.0)), truth
 
 
+def test_no_size_is_beyond_its_bound() -> None:
+    model, _ = simulated(np.random.default_rng(5))
+    free = fit_mixed(model).log_s
+    largest = np.array([4.0, free[1] - 1.0, 4.0])
+    bounded = fit_mixed(replace(model, largest=largest)).log_s
+    assert bounded[1] == pytest.approx(largest[1])
+    assert (bounded <= largest).all()
+
+
 def test_intervals_hold_and_noise_is_found() -> None:
     rng, z, noises = np.random.default_rng(11), [], []
     for _ in range(40):

@@ -1,4 +1,4 @@
-"""Load an MJCF file in a separate process first, as MuJoCo may crash, hang or exhaust the memory."""
+"""Load an MJCF file in a process of its own first, because MuJoCo may crash, hang or run out of memory."""
 
 from __future__ import annotations
 
