@@ -249,32 +249,27 @@ def _rows_along(
     """Stream a run: its rows, the columns (., K) of each joint with its |speed| last, and torques (2, n, K).
 
     These are the torque left to friction, and the measured one. Left is ``g_tau v(t + d)``, less what the inertial
-    parameters give at their estimates, less the friction of passive joints, which no motor alone shows. It and the
-    columns of friction pass the same low-pass and decimation.
+    parameters give at their estimates, less the friction of passive joints, which no motor alone shows, and less what
+    the friction of the run differs by from its mean over all runs. It and the columns of friction pass the same
+    low-pass and decimation.
     """
     dataset, solution, model = fit.dataset, fit.solution, fit.dataset.model
-    n = len(fit.gains)
+    n, base = len(fit.gains), fit.dataset.base
     names = {joint.name for joint in joints}
-    columns_of_run = columns_along(joints, dataset, run, mixes)
+    friction = columns_along(joints, dataset, run, mixes)
     load = fit.system.load(run, solution.theta)
-    motion_values = fit.system.motion(run, solution.theta)
-    passive: dict[str, float] = {
-        name: value
-        for name, value in zip(dataset.base.standard, motion_values, strict=True)
-        if name.kind in PLAIN_FRICTION and name.body not in names
-    }
-
-    def friction(time: np.ndarray, motion: Motion, effort: np.ndarray) -> np.ndarray:
-        return np.vstack([columns_of_run(time, motion, effort), effort, law.torques(motion, passive, effort)])
-
-    ends = np.cumsum([*(1 if mixes else joint.count for joint in joints), len(joints), n])
-    regressor = model.columns(dataset.base.standard)
+    mean = dict(zip(fit.system.problem.parameters, solution.theta, strict=True))
+    sought = [mean.get(name, 0.0) if name.kind in PLAIN_FRICTION and name.body in names else 0.0 for name in base.names]
+    known = fit.system.motion(run, solution.theta) - sought
+    ends = np.cumsum([*(1 if mixes else joint.count for joint in joints), len(joints)])
+    regressor = model.columns(base.standard)
     for part in stream_rows(model, regressor, dataset.prepared[run], decimator, load, friction=friction):
         assert part.friction is not None
-        *made, speeds, effort, rest = np.split(part.friction, ends)
+        *made, speeds, _ = np.split(part.friction, ends)
         measured = fit.gains[:, None] * delayed_signal(np.moveaxis(part.currents[:, :n], 0, -1), solution.delays[:n])
         columns = {joint: np.vstack([A, speed]) for joint, A, speed in zip(joints, made, speeds, strict=True)}
-        yield part, columns, np.stack([measured - effort - rest, measured])
+        left = measured + part.external - regressor.torques(part.entries, known, n)
+        yield part, columns, np.stack([left, measured])
 
 
 def _add(group: FrictionGroup, m: int, rows: np.ndarray, base: np.ndarray, blocks: np.ndarray) -> None:
