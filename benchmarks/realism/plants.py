@@ -96,6 +96,14 @@ def ur10e_parameters(model: InverseDynamics, rng: np.random.Generator) -> dict[s
     return {name: value for name, value in chi.items() if name in model.parameter_names}
 
 
+def rubbing_parameters(model: InverseDynamics, rng: np.random.Generator) -> dict[str, float]:
+    """Random parameters whose passive joints have a tenth of the friction of motors, where the robot has it."""
+    chi = random_parameters(model, rng)
+    motors = {kind: np.mean([chi[f"{kind}_{joint}"] for joint in model.actuated]) for kind in ("fv", "fs")}
+    passive = {name: 0.1 * motors[name[:2]] for name in model.parameter_names if name[:2] in motors}
+    return passive | chi
+
+
 def of_limits(robot: Robot) -> Envelope:
     return envelope(robot, 0.7)
 
@@ -152,7 +160,7 @@ def puma() -> Robot:
 ANY = np.array([1.0, 5.0])
 PLANTS: dict[str, Plant] = {
     "arm": Plant(lambda: ARM, random_parameters, of_limits, 2.0, (0.3, 0.02, 0.0), ANY),
-    "five-bar": Plant(lambda: load_robot("five-bar"), random_parameters, of_limits, 2.0, (0.35, 0.01, 0.0), ANY),
+    "five-bar": Plant(lambda: load_robot("five-bar"), rubbing_parameters, of_limits, 2.0, (0.35, 0.01, 0.0), ANY),
     "delta": Plant(lambda: load_robot("delta"), random_parameters, of_limits, 2.0, (0.02, 0.01, -0.05), ANY),
     "ur10e": Plant(
         lambda: load_robot("ur10e"),
@@ -168,7 +176,7 @@ PLANTS: dict[str, Plant] = {
     "cylindrical": Plant(lambda: CYLINDRICAL, random_parameters, of_limits, 2.0, (0.1, 0.05, 0.05), ANY),
     "seven": Plant(lambda: SEVEN, random_parameters, of_limits, 3.0, (0.05, 0.04, 0.1), ANY, 12.0, 200.0),
     "puma560": Plant(puma, random_parameters, of_limits, 2.5, (0.05, 0.03, 0.1), ANY, 10.0, 250.0),
-    "3-rrr": Plant(lambda: load_robot("3-rrr"), random_parameters, of_limits, 2.0, (0.03, 0.01, 0.0), ANY),
+    "3-rrr": Plant(lambda: load_robot("3-rrr"), rubbing_parameters, of_limits, 2.0, (0.03, 0.01, 0.0), ANY),
     "orthoglide": Plant(
         lambda: load_robot("orthoglide"), random_parameters, of_limits, 2.0, (0.03, 0.01, 0.02), ANY, rate=250.0
     ),
