@@ -23,6 +23,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -38,6 +39,7 @@ from gtau.signals.reading.statements import Payload
 
 LEFT = 0.5  # part of the residual variance, geometric mean of all joints, that is left with another description
 REVERSED_LEFT = 0.7  # and with one torque reversed
+BESIDE_LEFT = 0.9  # the same, with all effects beside both descriptions
 ALIKE = 1.05  # residual variance over the least of all: below, as likely
 REFUTED_STD = 6.0  # size of another description in standard deviations
 MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
@@ -75,8 +77,22 @@ def residual_ratio(other: Fit, unaltered: Fit) -> float:
     return float(np.exp(2 * rows @ np.log(other.solution.sigma / unaltered.solution.sigma) / rows.sum()))
 
 
-def described_otherwise(effect: str, cause: Finding, other: Fit, unaltered: Fit) -> EstimatedEffect:
-    """Compare a fit with another description to the ``unaltered`` one, with the user's description."""
+def noise_beside_effects(fit: Fit) -> np.ndarray:
+    """Return the standard deviations of what all effects together leave of each channel, (c,); raises GtauError."""
+    result = estimate_effects(fit)
+    if result is None:
+        return fit.solution.sigma
+    return result.rows.fit.solution.sigma * [noise.std for noise in result.mixed.model.noise]
+
+
+def described_otherwise(effect: str, cause: Finding, other: Fit, unaltered: Fit) -> EstimatedEffect | None:
+    """Compare a fit with another description to the ``unaltered`` one, with the user's description.
+
+    None if effects beside the user's description explain nearly as much as they do beside the other.
+    """
+    noise = noise_beside_effects(other) / noise_beside_effects(unaltered)
+    if np.exp(2 * unaltered.problem.total_rows @ np.log(noise) / unaltered.problem.total_rows.sum()) > BESIDE_LEFT:
+        return None
     rows, ratio = unaltered.problem.total_rows, other.solution.sigma / unaltered.solution.sigma
     likelihood = -float(rows @ np.log(ratio))
     share = min(1 - float(rows @ ratio**2 / rows.sum()), 1.0)
