@@ -77,6 +77,18 @@ def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run
     assert of_joint(currents(runs, warmer), "gain drift", "left").size == pytest.approx(0.02, rel=0.2)
 
 
+def test_offsets_that_differ_between_runs_are_no_body_at_the_tool(runs: list[Run]) -> None:
+    rms = np.sqrt(np.mean(runs[0].command ** 2, axis=0))
+    free, loaded = runs
+    shifted = [free, replace(loaded, command=loaded.command + 0.03 * rms * [1.0, -1.0])]
+    result = identify(ROBOT, shifted)
+    for gain, truth in zip(result.drive_gains.values(), GAINS, strict=True):
+        low, high = gain.interval()
+        assert low < truth < high
+        assert high - low < 0.03 * truth
+    assert "offset of a run" in {effect.effect for effect in result.effects}
+
+
 def test_elastic_joints_that_lead_backwards_are_left_out(tmp_path: Path) -> None:
     """Drives hold their current from sample to sample, at 250 Hz: with elastic joints the gains are 0.9 % off."""
     logs = {log.stem: log for log in write_tutorial(tmp_path)}

@@ -22,8 +22,8 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.robots.parameter import Parameter
 
 PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave gears (UR10e pairs)
-# Rotors that are tried, in rms torques over rms accelerations: a mixture stands for one in between. With one column, of
-# the load's slope by the rotor, gains of a five-bar were 1.0 % off with nine effects (now 0.4), of an arm 0.5 (now 0.1).
+# Rotors that are tried, in rms torques over rms accelerations; a mixture stands for one in between. With the load's
+# slope by the rotor alone, gains of a five-bar with nine effects were 1.0 % off (now 0.4), of an arm 0.5 (now 0.1).
 ROTORS = (0.1, 0.2, 0.4, 0.8)
 
 
