@@ -101,15 +101,17 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
     misfit = float(unexplained_shares(fit).max()) > MISFIT_TRIED
     lack, middle = lack_of_fit(fit.problem, fit.solution), middle_rows(fit)
     lacking = lack > LACKING
+    causes = tuple[EstimatedEffect, ...]()
     mixed, findings = None, list(columns_of_effort(middle) if misfit or lacking else ())
-    effects = contradicting = tuple[EstimatedEffect, ...]()
+    effects = contradicting = causes
     try:
         if (mixed := estimate_effects(fit)) is not None:
             effects = estimated_effects(mixed)
-            contradicting = _contradicting(effects, contradictions(mixed))
+            causes = contradictions(mixed)
+            contradicting = _contradicting(effects, causes)
         findings = [*frozen_encoders(fit), *findings]
         missing, as_well = (False, False) if middle is None else shows_gravity(middle, lack)
-        tried = _other_descriptions(fit, misfit, lacking, missing, effects, progress)
+        tried = _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress)
         # one that leaves more of the residuals than the user's explains a single joint at most
         likelier = (other for other in tried if other is not None and other.share > 0)
         if not findings and (refit := next(likelier, None)):
