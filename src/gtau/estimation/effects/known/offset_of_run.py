@@ -1,4 +1,4 @@
-"""An offset of the current of its own in each run, as amplifiers and sensors warm up or are zeroed again.
+"""Another offset of the current in each run: sensors warm up, or are zeroed again.
 
 Where the payload's weight is nearly constant along the runs, such as at a vertical axis, it is the same as an offset.
 """
