@@ -30,7 +30,7 @@ from peers import Pinocchio, base_columns, random_parameters
 from zoo import ENTRIES
 
 from gtau.estimation.experiment_runs import read_runs
-from gtau.estimation.regression.hysteresis import stop
+from gtau.estimation.regression.rows import stop
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.signals.reading.experiment import read_experiment

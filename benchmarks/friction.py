@@ -36,8 +36,8 @@ from gtau.estimation.experiment_runs import read_runs
 from gtau.estimation.friction.curves import group_estimates
 from gtau.estimation.friction.normal_equations import FrictionGroup, FrictionJoint
 from gtau.estimation.friction.selection import FrictionFit, choose
-from gtau.estimation.regression.hysteresis import stop
 from gtau.estimation.regression.problem import Estimates
+from gtau.estimation.regression.rows import stop
 from gtau.model.home import load_robot
 from gtau.result import Result, identify
 from gtau.robots.robot import PLAIN_FRICTION

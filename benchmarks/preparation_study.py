@@ -26,8 +26,8 @@ from table import write_csv
 from threadpoolctl import threadpool_limits
 
 from gtau.errors import GtauError
+from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.estimator import jackknife
-from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics

@@ -11,7 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 from gtau.estimation.effects.known import EFFECTS
-from gtau.estimation.estimators.registry import PLACES
+from gtau.estimation.estimators import PLACES
 
 PAGE = Path(__file__).parent / "lookup" / "verdicts.md"
 OF_EFFECTS = "<!-- made by python docs/make_methods.py from the docstrings of the effects -->"

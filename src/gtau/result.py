@@ -23,8 +23,8 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
+from gtau.uses import identified
 from gtau.uses import identify as uses
-from gtau.uses import rigid_body
 from gtau.uses.logs import draft
 from gtau.uses.prediction import Prediction, predict, torques, validate
 
@@ -103,15 +103,15 @@ class Result(IdentifiedModel):
         With :meth:`inertia`, :meth:`coriolis` and friction these are the torques of :meth:`torques`:
         ``M(q) qdd + C(q, qd) qd + g(q)`` + friction, offsets and damping. Raises GtauError as that method does.
         """
-        return np.asarray(rigid_body.gravity(self, q, as_payload(payload)))
+        return np.asarray(identified.gravity(self, q, as_payload(payload)))
 
     def inertia(self, q: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
         """Compute the inertia matrix M(q), (N, n, n) in kg m2 (kg m or kg where joints slide), rotors included."""
-        return np.asarray(rigid_body.inertia(self, q, as_payload(payload)))
+        return np.asarray(identified.inertia(self, q, as_payload(payload)))
 
     def coriolis(self, q: np.ndarray, qd: np.ndarray, payload: Payload | Mapping[str, Any] | None = None) -> np.ndarray:
         """Compute the Coriolis matrix C(q, qd), (N, n, n), by Christoffel's symbols: dM/dt - 2 C is skew-symmetric."""
-        return np.asarray(rigid_body.coriolis(self, q, qd, as_payload(payload)))
+        return np.asarray(identified.coriolis(self, q, qd, as_payload(payload)))
 
     def predict(self, run: Run) -> Prediction:
         """Predict torques along ``run``, beside the raw measured ``v g_tau``; raises GtauError if it does not suit."""

@@ -27,7 +27,7 @@ import gtau.estimation.identify
 from gtau.cli.commands import COMMANDS, app
 from gtau.cli.identification import percent
 from gtau.documents.files import beside
-from gtau.estimation.estimators.registry import NAMES
+from gtau.estimation.estimators import NAMES
 from gtau.estimation.experiment_runs import read_runs
 from gtau.findings import Grade
 from gtau.robots.readers.read import CATALOG, catalog_names

@@ -14,8 +14,7 @@ import gtau
 from gtau.estimation.friction.law import FrictionLaw, PreslidingState
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
 from gtau.estimation.friction.selection import Structure, parameter_columns
-from gtau.estimation.regression.hysteresis import stop
-from gtau.estimation.regression.rows import FORMULAS
+from gtau.estimation.regression.rows import FORMULAS, stop
 from gtau.robots.parameter import KINDS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 

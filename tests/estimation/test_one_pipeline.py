@@ -12,7 +12,7 @@ from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import worst
-from gtau.estimation.estimators.registry import NAMES, estimators
+from gtau.estimation.estimators import NAMES, estimators
 from gtau.result import compare, identify
 
 
@@ -48,6 +48,6 @@ def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypa
 
 
 def test_the_command_line_offers_every_estimator() -> None:
-    from gtau.cli.options import METHODS
+    from gtau.cli.console import METHODS
 
     assert METHODS.split("|") == list(NAMES) == [each.name for each in estimators().values()]

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 from gtau.cli.commands import app
 from gtau.errors import GtauError
+from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.physical_consistency import (
     BASIS,
     LAST_OVERHANG,
@@ -27,7 +28,6 @@ from gtau.estimation.estimators.physical_consistency import (
     pseudo_inertia,
     unbounded,
 )
-from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.export.consistent import consistent_model
 from gtau.model.home import load_robot

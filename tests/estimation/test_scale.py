@@ -19,12 +19,11 @@ from gtau import read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.scale import scale_shares, scale_uncertainty, sensor_scales
-from gtau.estimation.estimators import maximum_likelihood
+from gtau.estimation.estimators import estimator_of, estimators, maximum_likelihood
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import HIDDEN_KNOWN, ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
-from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.preconditions import refuse_repeated
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem

@@ -13,7 +13,7 @@ from five_bar_logs import GAINS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
-from gtau.estimation.regression.hysteresis import stop
+from gtau.estimation.regression.rows import stop
 from gtau.estimation.results.conclusions import headline, torque_scales
 from gtau.findings import Grade
 from gtau.result import Result, identify

@@ -19,8 +19,7 @@ from robots_for_tests import tree
 
 import gtau
 from gtau.documents.files import identifier, in_csv, suffixes
-from gtau.export.parameter_orders import ORDERS, to_order
-from gtau.export.tables import in_latex, in_latex_index, symbol
+from gtau.export.tables import ORDERS, in_latex, in_latex_index, symbol, to_order
 from gtau.model.home import load_robot
 from gtau.result import Result
 from gtau.robots.parameter import parameter_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from gtau.estimation.regression.hysteresis import stop
+from gtau.estimation.regression.rows import stop
 from gtau.signals.preparation.filters import (
     Decimator,
     cutoff_frequency,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import gtau
-from gtau.estimation.regression.hysteresis import stop
+from gtau.estimation.regression.rows import stop
 from gtau.model.home import load_robot
 from gtau.signals.preparation.filters import position_filter
 from gtau.signals.run import Run

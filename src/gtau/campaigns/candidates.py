@@ -14,8 +14,8 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import Examination, estimates_of
 from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.electrical import with_voltages
+from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.essential import select_friction
-from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel

@@ -8,11 +8,10 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import refusing
+from gtau.cli.console import argument, option, refusing
 from gtau.cli.identification import identify
 from gtau.cli.logs import check
 from gtau.cli.models import export, payload, validate
-from gtau.cli.options import argument, option
 from gtau.cli.robots import excite, robot
 from gtau.errors import missing_extra
 

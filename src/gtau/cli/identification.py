@@ -10,10 +10,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import answer, hold, progress_bar, refusing, seconds
+from gtau.cli.console import (
+    METHODS,
+    Json,
+    ReportFolder,
+    answer,
+    argument,
+    hold,
+    option,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.cli.interruption import stop_request
 from gtau.cli.logs import LogOptions, Sources, experiment_of, said_if_refused
-from gtau.cli.options import METHODS, Json, ReportFolder, argument, option
 from gtau.documents.files import folder_of, write_atomically
 
 if TYPE_CHECKING:

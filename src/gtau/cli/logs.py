@@ -11,8 +11,21 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from gtau.cli.console import answer, hold, print_json, progress_bar, refusing, seconds
-from gtau.cli.options import METHODS, Json, XacroArguments, argument, base_choice, named_values, option
+from gtau.cli.console import (
+    METHODS,
+    Json,
+    XacroArguments,
+    answer,
+    argument,
+    base_choice,
+    hold,
+    named_values,
+    option,
+    print_json,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.documents.files import EXPERIMENT, LOG, folder_of, kind_of, refuse_other_kind, write_atomically
 from gtau.errors import GtauError, tidy
 

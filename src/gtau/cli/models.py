@@ -12,9 +12,20 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from gtau.cli.console import answer, hold, progress_bar, refusing, seconds
+from gtau.cli.console import (
+    CarriedPayload,
+    Columns,
+    Json,
+    ModelFile,
+    answer,
+    argument,
+    hold,
+    option,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.cli.logs import LogOptions, Sources, experiment_of, is_log, said_if_refused
-from gtau.cli.options import CarriedPayload, Columns, Json, ModelFile, argument, option
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError, missing_extra
 from gtau.findings import Grade

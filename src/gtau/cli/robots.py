@@ -8,9 +8,20 @@ from typing import Annotated
 
 import typer
 
-from gtau.cli.console import answer, hold, progress_bar, refusing, seconds
+from gtau.cli.console import (
+    Json,
+    XacroArguments,
+    answer,
+    argument,
+    base_choice,
+    hold,
+    named_values,
+    option,
+    progress_bar,
+    refusing,
+    seconds,
+)
 from gtau.cli.interruption import stop_request
-from gtau.cli.options import Json, XacroArguments, argument, base_choice, named_values, option
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
 

@@ -10,8 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import EVERY, answer, progress_bar, progress_lines, refusing, seconds
-from gtau.cli.options import CarriedPayload, Columns, argument, option
+from gtau.cli.console import (
+    EVERY,
+    CarriedPayload,
+    Columns,
+    answer,
+    argument,
+    option,
+    progress_bar,
+    progress_lines,
+    refusing,
+    seconds,
+)
 from gtau.documents.files import refuse_as_folder
 from gtau.errors import GtauError
 

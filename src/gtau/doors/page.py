@@ -13,8 +13,7 @@ from nicegui import events, ui
 
 from gtau.doors.command import Answer, Command, within
 from gtau.doors.project import BY_JOINT, COMMANDS, Project, RunEntry, settings_in
-from gtau.doors.scene import along, at_home
-from gtau.doors.widgets import draw_in, drawing_of, refusal_of, refused, report, trace
+from gtau.doors.widgets import along, at_home, draw_in, drawing_of, refusal_of, refused, report, trace
 from gtau.errors import GtauError
 from gtau.extensions import names
 from gtau.robots.readers.read import catalog_names

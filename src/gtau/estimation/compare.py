@@ -12,8 +12,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import worst
+from gtau.estimation.estimators import NAMES, estimator_of
 from gtau.estimation.estimators.estimator import Gains
-from gtau.estimation.estimators.registry import NAMES, estimator_of
 from gtau.estimation.experiment_runs import Options, read
 from gtau.estimation.identify import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
-from gtau.estimation.estimators.registry import estimator_of
+from gtau.estimation.estimators import estimator_of
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.findings import Finding, Grade
 from gtau.model.home import load_robot

@@ -11,8 +11,8 @@ import numpy as np
 
 from gtau.errors import GtauError, missing_extra
 from gtau.estimation.electrical import with_voltages
+from gtau.estimation.estimators import estimator_of, estimators
 from gtau.estimation.estimators.estimator import Estimator, Gains
-from gtau.estimation.estimators.registry import estimator_of, estimators
 from gtau.estimation.experiment_runs import Options, Subject
 from gtau.estimation.regression.dataset import Dataset, System, reduce_runs
 from gtau.estimation.regression.priors import require_scale

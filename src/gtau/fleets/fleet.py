@@ -18,8 +18,8 @@ from gtau.documents.files import digest_of, folder_of, in_order, matching, write
 from gtau.documents.validation import FUNCTION, NAMES, PATH, TEXT, WHOLE, Keys, takes, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError
+from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.estimator import Gains
-from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.model_file import model_text
 from gtau.fleets.table import FleetGains, Report, fleet_table
 from gtau.fleets.workers import Mapper, dask_workers, processes

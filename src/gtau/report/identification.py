@@ -10,8 +10,8 @@ import numpy as np
 
 from gtau.estimation.diagnostics.scale import SCALED_BY_FILE
 from gtau.estimation.diagnostics.verdict import WIDE_SCALE
+from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.registry import estimator_of
 from gtau.estimation.results.conclusions import VISIBLE, findings, headline, missed, reasons, remarks, required
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel

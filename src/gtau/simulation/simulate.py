@@ -32,8 +32,8 @@ from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import CarriedPayload, Payload
 from gtau.signals.run import Log, Run
 from gtau.simulation import closed_loop, trajectories
+from gtau.simulation.closed_loop import Logged, Supply
 from gtau.simulation.joint_friction import STATED, WIDTH, JointFriction, identified_friction
-from gtau.simulation.motors import Logged, Supply
 from gtau.simulation.mujoco_plant import MujocoPlant
 from gtau.simulation.plant import Plant
 

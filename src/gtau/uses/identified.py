@@ -1,4 +1,4 @@
-"""Identified model for exports: named parameters, gains, reference torques in Python, and CasADi functions.
+"""Equations of an identified model: terms of its dynamics, and torques in Python and as CasADi functions for exports.
 
 The functions are expressions of :mod:`gtau.model`: nothing is derived twice. With loops there are two stages: steps of
 Newton's method bring the configuration ``c`` to the actuated positions, and everything else is computed from the closed
@@ -24,11 +24,13 @@ from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.model import dynamics
 from gtau.model.closures import closed_motion, newton_step
+from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
 from gtau.robots.parameter import SHAPES, TEMPERATURE_TERMS, Parameter, parameter_of, torque_unit
-from gtau.robots.robot import PLAIN_FRICTION
-from gtau.uses.prediction import on_tool, require_all_parameters, torques_along
+from gtau.robots.robot import DAMPING, PLAIN_FRICTION
+from gtau.signals.reading.statements import Payload
+from gtau.uses.prediction import loaded_parameters, on_tool, require_all_parameters, torques_along
 
 SLIDING = 2.0  # beyond every state: the joint slides, its friction has the sign of the velocity
 OUTPUTS = {
@@ -225,3 +227,54 @@ def _friction(
         return ca.jacobian(load, p) + ca.substitute(ca.substitute(columns, frozen, load), at, scales)
 
     return lambda load: on_motors(*scaled(load)), regressor
+
+
+Torques = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def _torques_at(result: IdentifiedModel, q: np.ndarray, payload: Payload | None) -> tuple[Torques, np.ndarray]:
+    """Return the function from ``qd`` and ``qdd`` (n, N) to torques (n, N) at ``q`` (N, n), and the torques at rest."""
+    model, standard = result.idm, result.base.standard
+    lossy = [name.kind in (*PLAIN_FRICTION, DAMPING) for name in standard]
+    chi = np.where(lossy, 0.0, loaded_parameters(result, payload, "the robot"))
+    (positions,) = model.samples(q)
+    c, columns = model.path(positions), model.columns(standard)
+
+    def torques(qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        return columns.torques_along(model.layout, model.rates(c, qd, qdd), chi)
+
+    still = np.zeros_like(positions)
+    return torques, torques(still, still)
+
+
+@one_or_many
+def gravity(result: IdentifiedModel, q: np.ndarray, payload: Payload | None) -> np.ndarray:
+    """Compute the torques of gravity and springs; see :meth:`gtau.Result.gravity`."""
+    return _torques_at(result, q, payload)[1].T
+
+
+@one_or_many
+def inertia(result: IdentifiedModel, q: np.ndarray, payload: Payload | None) -> np.ndarray:
+    """Compute the inertia matrix; see :meth:`gtau.Result.inertia`."""
+    torques, rest = _torques_at(result, q, payload)
+    still = np.zeros_like(rest)
+    columns = [torques(still, still + unit) - rest for unit in np.eye(len(rest))[:, :, None]]
+    return np.stack(columns, axis=1).transpose(2, 0, 1)
+
+
+@one_or_many
+def coriolis(result: IdentifiedModel, q: np.ndarray, qd: np.ndarray, payload: Payload | None) -> np.ndarray:
+    """Compute the Coriolis matrix of Christoffel's symbols; see :meth:`gtau.Result.coriolis`.
+
+    Coriolis torques are a quadratic form ``h(qd)`` whose symmetric matrices hold the symbols, so column j of the matrix
+    is ``(h(qd + e_j) - h(qd) - h(e_j)) / 2``.
+    """
+    torques, rest = _torques_at(result, q, payload)
+    still = np.zeros_like(rest)
+    (speeds,) = result.idm.samples(qd)
+
+    def h(speeds: np.ndarray) -> np.ndarray:
+        return torques(speeds, still) - rest
+
+    columns = [(h(speeds + unit) - h(speeds) - h(still + unit)) / 2 for unit in np.eye(len(rest))[:, :, None]]
+    return np.stack(columns, axis=1).transpose(2, 0, 1)

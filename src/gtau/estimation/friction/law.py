@@ -32,9 +32,8 @@ from typing import Any
 
 import numpy as np
 
-from gtau.estimation.regression.hysteresis import stop
 from gtau.estimation.regression.plausibility import motor_to_joint_speed
-from gtau.estimation.regression.rows import FORMULAS, SLOPES, Sliding
+from gtau.estimation.regression.rows import FORMULAS, SLOPES, Sliding, stop
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.loops import Motion
 from gtau.robots.parameter import Parameter

@@ -31,8 +31,8 @@ from gtau.estimation.diagnostics.geometry import GeometryTest, from_document
 from gtau.estimation.diagnostics.geometry import to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.effects.effect import EstimatedEffect
+from gtau.estimation.estimators import GROUP, NAMES
 from gtau.estimation.estimators.physical_consistency import Consistency
-from gtau.estimation.estimators.registry import GROUP, NAMES
 from gtau.estimation.friction.curves import FrictionCurve, ReferenceTemperatures
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement, SensorEstimate, TorqueError
 from gtau.estimation.results.payload_body import PayloadEstimate

@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, friction_torques
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.regression.hysteresis import stop
+from gtau.estimation.regression.rows import stop
 
 PLAUSIBLE = 0.1  # of the friction at the rms speed: experience; 0.3 moves gains by 0.2 standard deviations at most
 # Of the joint's range in the logs. Without the shortest, presliding over 1.5 mrad leaves a delay of -0.57 ms instead of

@@ -20,8 +20,7 @@ from typing import TYPE_CHECKING, BinaryIO, cast
 from gtau.documents.files import BINARY, LOG, kind_of, refuse_other_kind
 from gtau.errors import GtauError
 from gtau.findings import Finding
-from gtau.signals.reading.formats import LogTable, numbers, reading
-from gtau.signals.reading.formats.instants import is_instant
+from gtau.signals.reading.formats import LogTable, is_instant, numbers, reading
 from gtau.signals.reading.units import unit_row
 from gtau.signals.storage import BYTES, block_size
 
