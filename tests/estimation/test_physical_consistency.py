@@ -17,15 +17,12 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.estimators import estimator_of
 from gtau.estimation.estimators.physical_consistency import (
-    BASIS,
     LAST_OVERHANG,
     MARGIN,
     OVERHANG,
     Body,
     Consistency,
-    ball_row,
     constrained_least_squares,
-    pseudo_inertia,
     unbounded,
 )
 from gtau.estimation.regression.dataset import reduce_runs
@@ -33,6 +30,7 @@ from gtau.export.consistent import consistent_model
 from gtau.model.home import load_robot
 from gtau.result import Result, identify, load
 from gtau.robots.geometry import extent, longest_placement
+from gtau.robots.parameter import BASIS, ball_row, pseudo_inertia
 from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run

@@ -13,11 +13,11 @@ from models_to_export import model_of
 from stated_arm import chi, plant, robot, torque_run
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.physical_consistency import pseudo_inertia
 from gtau.export.exported import export_model
 from gtau.export.samples import Draws, draw
 from gtau.model.home import load_robot
 from gtau.result import Result, identify, load
+from gtau.robots.parameter import pseudo_inertia
 from gtau.robots.robot import INERTIAL
 
 COUNT = 200

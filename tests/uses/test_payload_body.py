@@ -11,12 +11,11 @@ from plausible_parameters import body_parameters, random_parameters
 from scipy.spatial.transform import Rotation
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.physical_consistency import pseudo_inertia
 from gtau.estimation.results.payload_body import QUANTITIES, PayloadBody, PayloadEstimate, Weighed, quantities
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
-from gtau.robots.parameter import RigidBody, inertial_parameters, rigid_body
+from gtau.robots.parameter import RigidBody, inertial_parameters, pseudo_inertia, rigid_body
 from gtau.robots.readers.read import frame_on, links_on
 from gtau.robots.robot import INERTIAL, Pose
 from gtau.signals.reading.statements import Payload

@@ -21,12 +21,12 @@ import numpy as np
 from scipy.special import chdtri, gammaln, ndtri, stdtr
 
 from gtau.errors import GtauError
-from gtau.estimation.estimators.physical_consistency import BASIS, SLENDER, natural_size, pseudo_inertia
+from gtau.estimation.estimators.physical_consistency import SLENDER, natural_size
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.consistent import consistent_model
 from gtau.robots.geometry import characteristic_length
-from gtau.robots.parameter import DISSIPATING, SHAPES, Parameter
+from gtau.robots.parameter import BASIS, DISSIPATING, SHAPES, Parameter, pseudo_inertia
 from gtau.robots.robot import INERTIAL, PLAIN_FRICTION
 
 ALLOWED = 1.0  # standard deviations by which a draw may lie outside what was identified

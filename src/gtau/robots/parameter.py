@@ -201,6 +201,33 @@ def inertial_parameters(body: RigidBody) -> dict[str, float]:
     return dict(zip(INERTIAL, map(float, values), strict=True))
 
 
+def pseudo_inertia(values: np.ndarray) -> np.ndarray:
+    """Build the pseudo-inertia (4, 4) of inertial parameters (10,), in the order of INERTIAL, SI units."""
+    J, inertia = np.empty((4, 4)), np.empty((3, 3))
+    upper = np.triu_indices(3)
+    inertia[upper] = inertia.T[upper] = values[:6]
+    J[:3, :3] = np.trace(inertia) / 2 * np.eye(3) - inertia
+    J[3, :3] = J[:3, 3] = values[6:9]
+    J[3, 3] = values[9]
+    return J
+
+
+BASIS = np.array([pseudo_inertia(unit) for unit in np.eye(10)])
+"""Pseudo-inertias of unit parameters, (10, 4, 4)."""
+
+
+def ball_row(centre: np.ndarray, radius: float) -> np.ndarray:
+    """Build the row (10,) whose product with a body's parameters is not negative if its mass lies within a ball.
+
+    It is ``tr(J Q)`` of the pseudo-inertia J, the integral of ``radius^2 - |x - centre|^2`` over the mass (Wensing, Kim
+    and Slotine, 2018).
+    """
+    Q = np.zeros((4, 4))
+    Q[:3, :3], Q[3, 3] = -np.eye(3), radius**2 - centre @ centre
+    Q[:3, 3] = Q[3, :3] = centre
+    return np.einsum("kij,ij->k", BASIS, Q)
+
+
 def lumped(parts: Iterable[tuple[Attachment, RigidBody]]) -> dict[str, float]:
     """Sum rigid bodies by the body that each is attached to: standard parameters by name, in the order of parts."""
     parameters: dict[str, float] = {}

@@ -26,7 +26,7 @@ from gtau.estimation.regression.factors import leave_one_out, triangle
 from gtau.estimation.regression.priors import theta_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
-from gtau.robots.parameter import DISSIPATING, KINDS, Parameter
+from gtau.robots.parameter import BASIS, DISSIPATING, KINDS, Parameter, ball_row, pseudo_inertia
 from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import Prior
@@ -39,43 +39,6 @@ LOOSE = 10.0  # natural sizes: standard deviation of the prior on parameters wit
 SLENDER = 0.2  # radius of gyration of a plausible link, in lengths of the robot
 STEPS = 40
 CONVERGED = 1e-3  # of a standard deviation
-
-
-def _basis() -> np.ndarray:
-    """Build the pseudo-inertias of unit parameters, in the order of INERTIAL, (10, 4, 4)."""
-    basis = np.zeros((10, 4, 4))
-    for k, name in enumerate(INERTIAL):
-        axes = ["xyz".index(letter) for letter in name if letter in "xyz"]
-        if name == "m":
-            basis[k, 3, 3] = 1.0
-        elif name.startswith("m"):
-            basis[k, axes[0], 3] = basis[k, 3, axes[0]] = 1.0
-        elif axes[0] == axes[1]:
-            basis[k, :3, :3] = np.eye(3) / 2  # Sigma = tr(I)/2 - I
-            basis[k, axes[0], axes[0]] -= 1.0
-        else:
-            basis[k, axes[0], axes[1]] = basis[k, axes[1], axes[0]] = -1.0  # xy = -int x y dm
-    return basis
-
-
-BASIS = _basis()
-
-
-def pseudo_inertia(values: np.ndarray) -> np.ndarray:
-    """Build the pseudo-inertia (4, 4) of inertial parameters (10,), in the order of INERTIAL, SI units."""
-    return np.einsum("k,kij->ij", values, BASIS)
-
-
-def ball_row(centre: np.ndarray, radius: float) -> np.ndarray:
-    """Build the row (10,) whose product with a body's parameters is not negative if its mass lies within a ball.
-
-    It is ``tr(J Q)`` of the pseudo-inertia J, the integral of ``radius^2 - |x - centre|^2`` over the mass (Wensing, Kim
-    and Slotine, 2018).
-    """
-    Q = np.zeros((4, 4))
-    Q[:3, :3], Q[3, 3] = -np.eye(3), radius**2 - centre @ centre
-    Q[:3, 3] = Q[3, :3] = centre
-    return np.einsum("kij,ij->k", BASIS, Q)
 
 
 @dataclass(frozen=True, eq=False)
