@@ -6,8 +6,7 @@ together with any other unknowns, and absorb the residuals that both explain. A 
 calibrated anew between runs: it has a frame in each (the tracker of the UPV logs moved by 9 mm before the last run).
 
 A wrong length leaves residuals that depend on the pose. Each constant of the geometry is fitted alone, and the one that
-explains most is selected; further ones are added while they explain most of the remaining residuals. Torques hardly
-show a wrong length: a platform 26 mm too large leaves the torque errors of the UPV robot (docs/evidence/index.md).
+explains most is selected; further ones are added while they explain most of the remaining residuals.
 """
 
 from __future__ import annotations
@@ -72,23 +71,7 @@ class Poses:
     @cached_property
     def orientations(self) -> Rotation | None:
         """The logged orientations; None where they are not logged in full."""
-        columns, turned = self.columns, self.values[:, len(self.columns.position) :]
-        if columns.quaternion is not None:
-            return Rotation.from_quat(turned, scalar_first=True)
-        if columns.rotation_vector is not None:
-            return Rotation.from_rotvec(turned)
-        if columns.angles is not None and len(columns.angles.columns) == 3:
-            return Rotation.from_euler(columns.angles.turning[0], turned)
-        return None
-
-    @cached_property
-    def components(self) -> tuple[tuple[str, str], ...]:
-        """Names of the compared components, with units: of a whole orientation the rotation between the two."""
-        columns = self.columns
-        named = [(column, "m") for column in columns.position.values()]
-        if columns.angles is not None:
-            return (*named, *((column, "rad") for column in columns.angles.turning[1]))
-        return (*named, *((f"turn about {axis}", "rad") for axis in "xyz" if self.orientations is not None))
+        return self.columns.orientations(self.values[:, len(self.columns.position) :])
 
 
 Frames = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -139,7 +122,7 @@ class PoseFit:
     def free(self) -> np.ndarray:
         """Entries of ``moved`` that are unknown (7 + 6 runs,)."""
         source = self.poses.columns.source
-        turns = any(unit == "rad" for _, unit in self.poses.components)
+        turns = any(unit == "rad" for _, unit in self.poses.columns.components)
         marker, tracker = source != "controller", source == "tracker"
         # where only a position is logged, nobody sees how a marker is turned
         return np.repeat([True, marker, marker and turns, tracker], [1, 3, 3, len(self.moved) - 7])
@@ -178,8 +161,7 @@ class PoseFit:
     def _slope(self, other: np.ndarray) -> np.ndarray:
         """Compute the weighted derivative (N m,) of the computed pose from what is apart after a STEP."""
         less = self.apart - other
-        angles = [unit == "rad" for _, unit in self.poses.components]
-        less[:, angles] = within_a_turn(less[:, angles])
+        less = np.where([unit == "rad" for _, unit in self.poses.columns.components], within_a_turn(less), less)
         return (less / STEP * self.poses.weights).reshape(-1)
 
     def column(self, constant: int) -> np.ndarray:
@@ -241,8 +223,8 @@ def fit_poses(fit: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
     @lru_cache(maxsize=2)
     def at(*unknowns: float) -> PoseFit | None:
         """Return the fit at these unknowns (k,); None where the loops cannot follow."""
-        moved, change, count = start.moved.copy(), start.change.copy(), len(unknowns) - len(places)
-        moved[free], change[places] = unknowns[:count], unknowns[count:]
+        moved, change = start.moved.copy(), start.change.copy()
+        moved[free], change[places] = np.split(unknowns, [len(unknowns) - len(places)])
         if not places:
             return replace(start, moved=moved)
         c = geometry.close(start.c, start.change, change)
@@ -262,7 +244,7 @@ def fit_poses(fit: PoseFit, chosen: Sequence[int]) -> PoseFit | None:
     except ValueError:  # not finite, as the loops cannot follow
         return None
     fitted = at(*solved.x)
-    return fitted if fitted is not None and np.isfinite(fitted.columns).all() else None
+    return fitted if fitted and np.isfinite(fitted.columns).all() else None
 
 
 def geometry_test(
@@ -279,23 +261,21 @@ def geometry_test(
     candidates = alone
     for k in range(MOST):
         progress("geometry", k + 1, MOST + 1)
-        better = _better(fit, candidates, length)
-        if better is None:
+        if (better := _better(candidates, length)) is None:
             break
         fit, candidates = better, _candidates(better)
     progress("geometry", MOST + 1, MOST + 1)
-    body = columns.body or model.robot.tool
-    return _tested(body, [poses.run for poses in logged], given, fit, alone, length)
+    return _tested(columns.body or model.robot.tool, [poses.run for poses in logged], given, fit, alone, length)
 
 
-Candidate = tuple[float, int, float, float, PoseFit | None]
-"""Squares that a further constant leaves, its number, change and standard deviation, and its fit beyond first order."""
+Candidate = tuple[float, int, ConstantChange, PoseFit | None]
+"""Squares that a further constant leaves, its number and change, and its fit beyond first order."""
 
 
 def _candidates(fit: PoseFit) -> list[Candidate]:
     """List the constants with an effect of their own that could be freed next, best first, the likely ones fitted."""
     residual, candidates = fit.beyond(fit.residual), list[Candidate]()
-    for k in range(len(fit.poses.geometry.constants)):
+    for k, constant in enumerate(fit.poses.geometry.constants):
         column = fit.column(k)
         effect = fit.beyond(column)
         size = float(effect @ effect)
@@ -303,24 +283,26 @@ def _candidates(fit: PoseFit) -> list[Candidate]:
             continue
         change = float(effect @ residual / size)
         rest = residual - change * effect
-        std = float(fit.scatter((effect * rest)[None])[0]) / size
-        candidates.append((float(rest @ rest), k, change, std, None))
+        std, left = float(fit.scatter((effect * rest)[None])[0]) / size, float(rest @ rest)
+        changed = ConstantChange(constant.name, constant.value, change, std, constant.unit, 1 - left / fit.rest)
+        candidates.append((left, k, changed, None))
     candidates.sort(key=lambda candidate: candidate[0])
-    for place, (squares, k, *_) in enumerate(candidates[:TRIED]):
-        likely = 1 - squares / fit.rest > GEOMETRY_SHARE * GEOMETRY_LIKELY
+    for place, (_, k, changed, _) in enumerate(candidates[:TRIED]):
+        likely = changed.share > GEOMETRY_SHARE * GEOMETRY_LIKELY
         if likely and (fitted := fit_poses(fit, (*fit.chosen, k))):
-            candidates[place] = fitted.rest, k, float(fitted.change[k]), float(fitted.std[-1]), fitted
+            change, share = float(fitted.change[k]), 1 - fitted.rest / fit.rest
+            changed = replace(changed, change=change, std=float(fitted.std[-1]), share=share)
+            candidates[place] = fitted.rest, k, changed, fitted
     return sorted(candidates, key=lambda candidate: candidate[0])
 
 
-def _better(before: PoseFit, candidates: Sequence[Candidate], length: float) -> PoseFit | None:
+def _better(candidates: Sequence[Candidate], length: float) -> PoseFit | None:
     """Return the fit with the best further constant if it explains much and its change is significant and large."""
-    for rest, k, change, std, fit in candidates:
+    for _, _, constant, fit in candidates:
         if fit is not None:
-            constant = before.poses.geometry.constants[k]
             scale = constant.value or (length if constant.unit == "m" else 1.0)
-            explains = 1 - rest / before.rest > GEOMETRY_SHARE
-            return fit if explains and abs(change) > max(GEOMETRY_STD * std, GEOMETRY_CHANGE * scale) else None
+            large = abs(constant.change) > max(GEOMETRY_STD * constant.std, GEOMETRY_CHANGE * scale)
+            return fit if large and constant.share > GEOMETRY_SHARE else None
     return None
 
 
@@ -328,35 +310,30 @@ def _tested(
     body: str, runs: Sequence[str], given: PoseFit, fit: PoseFit, tried: Sequence[Candidate], length: float
 ) -> GeometryTest:
     """Collect what constants of the geometry explain: from ``given`` frames alone, and with those that ``fit`` has."""
-    poses, constants = given.poses, given.poses.geometry.constants
+    poses = given.poses
     # residuals (N, m) in m and rad that the free constants and frames do not explain
     parts = [state.beyond(state.residual).reshape(len(poses.run), -1) / poses.weights for state in (given, fit)]
     distances = {}
     for kind, unit in (("position", "m"), ("angle", "rad")):
-        if places := [j for j, component in enumerate(poses.components) if component[1] == unit]:
+        if places := [j for j, component in enumerate(poses.columns.components) if component[1] == unit]:
             before, after = (float(np.sqrt(np.mean(np.sum(part[:, places] ** 2, axis=1)))) for part in parts)
             distances[kind] = before, after
-    alone = {
-        k: ConstantChange(constants[k].name, constants[k].value, change, std, constants[k].unit, 1 - rest / given.rest)
-        for rest, k, change, std, _ in tried
-    }
-    stds = fit.std[len(fit.std) - len(fit.chosen) :].tolist()
-    explained = [
-        replace(alone[k], change=float(fit.change[k]), std=std) for k, std in zip(fit.chosen, stds, strict=True)
-    ]
+    alone = {k: change for _, k, change, _ in tried}
+    chosen = zip(fit.chosen, fit.std[len(fit.std) - len(fit.chosen) :].tolist(), strict=True)
+    explained = [replace(alone[k], change=float(fit.change[k]), std=std) for k, std in chosen]
     if len(explained) == 1:
         most = GEOMETRY_ALIKE * next(rest for rest, k, *_ in tried if k == fit.chosen[0])
         alike = [alone[k].name for rest, k, *_ in tried if k != fit.chosen[0] and rest < most]
         explained = [replace(explained[0], alike=tuple(alike))]
-    far = "position" in distances and distances["position"][1] > GEOMETRY_RMS * length
+    far = distances.get("position", (0.0, 0.0))[1] > GEOMETRY_RMS * length
     residuals = []
     for number, run in enumerate(runs):
         mine = poses.run == number
-        for j, (name, unit) in enumerate(poses.components):
+        for j, (name, unit) in enumerate(poses.columns.components):
             before, after = (part[mine, j] for part in parts)
             rms, rest = (float(np.sqrt(np.mean(part**2))) for part in (before, after))
-            mean = float(np.mean(before))
-            residuals.append(PoseResidual(run, name, unit, rms, mean, rest, poses.time[mine], before, after))
+            bias, time = float(np.mean(before)), poses.time[mine]
+            residuals.append(PoseResidual(run, name, unit, rms, bias, rest, time, before, after))
     return GeometryTest(
         body=body,
         source=poses.columns.source,
@@ -365,7 +342,7 @@ def _tested(
         explained_by=tuple(explained),
         share=1 - fit.rest / given.rest,
         tried=tuple(alone.values()),
-        unseen=tuple(constant.name for k, constant in enumerate(constants) if k not in alone),
+        unseen=tuple(constant.name for k, constant in enumerate(poses.geometry.constants) if k not in alone),
         delay=(poses.delay + float(fit.moved[0]), float(fit.std[0])),
         residuals=tuple(residuals),
     )
@@ -402,15 +379,13 @@ def fit_frames(
             c = model.path(earlier, instants(log.run, time[at]))
             parts.append((np.asarray(log.values[at]), qd, time[at] - time[0], np.full(len(at), k), stretch, c.T))
         values, qd, since, run, stretch, c = map(np.concatenate, zip(*parts, strict=True))
-        poses = Poses(geometry, columns, values, qd, since, run, stretch, np.ones(1), delay)
-        return poses, c.T.copy()
+        return Poses(geometry, columns, values, qd, since, run, stretch, np.ones(1), delay), c.T.copy()
 
     def fitted(delay: float) -> PoseFit:
         poses, c = sampled(delay)
         change = np.zeros(len(geometry.constants))
-        body = geometry.pose(c, change)
-        frames = guessed_frames(poses, body)
-        fit = fit_poses(PoseFit(poses, frames, np.zeros(7 + 6 * len(logged)), change, c, body), ())
+        body, still = geometry.pose(c, change), np.zeros(7 + 6 * len(logged))
+        fit = fit_poses(PoseFit(poses, guessed_frames(poses, body), still, change, c, body), ())
         assert fit is not None  # without other constants the loops stay closed
         shown = np.flatnonzero(np.isfinite(fit.body.by_constants).all(axis=(0, 1)))
         rest = replace(fit, chosen=tuple(shown.tolist())).beyond(fit.residual).reshape(fit.apart.shape)

@@ -7,7 +7,7 @@ the base are wrenches on a body.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
@@ -16,6 +16,9 @@ from gtau.documents.validation import Keys
 from gtau.errors import GtauError
 from gtau.robots.placement import WrenchFrame, turn
 from gtau.robots.robot import base_rows
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
 
 VERTICAL = np.array([0.0, 0.0, 1.0])
 
@@ -223,3 +226,24 @@ class PoseColumns(Keys):
         angles = self.angles.turning[1] if self.angles else ()
         quaternion = [self.quaternion[axis] for axis in ("w", "x", "y", "z")] if self.quaternion else ()
         return (*self.position.values(), *angles, *quaternion, *(self.rotation_vector or ()))
+
+    @property
+    def components(self) -> tuple[tuple[str, str], ...]:
+        """Names and units of what is compared: of a whole orientation the rotation between two."""
+        position = [(column, "m") for column in self.position.values()]
+        if self.angles is not None:
+            return (*position, *((column, "rad") for column in self.angles.turning[1]))
+        whole = self.quaternion is not None or self.rotation_vector is not None
+        return (*position, *((f"turn about {axis}", "rad") for axis in "xyz" if whole))
+
+    def orientations(self, turned: np.ndarray) -> Rotation | None:
+        """Convert the columns behind the position (N, .); None where these are no whole orientation."""
+        from scipy.spatial.transform import Rotation
+
+        if self.quaternion is not None:
+            return Rotation.from_quat(turned, scalar_first=True)
+        if self.rotation_vector is not None:
+            return Rotation.from_rotvec(turned)
+        if self.angles is not None and len(self.angles.columns) == 3:
+            return Rotation.from_euler(self.angles.turning[0], turned)
+        return None
