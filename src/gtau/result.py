@@ -11,8 +11,7 @@ import numpy as np
 from gtau.documents.validation import FUNCTION, MASSES, NUMBER, PATH, TEXT, TRUTH, takes
 from gtau.errors import GtauError, UnknownName, spelled
 from gtau.estimation import check_logs
-from gtau.estimation.compare import EstimatorComparison
-from gtau.estimation.compare import compare as compare_estimators
+from gtau.estimation.compare import EstimatorComparison, compare as compare_estimators
 from gtau.estimation.experiment_runs import ACCURACY, options_of
 from gtau.estimation.results import model_file
 from gtau.estimation.results.estimate import Estimate, TorqueError
@@ -23,8 +22,7 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
-from gtau.uses import identified
-from gtau.uses import identify as uses
+from gtau.uses import identified, identify as uses
 from gtau.uses.logs import draft
 from gtau.uses.prediction import Prediction, predict, torques, validate
 

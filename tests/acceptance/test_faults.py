@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from five_bar_logs import GAINS as FIVE_BAR_GAINS
-from five_bar_logs import STEEL, Plant
+from five_bar_logs import GAINS as FIVE_BAR_GAINS, STEEL, Plant
 from orthoglide_logs import experiment
 
 import gtau.model.base_parameters

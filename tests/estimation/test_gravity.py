@@ -21,8 +21,7 @@ from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.geometry import float_base
 from gtau.robots.readers.native import write_native
-from gtau.robots.robot import STANDARD_GRAVITY as G
-from gtau.robots.robot import Robot
+from gtau.robots.robot import STANDARD_GRAVITY as G, Robot
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.run import Run
 

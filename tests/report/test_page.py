@@ -16,8 +16,7 @@ from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, e
 from gtau.report.motion import paths_chart
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.render.charts import figure_of, palette
-from gtau.report.render.html import arrays_for, frame, html, spec_of
-from gtau.report.render.html import words as in_html
+from gtau.report.render.html import arrays_for, frame, html, spec_of, words as in_html
 from gtau.report.render.svg import svg_of
 from gtau.report.render.terminal import plain
 from gtau.report.torques import stretches

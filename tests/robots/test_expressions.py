@@ -7,8 +7,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gtau.documents import expressions
 from gtau.documents.expressions import MAX_LENGTH, evaluate, linear

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gtau.campaigns import decision as decisions
-from gtau.campaigns import folder as files
+from gtau.campaigns import decision as decisions, folder as files
 from gtau.campaigns.candidates import Candidate, beside_the_axis, candidates, expected_width, next_task, played_again
 from gtau.campaigns.decision import Decision, decide, identified, listed
 from gtau.campaigns.folder import DESIGN, PLAYED, Round, read_design_file, read_rounds, read_settings

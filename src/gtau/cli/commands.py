@@ -10,8 +10,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gtau import __version__
-from gtau.cli.doors import app as app_command
-from gtau.cli.doors import mcp
+from gtau.cli.doors import app as app_command, mcp
 from gtau.cli.identification import campaign, compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate

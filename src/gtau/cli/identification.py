@@ -140,8 +140,7 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
     hold(out)
     experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
-        from gtau.estimation.compare import compare as run
-        from gtau.estimation.compare import to_document
+        from gtau.estimation.compare import compare as run, to_document
         from gtau.report.comparison import comparison_page
         from gtau.report.evidence import inputs_of
         from gtau.report.render.html import write_report
@@ -174,8 +173,7 @@ def fleet(
     The command again identifies only missing or changed robots.
     """
     hold(out)
-    from gtau.fleets.fleet import fleet as run
-    from gtau.fleets.fleet import read_fleet
+    from gtau.fleets.fleet import fleet as run, read_fleet
     from gtau.fleets.page import fleet_document, fleet_page, write_fleet
     from gtau.report.render.html import write_report
 

@@ -124,8 +124,7 @@ def excite(
     masses = _masses(payload_mass) if payload_mass else ()
     hold(out)
     with progress_bar() as progress:
-        from gtau.excitation.design import Design, Stopped
-        from gtau.excitation.design import excite as run
+        from gtau.excitation.design import Design, Stopped, excite as run
         from gtau.excitation.design_file import read_design
         from gtau.excitation.forecast import Outlook
         from gtau.report import design as pages

@@ -94,8 +94,7 @@ def watch(
     from gtau.estimation.results.model_file import load
     from gtau.signals.reading.experiment import read_experiment
     from gtau.uses.identify import read_log, require_payload
-    from gtau.watch.follow import follow as followed
-    from gtau.watch.follow import logs_of
+    from gtau.watch.follow import follow as followed, logs_of
     from gtau.watch.watch import Watch
 
     sources = logs or []

@@ -20,8 +20,7 @@ from gtau import __version__
 from gtau.doors.command import Command, within
 from gtau.errors import GtauError
 from gtau.extensions import names
-from gtau.pages import explain as rows_of
-from gtau.pages import pages, said
+from gtau.pages import explain as rows_of, pages, said
 
 USAGE = """gtau identifies drive gains and dynamic parameters of a robot from logs of positions and motor currents.
 The order is check, identify, validate or weigh, export. Files are named relative to the folder of the server; nothing

@@ -238,8 +238,7 @@ def _work(expected: str, function: Function, item: Any) -> Any:
 
 
 def _dask_failure(error: BaseException) -> GtauError:
-    from distributed import CancelledError as DaskCancelledError
-    from distributed import KilledWorker
+    from distributed import CancelledError as DaskCancelledError, KilledWorker
     from distributed.comm.core import CommClosedError
 
     if isinstance(error, KilledWorker):

@@ -28,8 +28,7 @@ from gtau.report.motion import TIME, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label
 from gtau.report.parameters import friction_chart
 from gtau.report.render.charts import figure_of, robot_figure
-from gtau.report.render.html import frame, stamped
-from gtau.report.render.html import html as rendered
+from gtau.report.render.html import frame, html as rendered, stamped
 from gtau.report.torques import torques_chart
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot

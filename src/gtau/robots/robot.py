@@ -11,10 +11,7 @@ import numpy as np
 
 from gtau.documents.validation import name_problem
 from gtau.errors import GtauError, UnknownName, spelled
-from gtau.robots.placement import Digits, compose
-from gtau.robots.placement import Mdh as Mdh
-from gtau.robots.placement import Placement as Placement
-from gtau.robots.placement import Pose as Pose
+from gtau.robots.placement import Digits, Mdh as Mdh, Placement as Placement, Pose as Pose, compose
 
 GROUND = "ground"
 JointKind = Literal["revolute", "prismatic"]
@@ -278,8 +275,7 @@ class Robot:
     @property
     def driven(self) -> frozenset[str]:
         """Names of the joints that a motor moves itself, or that are coupled to one."""
-        coupled = {name for tie in self.couplings for name in tie.terms}
-        return frozenset(coupled.union(self.actuated))
+        return frozenset(self.actuated).union(*(tie.terms for tie in self.couplings))
 
     def joint(self, name: str) -> Joint:
         """Return the joint with this name; raises GtauError if there is none."""
@@ -308,10 +304,8 @@ def _problems(robot: Robot) -> Iterator[str]:
     known = {GROUND}
     for joint in robot.joints:
         if joint.antecedent not in known:
-            yield (
-                f"joint '{joint.name}' has the antecedent '{joint.antecedent}', which is not a joint listed before it; "
-                f"write '{GROUND}' or move the antecedent up"
-            )
+            which = f"joint '{joint.name}' has the antecedent '{joint.antecedent}'"
+            yield f"{which}, which is not a joint listed before it; write '{GROUND}' or move the antecedent up"
         yield from _joint_problems(joint)
         known.add(joint.name)
     for platform in robot.platforms:
@@ -351,10 +345,8 @@ def _joint_problems(joint: Joint) -> Iterator[str]:
         yield f"the axis of joint '{joint.name}' is not a unit vector; divide it by its length"
     low, high = joint.limits.position or (0.0, 1.0)
     if not low < high:
-        yield (
-            f"the position limits of joint '{joint.name}' are {low:g} to {high:g}; write the lower one first, or "
-            "leave them out"
-        )
+        which = f"the position limits of joint '{joint.name}' are {low:g} to {high:g}"
+        yield f"{which}; write the lower one first, or leave them out"
     for quantity in ("velocity", "acceleration", "effort"):
         value = getattr(joint.limits, quantity)
         if value is not None and not value > 0.0:
@@ -380,10 +372,8 @@ def _coupling_problems(what: str, coupling: Coupling, joints: Collection[str]) -
         if not ratio:
             yield f"{what} of '{coupling.joint}' has a ratio of zero; leave that joint out"
         elif not 1.0 / RATIO <= abs(ratio) <= RATIO:
-            yield (
-                f"{what} gives '{coupling.joint}' from '{name}' by a ratio of {ratio:g}, which no gear has; write one "
-                f"between {1.0 / RATIO:g} and {RATIO:g} in size, rad and m"
-            )
+            which = f"{what} gives '{coupling.joint}' from '{name}' by a ratio of {ratio:g}, which no gear has"
+            yield f"{which}; write one between {1.0 / RATIO:g} and {RATIO:g} in size, rad and m"
 
 
 def _palm(robot: Robot, links: list[str]) -> str:

@@ -24,8 +24,7 @@ from gtau.model.closures import closure_expressions, solve
 from gtau.model.dynamics import torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates
-from gtau.model.loops import advance as follow
-from gtau.model.loops import pose_words
+from gtau.model.loops import advance as follow, pose_words
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.simulation.joint_friction import JointFriction, plain_friction
 

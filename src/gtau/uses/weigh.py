@@ -16,8 +16,7 @@ from gtau.estimation.diagnostics.scale import scale_uncertainty
 from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import fit_by, wls
-from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.estimators.newton import solve as newton
+from gtau.estimation.estimators.newton import degrees_of_freedom, solve as newton
 from gtau.estimation.experiment_runs import Subject, options_of, read
 from gtau.estimation.preconditions import given_gains, refuse_repeated
 from gtau.estimation.regression.assembly import FEWEST_ROWS

@@ -18,8 +18,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.descriptions import ALIKE, LEFT, described_otherwise, refitted, residual_ratio
 from gtau.estimation.effects.effect import EstimatedEffect, rms_torques, window_motion
-from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY
-from gtau.estimation.effects.known.gravity import clock_words, gravity_changes
+from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY, clock_words, gravity_changes
 from gtau.estimation.effects.rows import fitted_sizes
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls

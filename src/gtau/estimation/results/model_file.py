@@ -27,8 +27,7 @@ from gtau.documents.files import MODEL, json_in, refuse_other_kind, system_refus
 from gtau.documents.validation import LARGEST, Positive, unknown, validate
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.geometry import GeometryTest, from_document
-from gtau.estimation.diagnostics.geometry import to_document as geometry_document
+from gtau.estimation.diagnostics.geometry import GeometryTest, from_document, to_document as geometry_document
 from gtau.estimation.diagnostics.inertia_audit import InertiaAudit
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.estimators import GROUP, NAMES
@@ -152,8 +151,8 @@ def _method(name: str) -> str:
     return name
 
 
-def _recording(recording: Recording | None) -> dict[str, Any] | None:
-    return None if recording is None else recording.model_dump(mode="json", exclude_defaults=True)
+def _recording(recording: Recording) -> dict[str, Any]:
+    return recording.model_dump(mode="json", exclude_defaults=True)
 
 
 def _statistics(figures: dict[str, float]) -> dict[str, float]:
@@ -275,7 +274,7 @@ class ModelDocument(_Group):
     requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
     effects: tuple[Annotated[EstimatedEffect, PlainSerializer(_effect)], ...]
     singularities: tuple[NearestPose, ...]
-    recording: Annotated[Recording | None, PlainSerializer(_recording)] = None
+    recording: Annotated[Recording, PlainSerializer(_recording)] | None = None
     temperatures: ReferenceTemperatures | None = None
     geometry: Annotated[GeometryTest, _entry(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None
@@ -376,10 +375,8 @@ def _finite(text: str) -> float:
 def _problems(result: IdentifiedModel) -> Iterator[str]:
     """List what the keys of a file cannot show: values that do not belong together."""
     robot = result.robot
-    for what, estimates, joints in (
-        ("drive gains", result.drive_gains, robot.motors),
-        ("delays", result.delays, robot.actuated),
-    ):
+    listed = {"drive gains": (result.drive_gains, robot.motors), "delays": (result.delays, robot.actuated)}
+    for what, (estimates, joints) in listed.items():
         if tuple(estimates) != joints:
             yield f"the {what} are not of the joints {', '.join(joints)}"
         if any(estimate.value is None for estimate in estimates.values()):
@@ -387,13 +384,11 @@ def _problems(result: IdentifiedModel) -> Iterator[str]:
     preparation = result.preparation
     if preparation.cutoff and 0 < preparation.rate <= 2 * preparation.cutoff:
         yield f"'preparation.cutoff' is {preparation.cutoff:g} Hz, more than half the rate"
-    cutoffs = len(preparation.prediction_cutoffs)
-    noise = len(preparation.position_noise)
+    cutoffs, noise = len(preparation.prediction_cutoffs), len(preparation.position_noise)
     if not {cutoffs, noise} <= {0, len(robot.actuated)} or cutoffs > noise:
         yield "'prediction_cutoffs' and 'position_noise' do not have a value for each joint"
-    names = {joint.name for joint in robot.joints}
     for key, named in (("curves", result.curves), ("logged_speeds", result.logged_speeds)):
-        if strange := named.keys() - names:
+        if strange := named.keys() - {joint.name for joint in robot.joints}:
             yield f"'{key}' names '{min(strange)}', which is no joint"
     for name, estimate in result.friction.items():
         if name.kind in SHAPES and not (estimate.value or 0.0) > 0:
