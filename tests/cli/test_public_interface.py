@@ -19,7 +19,7 @@ import gtau
 from gtau.cli.console import progress_lines
 from gtau.estimation.compare import EstimatorComparison, MethodRow
 from gtau.findings import Grade
-from gtau.report.comparison import comparison_page
+from gtau.report.gains import comparison_page
 from gtau.report.render.terminal import plain
 
 ROOT = Path(__file__).parents[2]

@@ -25,7 +25,7 @@ from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.model.home import load_robot
-from gtau.report.comparison import comparison_table
+from gtau.report.gains import comparison_table
 from gtau.result import Result, compare, identify
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Payload, Prior

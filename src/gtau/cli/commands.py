@@ -10,12 +10,11 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from gtau import __version__
-from gtau.cli.doors import app as app_command, mcp
 from gtau.cli.identification import campaign, compare, fleet, identify
 from gtau.cli.logs import check, init
 from gtau.cli.models import export, payload, use, validate
 from gtau.cli.robots import demo, docs, excite, robot, simulate, tutorial
-from gtau.cli.watch import watch
+from gtau.cli.watch import app as app_command, mcp, watch
 from gtau.extensions import names
 
 

@@ -141,8 +141,8 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
     experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
         from gtau.estimation.compare import compare as run, to_document
-        from gtau.report.comparison import comparison_page
         from gtau.report.evidence import inputs_of
+        from gtau.report.gains import comparison_page
         from gtau.report.render.html import write_report
         from gtau.signals.reading.experiment import read_experiment
 

@@ -1,7 +1,8 @@
-"""The command that watches robots log by log."""
+"""Commands that stay: watch follows robots log by log; app and mcp serve a page and an agent."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -22,8 +23,12 @@ from gtau.cli.console import (
     refusing,
     seconds,
 )
+from gtau.cli.identification import identify
+from gtau.cli.logs import check
+from gtau.cli.models import export, payload, validate
+from gtau.cli.robots import excite, robot
 from gtau.documents.files import refuse_as_folder
-from gtau.errors import GtauError
+from gtau.errors import GtauError, missing_extra
 
 if TYPE_CHECKING:
     from gtau.watch.follow import Read
@@ -193,3 +198,33 @@ def _fleet(folder: Path, as_json: bool) -> None:
     answer(as_json, lambda: lines, lambda: page, [write_report(page, folder, seconds())])
     if any(line["state"] in STATES[:2] for line in lines):
         raise typer.Exit(3)
+
+
+@refusing
+def app(
+    folder: Annotated[Path, argument("FOLDER", "Folder of the project.")] = Path(),
+    port: Annotated[int, option("PORT", "Default: a free one.", min=0, max=65535)] = 0,
+    browser: Annotated[bool, option("", "Open the page in a browser.", "--browser/--no-browser")] = True,
+) -> None:
+    """Open a page in the browser: drop a robot file and logs. Nothing leaves this machine."""
+    from gtau.doors.app import serve
+
+    serve(folder, port, browser)
+
+
+@refusing
+def mcp(
+    folder: Annotated[Path, argument("FOLDER", "Folder to which alone it writes; default: this one.")] = Path(),
+) -> None:
+    """Serve an agent over stdin and stdout, by the Model Context Protocol: its client starts this command."""
+    try:
+        from gtau.doors.mcp import serve
+    except ImportError:
+        raise missing_extra("serving an agent", "mcp", "mcp") from None
+    if sys.stdin.isatty():
+        typer.echo("gtau: the client of an agent starts this command and speaks to it; Ctrl-C ends it.", err=True)
+    same = {command.__name__: command for command in (check, identify, validate, export, robot)}
+    try:
+        serve(folder, same | {"weigh": payload, "design_motion": excite})
+    except* BrokenPipeError:  # the client is gone
+        pass

@@ -20,9 +20,16 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.report import uncertainty
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.check import check_page
-from gtau.report.comparison import comparison_page
 from gtau.report.evidence import RunEvidence, gather, settings_of
-from gtau.report.gains import VALUE, gains_chart, gains_section, payloads_section, unknown_payloads, value_cells
+from gtau.report.gains import (
+    VALUE,
+    comparison_page,
+    gains_chart,
+    gains_section,
+    payloads_section,
+    unknown_payloads,
+    value_cells,
+)
 from gtau.report.identification import report_page, verdict_section
 from gtau.report.motion import TIME, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label
