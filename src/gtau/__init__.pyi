@@ -32,7 +32,7 @@ from .signals.reading.units import Units as Units
 from .signals.run import Run as Run, read_run as read_run
 from .simulation.simulate import Simulation as Simulation, simulate as simulate
 from .uses.external_torques import momentum_observer as momentum_observer
-from .uses.logs import draft as draft
+from .uses.identify import draft as draft
 from .uses.prediction import Prediction as Prediction
 from .uses.weigh import weigh as weigh
 from .watch.watch import Watch as Watch

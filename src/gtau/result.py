@@ -23,7 +23,7 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identified, identify as uses
-from gtau.uses.logs import draft
+from gtau.uses.identify import draft
 from gtau.uses.prediction import Prediction, predict, torques, validate
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from gtau.cli.commands import app
 from gtau.demo import write_tutorial
 from gtau.excitation.design_file import EXAMPLE
 from gtau.findings import Finding, Grade
-from gtau.uses.logs import in_python
+from gtau.uses.identify import in_python
 
 SIGNALS = {"time": "t", "position": {"left": "q1", "right": "q2"}, "current": {"left": "v1", "right": "v2"}}
 

@@ -19,8 +19,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.fleets import fleet
 from gtau.fleets.fleet import Member, identify_fleet, read_fleet
-from gtau.fleets.page import fleet_page
-from gtau.fleets.table import Report, fleet_table
+from gtau.fleets.table import Report, fleet_page, fleet_table
 from gtau.fleets.workers import serial_map
 from gtau.report.render.terminal import plain
 from gtau.result import identify, load

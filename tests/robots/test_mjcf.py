@@ -19,8 +19,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, poses
 from gtau.model.loop_closure import loop_errors
 from gtau.robots.readers.mjcf import as_written, read_mjcf
-from gtau.robots.readers.mjcf_file import compile_mjcf
-from gtau.robots.readers.mjcf_guard import refuse_deadly
+from gtau.robots.readers.mjcf_file import compile_mjcf, refuse_deadly
 from gtau.robots.readers.native import read_native, write_native
 from gtau.robots.readers.source import RobotSource
 from gtau.robots.readers.xml_document import read_xml

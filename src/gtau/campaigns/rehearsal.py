@@ -22,7 +22,7 @@ from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress
 from gtau.report.design import trajectory_table
 from gtau.robots.parameter import torque_unit
-from gtau.robots.readers.mjcf_guard import refuse_deadly
+from gtau.robots.readers.mjcf_file import refuse_deadly
 from gtau.signals.reading.logs import read_log
 from gtau.signals.reading.statements import FIRST_MOMENTS
 from gtau.simulation.simulate import simulate

@@ -174,7 +174,7 @@ def fleet(
     """
     hold(out)
     from gtau.fleets.fleet import fleet as run, read_fleet
-    from gtau.fleets.page import fleet_document, fleet_page, write_fleet
+    from gtau.fleets.table import fleet_document, fleet_page, write_fleet
     from gtau.report.render.html import write_report
 
     try:

@@ -211,7 +211,7 @@ def experiment_of(
     if others := [source for source in sources if source.suffix in EXPERIMENTS or kind_of(source) == EXPERIMENT]:
         raise GtauError(f"{others[0]} is an experiment file; give either it or logs.")
     from gtau.signals.reading.drafting import guesses, write_draft
-    from gtau.uses.logs import drafted
+    from gtau.uses.identify import drafted
 
     if out is None:
         hold(Path(default))

@@ -107,7 +107,7 @@ class FleetTable(FleetGains):
 
     def summary(self) -> str:
         """Summarise the fleet as text, as ``gtau fleet`` prints it."""
-        from gtau.fleets.page import fleet_page
+        from gtau.fleets.table import fleet_page
         from gtau.report.render.terminal import plain
 
         return plain(fleet_page(self))

@@ -15,7 +15,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series, colour, intervals
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
-from gtau.signals.spectrum import fast_length
+from gtau.signals.preparation.filters import fast_length
 
 SEGMENT = 256  # most samples in a segment of the spectrum
 FEWEST = 16  # samples needed for a statistic

@@ -29,8 +29,7 @@ from gtau.signals.preparation.bandwidth import position_noise
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF, Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.statements import Payload
-from gtau.signals.run import Run
-from gtau.signals.spectrum import taper
+from gtau.signals.run import Run, taper
 from gtau.signals.storage import spans
 
 if TYPE_CHECKING:

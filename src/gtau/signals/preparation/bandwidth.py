@@ -14,8 +14,7 @@ import numpy as np
 
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF
 from gtau.signals.reading.samples import extremes
-from gtau.signals.run import Run
-from gtau.signals.spectrum import second_differences
+from gtau.signals.run import Run, second_differences
 
 SPEED_POWER = 0.999  # share of a joint's speed power below its bandwidth
 BANDS = 6  # an octave, each a third of an octave wide

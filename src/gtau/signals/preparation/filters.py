@@ -15,7 +15,6 @@ from typing import Literal
 
 import numpy as np
 
-from gtau.signals.spectrum import fast_length
 from gtau.signals.storage import block, spans
 
 STENCIL = 2  # samples that a central difference reaches to either side
@@ -280,3 +279,9 @@ def decimation_factor(rate: float, bandwidth: float, most: int = MAX_FACTOR) -> 
     twice the bandwidth.
     """
     return int(min(max(PASSED / 2 * rate // (2 * bandwidth), 1), most))
+
+
+def fast_length(length: int) -> int:
+    """Return the length (at least this one, at most a sixteenth longer) of a quick Fourier transform."""
+    unit = 1 << max(length.bit_length() - 5, 0)
+    return -(-length // unit) * unit
