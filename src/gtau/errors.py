@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from typing import Any, TypeVar
 from unicodedata import category
 
@@ -33,6 +34,12 @@ def short(value: object, longest: int = LONGEST) -> str:
 def quoted(value: object) -> str:
     """Quote a value of a file so that it fits a sentence."""
     return f"'{short(value)}'"
+
+
+def meant(name: str, choices: Iterable[str], otherwise: str = "", cutoff: float = 0.6) -> str:
+    """Ask whether the closest of some choices was meant; ``otherwise`` where none is close."""
+    close = get_close_matches(name, [*choices], n=1, cutoff=cutoff)
+    return f"did you mean '{close[0]}'?" if close else otherwise
 
 
 def tidy(sentence: str) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from functools import wraps
 from inspect import signature
 from numbers import Integral, Real
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ParamSpec, TypeVar
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from gtau.documents.yaml_document import Document, KeyPath
-from gtau.errors import GtauError
+from gtau.errors import GtauError, meant
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -101,9 +100,7 @@ def unknown(what: str, name: str, choices: typing.Iterable[str]) -> str:
     """Report that `what` is unknown, with the closest of `choices` to `name`, or with all of them."""
     choices = sorted(choices)
     cutoff = 0.5 if len(name) <= 2 else 0.52  # one letter of two is close
-    if close := get_close_matches(name, choices, n=1, cutoff=cutoff):
-        return f"unknown {what}; did you mean '{close[0]}'?"
-    return f"unknown {what}; choose from {', '.join(choices)}"
+    return f"unknown {what}; " + meant(name, choices, f"choose from {', '.join(choices)}", cutoff)
 
 
 def _written(location: KeyPath, data: Any) -> KeyPath:

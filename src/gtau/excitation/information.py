@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import partial
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, meant
 from gtau.estimation.electrical import COMMUTATION
 from gtau.estimation.regression.assembly import plain_problem
 from gtau.estimation.regression.factors import EXTRA, MODEL, Factors, modelled, triangle
@@ -219,9 +218,8 @@ def criterion(name: str, unknowns: Information) -> Criterion:
         wanted = [word.strip() for word in name.split(",")]
         if (unknown := next((word for word in wanted if word not in names), None)) is not None:
             choices = [*NAMED, *np.array(names)[estimated].tolist()]
-            close = get_close_matches(unknown, choices, n=1)
             examples = f"names of gains and base parameters such as {choices[-1]} or {choices[len(NAMED)]}"
-            advice = f"did you mean '{close[0]}'?" if close else f"choose {', '.join(NAMED)}, or {examples}."
+            advice = meant(unknown, choices, f"choose {', '.join(NAMED)}, or {examples}.")
             raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
         chosen = np.isin(names, wanted)
     weight = chosen / unknowns.scale**2 / chosen.sum()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +14,7 @@ import numpy as np
 
 from gtau.documents.files import folder_of, refuse_as_folder, write_atomically
 from gtau.documents.validation import PATH, TEXT, WHOLE, takes
-from gtau.errors import GtauError
+from gtau.errors import GtauError, meant
 from gtau.estimation.results.model_file import load
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.extensions import find, homes, names
@@ -56,8 +55,7 @@ class Export:
 def refuse_unknown(kind: str, kinds: Collection[str]) -> None:
     """Refuse an unknown ``kind``."""
     if kind not in kinds:
-        close = get_close_matches(kind, kinds, n=1)
-        hint = f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(kinds)}."
+        hint = meant(kind, kinds, f"choose from {', '.join(kinds)}.")
         raise GtauError(f"there is no export to '{kind}'; {hint}")
 
 

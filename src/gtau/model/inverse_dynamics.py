@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import cached_property, wraps
 from inspect import signature
 from typing import Any, ParamSpec
@@ -13,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.documents.validation import TEXT, takes
-from gtau.errors import GtauError, UnknownName, spelled
+from gtau.errors import GtauError, UnknownName, meant, spelled
 from gtau.model.dynamics import parameter_names, torques, wrench_torques
 from gtau.model.kinematics import Coordinates
 from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, displaced, follow, numbers
@@ -345,7 +344,6 @@ class InverseDynamics:
                 )
             return vector
         if unknown := next((name for name in chi if name not in names), None):
-            close = get_close_matches(unknown, names, n=1)
-            hint = f"did you mean '{close[0]}'?" if close else "parameter_names lists them."
+            hint = meant(unknown, names, "parameter_names lists them.")
             raise UnknownName(f"the model of '{self.robot.name}' has no standard parameter '{unknown}'; {hint}")
         return np.array([chi.get(name, 0.0) for name in names], dtype=float)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 
 import numpy as np
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, meant
 from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding, Grade, clock_advice, write_limits
 from gtau.model.inverse_dynamics import InverseDynamics
@@ -170,11 +169,10 @@ def check_wrenches(robot: Robot, run: Run) -> None:
     bodies = [body for body in robot.bodies if body not in robot.base]
     for frame in run.wrenches:
         if frame.body not in (*bodies, robot.floating):
-            close = get_close_matches(frame.body, bodies, n=1)
-            hint = f" (did you mean '{close[0]}'?)" if close else ""
+            hint = meant(frame.body, bodies)
             raise GtauError(
                 f"'wrenches' names the body '{frame.body}', but a body of robot '{robot.name}' has the name of its "
-                f"joint: {', '.join(bodies)}; write the joint that moves it{hint}, and, with 'axes: "
+                f"joint: {', '.join(bodies)}; write the joint that moves it{hint and f' ({hint})'}, and, with 'axes: "
                 "body', 'at' in that joint's frame."
             )
 

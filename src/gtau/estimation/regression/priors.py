@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-from gtau.errors import GtauError
+from gtau.errors import GtauError, meant
 from gtau.estimation.regression.factors import KNOWN, MODEL, SIGNAL
 from gtau.estimation.regression.problem import Problem
 from gtau.model.base_parameters import BaseParameters, independent_columns
@@ -167,11 +166,8 @@ def theta_equations(
         if name in standard:
             continue
         if name not in parameters:
-            close = get_close_matches(name, [*standard, *base.names], n=1)
-            raise GtauError(
-                f"'priors' names '{name}', which is no parameter of the robot; "
-                + (f"did you mean '{close[0]}'?" if close else f"write kind and joint, such as '{standard[0]}'.")
-            )
+            hint = meant(name, [*standard, *base.names], f"write kind and joint, such as '{standard[0]}'.")
+            raise GtauError(f"'priors' names '{name}', which is no parameter of the robot; {hint}")
         if prior.value is not None and prior.std is not None:
             row = np.zeros(len(parameters) + 1)
             row[list(parameters).index(name)] = 1 / prior.std

@@ -10,7 +10,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +18,7 @@ import numpy as np
 
 from gtau.documents.files import ROBOT, refuse_other_kind
 from gtau.documents.yaml_document import read_yaml
-from gtau.errors import GtauError, errors_at
+from gtau.errors import GtauError, errors_at, meant
 from gtau.extensions import added, registered
 from gtau.robots.geometry import drawn_base, float_base
 from gtau.robots.parts import hold_joints, listed, lock_joints, select_joints
@@ -150,10 +149,9 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
             raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
     if (described := _described(str(source))) is not None:
         return _read(described, written)
-    close = get_close_matches(str(source), catalog_names(), n=1)
-    hint = f" (did you mean '{close[0]}'?)" if close else ""
+    hint = meant(str(source), catalog_names())
     raise GtauError(
-        f"no robot is called '{source}'{hint}; choose from the catalog ({', '.join(catalog_names())}) "
+        f"no robot is called '{source}'{hint and f' ({hint})'}; choose from the catalog ({', '.join(catalog_names())}) "
         f"or give the path of a file that ends in {ENDINGS}."
     )
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from difflib import get_close_matches
 from glob import escape, has_magic
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +21,7 @@ from pydantic import (
 from gtau.documents.files import EXPERIMENT, NO_FILE, beside, matching, refuse_other_kind
 from gtau.documents.validation import PATH, Keys, Positive, takes, validate
 from gtau.documents.yaml_document import read_yaml
-from gtau.errors import GtauError
+from gtau.errors import GtauError, meant
 from gtau.findings import Finding
 from gtau.robots.parameter import Parameter
 from gtau.robots.readers.source import AnySource, RobotSource
@@ -114,9 +113,8 @@ def _no_file(path: Path) -> str:
     if path.exists():
         return f"'{path}' {NO_FILE}; give the path of a file"
     names = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
-    if close := get_close_matches(path.name, names, n=1):
-        return f"there is no file '{path}'; did you mean '{close[0]}'?"
-    return f"there is no file '{path}'; paths are relative to the file that names them"
+    hint = meant(path.name, names, "paths are relative to the file that names them")
+    return f"there is no file '{path}'; {hint}"
 
 
 class Recording(Keys):

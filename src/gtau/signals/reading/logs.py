@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from gtau.documents.expressions import columns_in
 from gtau.documents.files import system_refusals
-from gtau.errors import GtauError
+from gtau.errors import GtauError, meant
 from gtau.extensions import find
 from gtau.findings import Finding, moment
 from gtau.signals.channel import LINK_SIDE, SIDE_SIGNALS, SideValues
@@ -111,9 +110,9 @@ def _refuse_missing(names: Iterable[str], table: LogTable) -> None:
                 f"1 to {len(columns)}.",
                 source=path,
             )
-        close = get_close_matches(name, columns, n=1)
-        hint = f"did you mean '{close[0]}'? The" if close else "the"
-        raise GtauError(f"there is no column '{name}'; {hint} columns are {listed(columns, 40)}.", source=path)
+        hint = meant(name, columns)
+        the = f"{hint} The" if hint else "the"
+        raise GtauError(f"there is no column '{name}'; {the} columns are {listed(columns, 40)}.", source=path)
 
 
 def read_logs(
