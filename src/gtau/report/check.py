@@ -92,7 +92,6 @@ def check_page(checked: CheckedExperiment) -> Page:
     if preparation is not None:
         bandwidth, cutoff, decimation = preparation_words(preparation)
         settings = Facts({"bandwidth": bandwidth, "position filter": cutoff, "decimation": decimation})
-    speeds = motion.speed_chart(checked.logs[0].run, robot, preparation) if preparation and checked.logs else None
     return Page(
         f"Logs of {checked.robot.name}",
         _verdict(checked),
@@ -102,7 +101,7 @@ def check_page(checked: CheckedExperiment) -> Page:
         Section("Robot and singular poses", robot, motion.singularities_section(nearest), id="robot"),
         geometry_section(checked.geometry),
         Section("Motion", *motions, id="motion"),
-        Section("Preparation", *prepared, speeds, id="preparation"),
+        Section("Preparation", *prepared, id="preparation"),
     )
 
 

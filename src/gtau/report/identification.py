@@ -124,7 +124,7 @@ def report_page(result: IdentifiedModel, runs: Sequence[RunEvidence], prior: Map
         motion_section(result, runs),
         geometry_section(result.geometry),
         _consistency_section(result.consistency),
-        logs_section([run.run for run in runs], result.robot, result.preparation),
+        logs_section([run.run for run in runs]),
         effects_section(result),
     )
     for part in filter(None, details):

@@ -16,8 +16,6 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Text, joint_label, table_of
 from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.bandwidth import spectra
-from gtau.signals.preparation.prepared_run import Preparation
 from gtau.signals.reading.logs import logged_instants
 from gtau.signals.run import Run
 from gtau.signals.storage import block, rows_at, spans
@@ -149,8 +147,8 @@ def seconds(run: Run) -> float:
     return float(run.time[-1] - run.time[0])
 
 
-def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) -> Section | None:
-    """Show clock, repairs and spectra of logs."""
+def logs_section(runs: Sequence[Run]) -> Section | None:
+    """Show clock and repairs of logs."""
     if not runs:
         return None
     listed = table_of(
@@ -162,30 +160,7 @@ def logs_section(runs: Sequence[Run], robot: Robot, preparation: Preparation) ->
         (Column("repaired, %", Kind.SHARE, 2), lambda run: 1 - valid_share(run)),
         (Column("clock and repairs"), lambda run: "; ".join(map(str, run.notes)) or "uniform clock, no repairs"),
     )
-    return Section("Clock and spectra of the logs", listed, speed_chart(runs[0], robot, preparation), id="logs")
-
-
-def speed_chart(run: Run, robot: Robot, preparation: Preparation) -> Chart | None:
-    """Draw amplitude spectral densities of the speeds in a run, in a panel per unit."""
-    rules = [Rule(x=preparation.bandwidth, label=f"bandwidth {preparation.bandwidth:.3g} Hz")]
-    rules += [Rule(x=preparation.cutoff, label=f"filter {preparation.cutoff:.3g} Hz")] if preparation.cutoff else []
-    lines: dict[str, list[Series]] = {}
-    for j, (joint, spectrum) in enumerate(zip(run.joints, spectra(run), strict=True)):
-        unit = f"speed, {position_unit(robot, joint)}/s/√Hz"
-        shown = spectrum.speed > LOWEST * spectrum.speed.max()
-        shown &= spectrum.frequency > 0
-        drawn = (spectrum.frequency[shown], np.sqrt(spectrum.speed[shown]), colour(j))
-        lines.setdefault(unit, []).extend([Series(joint_label(joint), *drawn)] if shown.any() else [])
-    panels = [
-        Panel(FREQUENCY, Axis(label, log=True), tuple(drawn), label.split(",")[0].capitalize(), tuple(rules), height=2)
-        for label, drawn in lines.items()
-        if drawn
-    ]
-    words = (
-        f"Amplitude spectral densities of {run.name}: speeds, differentiated from the logged positions, in thirds of "
-        "an octave. Dashed lines mark the bandwidth of the motion and the cut-off of the position filter."
-    )
-    return Chart(tuple(panels), columns=2, caption=words) if panels else None
+    return Section("Clock and repairs of the logs", listed, id="logs")
 
 
 def valid_share(run: Run) -> float:

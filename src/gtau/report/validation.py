@@ -61,7 +61,7 @@ def validation_report(
         torques_section(result, runs),
         gains_section(result, prior),
         motion_section(result, runs),
-        logs_section([run.run for run in runs], result.robot, result.preparation),
+        logs_section([run.run for run in runs]),
         lead=short.lead,
     )
 
