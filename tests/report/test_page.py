@@ -13,7 +13,6 @@ from matplotlib.colors import to_hex, to_rgb
 
 from gtau.model.home import load_robot
 from gtau.report.chart import MINUS, Axis, Chart, Panel, Rule, Series, colour, envelope, intervals
-from gtau.report.motion import paths_chart
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text
 from gtau.report.render.charts import figure_of, palette
 from gtau.report.render.html import arrays_for, frame, html, spec_of, words as in_html
@@ -139,13 +138,6 @@ def test_no_zero_is_negative() -> None:
     assert Column("position", Kind.INTERVAL).text((-3.0, -0.01)) == "-3.0 to 0.0"
 
 
-def test_a_path_in_a_plane_is_drawn_in_that_plane() -> None:
-    turn = np.linspace(0.0, 1.0, 5)
-    path = np.column_stack([np.cos(turn), 0.0 * turn, np.sin(turn)])
-    assert [panel.title for panel in paths_chart([("free", path)]).panels] == ["x-z plane of the base"]
-    assert len(paths_chart([("free", path), ("loaded", path + np.array([0.0, 1.0, 0.0]))]).panels) == 3
-
-
 # HTML
 
 
@@ -251,15 +243,12 @@ def test_a_figure_shows_the_series_of_its_chart(whole: Page) -> None:
     assert axes.get_lines()[1].get_color() == palette()["c1"]
 
 
-def test_a_long_series_is_thinned_to_its_extremes_and_a_path_is_not() -> None:
-    angle = np.linspace(0.0, 6.0, 5000)
-    series, path = (
-        Series("", x, np.where(angle == angle[777], 9.0, np.sin(angle))) for x in (angle, np.cos(angle))
-    )  # fmt: skip
-    along, around = figure_of(Chart(tuple(Panel(Axis("x"), Axis("y"), (line,)) for line in (series, path)))).axes
+def test_a_long_series_is_thinned_to_its_extremes() -> None:
+    x = np.linspace(0.0, 6.0, 5000)
+    series = Series("", x, np.where(x == x[777], 9.0, np.sin(x)))
+    (along,) = figure_of(Chart((Panel(Axis("x"), Axis("y"), (series,)),))).axes
     assert len(along.get_lines()[0].get_xdata()) <= 1200
     assert max(along.get_lines()[0].get_ydata()) == 9.0
-    np.testing.assert_array_equal(around.get_lines()[0].get_xydata(), np.column_stack([path.x, path.y]))
 
 
 def test_dots_show_in_figures_and_on_pages() -> None:

@@ -47,9 +47,7 @@ class Series:
         return DASHES[int(self.colour[1:]) % len(DASHES)] if self.colour[1:].isdigit() else ()
 
     def thinned(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y of a line, thinned along time or frequency; a path in a plane is not thinned."""
-        if not np.all(np.diff(self.x) >= 0):
-            return self.x, self.y
+        """Return x and y of a line, thinned along time or frequency."""
         x, y = envelope(self.x, self.y[:, None], BUCKETS)
         return x, y.reshape(-1)
 
@@ -68,7 +66,7 @@ class Panel:
     """A pair of axes with series.
 
     ``shaded`` holds starts and ends of excluded stretches of x, ``band`` is a range of y, and ``matrix`` (m, m) holds
-    values from -1 to 1, drawn in place of series. ``height`` is in inches; ``equal`` gives both axes the same scale.
+    values from -1 to 1, drawn in place of series. ``height`` is in inches.
     """
 
     x: Axis
@@ -80,7 +78,6 @@ class Panel:
     shaded: np.ndarray | None = None
     matrix: np.ndarray | None = None
     height: float = 1.6
-    equal: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,9 +1,8 @@
-"""Show the robot, its motion, and the logs: path, distances to singular poses, clock, repairs, spectra, preparation."""
+"""Show the robot, its motion, and the logs: distances to singular poses, clock, repairs and preparation."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,7 +17,7 @@ from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.reading.logs import logged_instants
 from gtau.signals.run import Run
-from gtau.signals.storage import block, rows_at, spans
+from gtau.signals.storage import block, spans
 
 if TYPE_CHECKING:
     from gtau.estimation.check_logs import LogCheck
@@ -26,27 +25,20 @@ if TYPE_CHECKING:
 TYPES = {1: "type 1 (serial)", 2: "type 2 (parallel)"}
 """Names of the types of singularities."""
 COLOURS = {1: "c7", 2: "c6"}  # not among the colours of six joints
-PATHS = 8  # most paths in a chart
-FLAT = 1e-6  # of the longest side; a path shorter than this along an axis is planar
-POSES = 1500  # most poses in the path of a run
 TIME = Axis("time from the start of the run, s")
 LOWEST = 1e-9  # of the peak of a spectrum; lower values are rounding errors
 FREQUENCY = Axis("frequency, Hz", log=True)
 
 
 def motion_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section:
-    """Show the robot, the path of the body that carries the payload, and distances to singular poses."""
+    """Show the robot, and the distances of its motion to singular poses."""
     used = any(run.used for run in runs)
-    drawn = [run.run for run in runs if run.used == used][:PATHS]
-    paths = [(run.name, body_path(result, run)) for run in drawn]
-    title = f"Path of the frame of '{result.robot.tool}', the body that carries the payload"
     starts = {run.run.name: float(run.run.time[0]) for run in runs}
     along = zip(result.runs, result.distances, strict=False)  # empty for a loaded result
     distances = distances_panels((name, starts.get(name, 0.0), run) for name, run in along) if used else []
     return Section(
         "Robot and motion",
         result.robot,
-        Section(title, paths_chart(paths)) if paths else None,
         singularities_section(result.singularities) if used else None,
         *(Section(panel.title, Chart((panel,), live=True), folded=k > 0) for k, panel in enumerate(distances)),
         id="robot",
@@ -101,34 +93,6 @@ def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Pane
         axis = Axis("distance", limits=(0.0, 1.05))
         panels += [Panel(TIME, axis, tuple(series), run, height=1.4)] if series else []
     return panels
-
-
-def paths_chart(paths: Sequence[tuple[str, np.ndarray]]) -> Chart:
-    """Draw paths (P, 3), m, of runs by name, in three projections, or in their common plane."""
-    panels = []
-    extent = np.ptp(np.concatenate([path for _, path in paths]), axis=0)
-    moving = [axis for axis in range(3) if extent[axis] > FLAT * extent.max()]
-    for a, b in combinations(moving if len(moving) > 1 else range(3), 2):
-        x, y = "xyz"[a], "xyz"[b]
-        lines = [Series(name, path[:, a], path[:, b], colour(k), width=1.0) for k, (name, path) in enumerate(paths)]
-        title = f"{x}-{y} plane of the base"
-        panels.append(Panel(Axis(f"{x}, m"), Axis(f"{y}, m"), tuple(lines), title, height=2.4, equal=True))
-    return Chart(tuple(panels), columns=3)
-
-
-def body_path(result: IdentifiedModel, run: Run) -> np.ndarray:
-    """Compute positions (P, 3), m, of the body that carries the payload along a run."""
-    import casadi as ca
-
-    from gtau.model.kinematics import frames
-
-    model = result.idm
-    run = run.ordered(model.actuated)
-    shown = np.arange(0, len(run.time), -(-len(run.time) // POSES))
-    c = model.path(np.ascontiguousarray(rows_at(run.position, shown).T))
-    symbol = ca.SX.sym("c", model.layout.n_c)
-    place = ca.Function("p", [symbol], [frames(model.layout, symbol)[result.robot.tool].p_0])
-    return np.asarray(place(c)).T
 
 
 # Logs

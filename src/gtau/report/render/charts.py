@@ -138,8 +138,6 @@ def _draw(axes: Axes, panel: Panel, last: bool = True) -> None:
         axes.spines["left"].set_visible(False)
     if panel.x.names:
         axes.grid(False, axis="x")
-    if panel.equal:
-        axes.set_aspect("equal", adjustable="datalim")
 
 
 def _draw_rules(axes: Axes, panel: Panel) -> None:

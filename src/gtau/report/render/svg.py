@@ -99,8 +99,7 @@ def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
     upright = sum(len(name) + 1 for name in columns) > LEVEL
     below = LETTER * size_of_names(panel.x) * max(map(len, columns)) if upright else 10
     below += 28 if panel.x.label else 14
-    height = 0.8 * width if panel.equal else INCH * panel.height
-    height = height if panel.matrix is None else top + right - left + below
+    height = INCH * panel.height if panel.matrix is None else top + right - left + below
     x, y = _scales(panel, (left, right), (height - below, top))
     inner = f"{left:.1f} {top:.1f} {right - left:.1f} {height - below - top:.1f}".split()
     frame = " ".join(f'{name}="{value}"' for name, value in zip(("x", "y", "width", "height"), inner, strict=True))
@@ -147,16 +146,8 @@ def _scales(panel: Panel, across: tuple[float, float], up: tuple[float, float]) 
     x += [] if panel.shaded is None else [panel.shaded.ravel()]
     y += [] if panel.band is None else [np.array(panel.band)]
     room = np.max([ROOM.get(series.mark, (0.0, 0.05)) for series in panel.series] or [(0.0, 0.0)], axis=0).tolist()
-    scales = (
-        Scale(panel.x, 0.0, 1.0, *across).around(np.concatenate(x), room[0]),
-        Scale(panel.y, 0.0, 1.0, *up).around(np.concatenate(y), room[1], floor),
-    )
-    if panel.equal:  # the one with more points a unit is widened
-        unit = max((scale.high - scale.low) / abs(scale.stop - scale.start) for scale in scales)
-        more = [(unit * abs(scale.stop - scale.start) - (scale.high - scale.low)) / 2 for scale in scales]
-        x_scale, y_scale = (replace(s, low=s.low - d, high=s.high + d) for s, d in zip(scales, more, strict=True))
-        return x_scale, y_scale
-    return scales
+    x_scale = Scale(panel.x, 0.0, 1.0, *across).around(np.concatenate(x), room[0])
+    return x_scale, Scale(panel.y, 0.0, 1.0, *up).around(np.concatenate(y), room[1], floor)
 
 
 def _grid(panel: Panel, x: Scale, y: Scale, upright: bool) -> Iterator[str]:
