@@ -253,10 +253,7 @@ def motion_chart(outlook: Outlook) -> Chart:
 
 
 def write_design(outlook: Outlook, folder: Path) -> tuple[Path, ...]:
-    """Write the trajectory, ``design.json``, and a figure of the trajectory."""
-    from gtau.report.render.charts import figure_of, save_figure
-
-    written = (write_trajectory(outlook.design, folder), folder / DESIGN, folder / "trajectory.png")
+    """Write the trajectory and ``design.json``."""
+    written = (write_trajectory(outlook.design, folder), folder / DESIGN)
     write_atomically(written[1], json.dumps(design_document(outlook), indent=1, allow_nan=False) + "\n")
-    save_figure(figure_of(motion_chart(outlook)), written[2])
     return written
