@@ -22,6 +22,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.estimators.estimator import Fit
@@ -37,6 +38,7 @@ from gtau.robots.parameter import Parameter, payload_label
 from gtau.robots.robot import Coupling, Robot
 from gtau.signals.reading.statements import Payload
 
+MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
 LEFT = 0.5  # part of the residual variance, geometric mean of all joints, that is left with another description
 REVERSED_LEFT = 0.7  # and with one torque reversed
 BESIDE_LEFT = 0.9  # the same, with all effects beside both descriptions
@@ -75,6 +77,13 @@ def residual_ratio(other: Fit, unaltered: Fit) -> float:
     """
     rows = unaltered.problem.total_rows
     return float(np.exp(2 * rows @ np.log(other.solution.sigma / unaltered.solution.sigma) / rows.sum()))
+
+
+def explained_joints(fit: Fit, other: Fit) -> tuple[str, ...]:
+    """List the joints whose torque only the fit leaves unexplained, not the other one."""
+    before, after = map(unexplained_shares, (fit, other))
+    joints = zip(fit.problem.joints, before, after, strict=False)
+    return tuple(joint for joint, share, less in joints if share > MISFIT_GIVEN >= less)
 
 
 def noise_beside_effects(fit: Fit) -> np.ndarray:

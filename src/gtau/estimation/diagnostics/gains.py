@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gtau.estimation.diagnostics.scale import MISFIT_GIVEN, contradictory_payload
+from gtau.estimation.diagnostics.descriptions import MISFIT_GIVEN
+from gtau.estimation.diagnostics.scale import contradictory_payload
 from gtau.estimation.diagnostics.verdict import (
     IMPOSSIBLE,
     LONGER,

@@ -16,16 +16,8 @@ import numpy as np
 from scipy.special import chdtrc, ndtr, ndtri
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.descriptions import refitted, residual_ratio
-from gtau.estimation.diagnostics.verdict import (
-    APART,
-    GOOD,
-    WIDTH,
-    contradiction,
-    half_widths,
-    motors,
-    unexplained_shares,
-)
+from gtau.estimation.diagnostics.descriptions import explained_joints, refitted, residual_ratio
+from gtau.estimation.diagnostics.verdict import APART, GOOD, WIDTH, contradiction, half_widths, motors
 from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.effects.rows import weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve
@@ -41,7 +33,6 @@ from gtau.robots.parameter import Parameter, gain_unit, unit_of
 from gtau.signals.channel import Channel
 from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
-MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
 PAYLOAD_MOVES = 0.01  # relative move of the gains when a known payload parameter is estimated instead
 IN_METRES = 4.0  # times that a moment must be nearer to mass times the stated value, which is then in m
 ALIKE_SCALES = 0.05  # probability that the torque scales of joints which share one differ by as much
@@ -389,7 +380,7 @@ def _contradicted(fit: Fit, other: Fit, payload: Payload, kind: str, value: floa
         if kind in FIRST_MOMENTS and abs(value - mass * declared) < abs(value - declared) / IN_METRES:
             in_metres = f"write '{kind}: {mass * declared:.4g}' (mass times distance, kg m)"
             advice = f"if {declared:.4g} is in m, {in_metres}; otherwise {advice}"
-    joints, values = _explained(fit, other), {"remains": residual_ratio(other, fit)}
+    joints, values = explained_joints(fit, other), {"remains": residual_ratio(other, fit)}
     size = abs(value - declared) / std
     return contradiction(wrong, joints, text, advice, payload.name, values=values, size=size, shown_as="model")
 
@@ -400,10 +391,3 @@ def _against_voltages(fit: Fit, freed: Fit, ratio: float) -> str:
     gain = float(freed.gains[fit.problem.joints.index(joint)])
     unit = gain_unit(fit.dataset.robot, joint, "current")
     return f": the voltages say {gain:.3g} {unit} at '{joint}', the payload {gain * ratio:.3g} {unit}"
-
-
-def _explained(fit: Fit, other: Fit) -> tuple[str, ...]:
-    """List the joints whose torque only the fit leaves unexplained, not the other one."""
-    before, after = map(unexplained_shares, (fit, other))
-    joints = zip(fit.problem.joints, before, after, strict=False)
-    return tuple(joint for joint, share, less in joints if share > MISFIT_GIVEN >= less)

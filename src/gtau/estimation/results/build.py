@@ -208,11 +208,7 @@ def _levels(fit: Fit) -> np.ndarray:
 
 
 def sensor_estimates(
-    fit: Fit,
-    vector: Estimates,
-    verdicts: Mapping[Parameter, Finding],
-    found: Sequence[SensorScale],
-    accuracy: float,
+    fit: Fit, vector: Estimates, verdicts: Mapping[Parameter, Finding], found: Sequence[SensorScale], accuracy: float
 ) -> tuple[SensorEstimate, ...]:
     """Collect the estimates of the own parameters of sensors behind the drives."""
     robot, problem, sensors = fit.dataset.robot, fit.system.problem, []

@@ -8,15 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import (
-    STEP,
-    Effect,
-    EffectColumn,
-    FitWindow,
-    Torques,
-    Words,
-    rms_torques,
-)
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.signals.preparation.filters import differentiate
 

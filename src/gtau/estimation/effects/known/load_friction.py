@@ -10,14 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import (
-    Effect,
-    EffectColumn,
-    FitWindow,
-    Torques,
-    Words,
-    rms_torques,
-)
+from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.robots.parameter import Parameter
 
