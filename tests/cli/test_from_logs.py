@@ -22,7 +22,7 @@ from gtau.estimation.results.model_file import load as load_model
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.channel import SENSOR
-from gtau.signals.reading.drafting import draft_logs, guesses, with_sensors, write_draft
+from gtau.signals.reading.drafting import Stated, draft_logs, guesses, with_sensors, write_draft
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.run import Run, read_run
@@ -252,7 +252,7 @@ def test_compressed_bags(tmp_path: Path, motion: Any, compression: str) -> None:
     log = write_bag(
         tmp_path / "bag", ("elbow", "shoulder"), time, position, current, urdf=URDF, compression=compression
     )
-    draft = draft_logs([log], kind="current")
+    draft = draft_logs([log], stated=Stated(kind="current"))
     write_draft(draft, tmp_path / "experiment.yaml")
     experiment = read_experiment(tmp_path / "experiment.yaml")
     run = read_run(experiment.runs[0].log, experiment.signals, units=experiment.units)
@@ -399,7 +399,7 @@ def test_torques_beside_currents_are_sensors_unless_computed_from_them(tmp_path:
     assert computed.unused.torques.keys() == {"shoulder", "elbow"}
     (said,) = [note.what for note in guesses(computed, Path("e.yaml")) if note.what.startswith("torque_")]
     assert said.endswith("are not used: they are a straight line of the currents, from which they may be computed")
-    weighed = draft_logs([tmp_path / "sensed.csv"], str(tmp_path / "arm.urdf"), masses={"sensed": 0.8})
+    weighed = draft_logs([tmp_path / "sensed.csv"], str(tmp_path / "arm.urdf"), stated=Stated(masses={"sensed": 0.8}))
     assert not with_sensors(weighed).signals.sensors(SENSOR)
 
 

@@ -17,7 +17,7 @@ from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import Result, check, identify, load
 from gtau.robots.robot import Robot
-from gtau.signals.reading.drafting import draft_logs, write_draft
+from gtau.signals.reading.drafting import Stated, draft_logs, write_draft
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run, read_run
@@ -153,7 +153,7 @@ def recorded(folder: Path, pattern: str) -> Path:
 def test_ur_torques_computed_from_currents_are_drafted_without_gravity(tmp_path: Path) -> None:
     log = recorded(tmp_path, "actual_current_as_torque_{k}")
     for preset in (None, "ur_rtde_torque"):
-        draft = draft_logs([log], "five-bar", preset=preset)
+        draft = draft_logs([log], "five-bar", stated=Stated(preset=preset))
         assert (draft.signals.kind, "gravity" not in draft.robot, "gravity" in draft.open) == (
             "torque",
             False,
@@ -177,9 +177,9 @@ def test_a_preset_says_what_effort_is(tmp_path: Path) -> None:
         "franka-ros": ("torque", True),
         "kinova": ("torque", True),
     }.items():
-        draft = draft_logs([tmp_path / "log.csv"], "five-bar", preset=preset)
+        draft = draft_logs([tmp_path / "log.csv"], "five-bar", stated=Stated(preset=preset))
         assert (draft.signals.kind, "gravity" not in draft.robot, "kind" in draft.open) == (*expected, False)
     with pytest.raises(GtauError, match=r"no columns of the preset 'ur_rtde'.*state in the draft"):
-        draft_logs([tmp_path / "log.csv"], "five-bar", preset="ur_rtde")
+        draft_logs([tmp_path / "log.csv"], "five-bar", stated=Stated(preset="ur_rtde"))
     with pytest.raises(GtauError, match="there is no preset 'ur'; choose from"):
-        draft_logs([tmp_path / "log.csv"], "five-bar", preset="ur")
+        draft_logs([tmp_path / "log.csv"], "five-bar", stated=Stated(preset="ur"))

@@ -15,7 +15,7 @@ from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.robots.robot import Pose, Robot
-from gtau.signals.reading.drafting import draft_logs, draft_text
+from gtau.signals.reading.drafting import Stated, draft_logs, draft_text
 from gtau.signals.reading.experiment import read_experiment
 
 pytest.importorskip("xacrodoc")
@@ -104,7 +104,7 @@ def test_in_an_experiment_file_and_on_the_command_line(tmp_path: Path) -> None:
     assert (shown.exit_code, '"wrist"' in shown.stdout) == (0, True)
     wrong = CliRunner().invoke(app, ["robot", str(file), "--xacro-arg", "prefix", "--json"])
     assert (wrong.exit_code, "write the name of an argument and its value" in wrong.output) == (2, True)
-    draft = draft_logs([tmp_path / "a.csv"], str(file), xacro={"prefix": "l_"})
+    draft = draft_logs([tmp_path / "a.csv"], str(file), stated=Stated(xacro={"prefix": "l_"}))
     assert draft.signals.position == {"l_shoulder": "q_l_shoulder", "wrist": "q_wrist"}
     (tmp_path / "draft.yaml").write_text(draft_text(draft, tmp_path))
     assert load_robot(read_experiment(tmp_path / "draft.yaml").robot).actuated == ("l_shoulder", "wrist")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
     from gtau.findings import Finding
     from gtau.robots.robot import Robot
+    from gtau.signals.reading.drafting import Stated
 
 WIDTH = 80
 EXPERIMENTS = (".yaml", ".yml")  # endings of experiment files
@@ -83,19 +84,11 @@ class LogOptions:
         """Names of the options that are given."""
         return [f"--{name.replace('_', '-')}" for name, value in vars(self).items() if value]
 
-    @property
-    def xacro(self) -> dict[str, str]:
-        """Arguments of the robot's xacro file by name; raises GtauError."""
-        return named_values(self.xacro_arg)
+    def stated(self, kind: Literal["current", "torque"] | None = None) -> Stated:
+        """Read the options, the ``kind`` of commands known where none is stated; raises GtauError."""
+        from gtau.signals.reading.drafting import Stated
 
-    @property
-    def columns(self) -> dict[str, str]:
-        """Patterns of columns by kind."""
-        return {name: value for name in ("position", "current", "torque", "time") if (value := getattr(self, name))}
-
-    @property
-    def masses(self) -> dict[str, float]:
-        """Payloads by log, kg; raises GtauError."""
+        columns = {name: value for name in ("position", "current", "torque", "time") if (value := getattr(self, name))}
         masses = {}
         for stated in self.payload or []:
             log, _, mass = stated.rpartition("=")
@@ -105,7 +98,7 @@ class LogOptions:
                 log = ""
             if not log:
                 raise GtauError(f"--payload is '{stated}'; write the name of a log and kg, such as loaded.mcap=0.48.")
-        return masses
+        return Stated(masses, self.kind or kind, self.preset, columns, named_values(self.xacro_arg))
 
 
 @refusing
@@ -128,9 +121,7 @@ def init(
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
     with skeleton_if_unrecognised(logs, robot, out):
-        draft = draft_logs(
-            logs, robot, base_choice(base), stated.masses, stated.kind, stated.preset, stated.columns, stated.xacro
-        )
+        draft = draft_logs(logs, robot, base_choice(base), stated.stated())
     write_draft(draft, out)
     open_ = [QUESTIONS[key] for key in draft.open]
     if not json_:
@@ -216,15 +207,12 @@ def experiment_of(
     if out is None:
         hold(Path(default))
     file = (out or Path(default)) / "experiment.yaml"
-    kind, recording = stated.kind, None
     robots: AbstractContextManager[str | None] = nullcontext(stated.robot)
     if model is not None:
-        kind, recording = kind or ("current" if model.kind == "current" else "torque"), model.recording
         robots = robots if stated.robot else _beside(file, model.robot)
     with robots as robot, skeleton_if_unrecognised(sources, robot, file):
-        draft = drafted(
-            sources, robot, stated.masses, kind, stated.preset, stated.columns, weigh, recording, stated.xacro
-        )
+        kind: Any = None if model is None else model.kind
+        draft = drafted(sources, robot, stated.stated(kind), weigh, None if model is None else model.recording)
         write_draft(draft, file)
     held = (
         f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from gtau.documents.validation import MAPPING, MASSES, NAMES, NUMBER, PATH, TEXT, expect, takes, validate
 from gtau.documents.yaml_document import Document
@@ -21,6 +21,7 @@ from gtau.progress import Progress, silent
 from gtau.robots.robot import Limits, Robot, RobotFile
 from gtau.signals.reading.discovery import Draft
 from gtau.signals.reading.drafting import (
+    Stated,
     alternatives,
     draft_as,
     draft_logs,
@@ -183,25 +184,17 @@ ARGUMENTS = {
 
 
 def drafted(
-    logs: Sequence[Path],
-    robot: str | None,
-    payload: Mapping[str, float],
-    kind: Literal["current", "torque"] | None = None,
-    preset: str | None = None,
-    columns: Mapping[str, str] | None = None,
-    weigh: bool = False,
-    recording: Recording | None = None,
-    xacro: Mapping[str, str] | None = None,
+    logs: Sequence[Path], robot: str | None, stated: Stated, weigh: bool = False, recording: Recording | None = None
 ) -> Draft:
-    """Draft an experiment from logs, those without a stated ``payload`` without one, or with ``weigh`` an unknown one.
+    """Draft an experiment from logs, those without a stated payload without one, or with ``weigh`` an unknown one.
 
     Logs with the columns of a ``recording`` are read as it says. Raises GtauError where an answer is needed.
     """
-    as_recorded = recording and robot and not (columns or preset) and kind in (None, recording.signals.kind)
-    if recording and robot and as_recorded and _has_columns(logs[0], recording):
-        draft = draft_as(recording, logs, robot, payload)
+    plain = recording and not (stated.columns or stated.preset) and stated.kind in (None, recording.signals.kind)
+    if recording and robot and plain and _has_columns(logs[0], recording):
+        draft = draft_as(recording, logs, robot, stated.masses)
     else:
-        draft = draft_logs(logs, robot, masses=payload, kind=kind, preset=preset, columns=columns, xacro=xacro)
+        draft = draft_logs(logs, robot, stated=stated)
     draft = to_weigh(draft) if weigh else with_sensors(draft)
     if "file" not in draft.robot:
         raise GtauError(
@@ -283,7 +276,7 @@ def draft(
     paths = [Path(log) for log in logs]
     name = None if robot is None else str(robot)
     try:
-        made = drafted(paths, name, payload or {}, kind, preset, columns)  # type: ignore[arg-type]
+        made = drafted(paths, name, Stated(payload or {}, kind, preset, columns))  # type: ignore[arg-type]
     except GtauError as error:
         raise type(error)(in_python(error.sentence), error.source) from None
     if made.urdf is not None:

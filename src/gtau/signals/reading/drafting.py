@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from math import isclose, isfinite, nan
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -31,38 +31,42 @@ SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it
 
 
-def draft_logs(
-    logs: Sequence[Path],
-    robot: str | None = None,
-    base: Any = None,
-    masses: Mapping[str, float] | None = None,
-    kind: Literal["current", "torque"] | None = None,
-    preset: str | None = None,
-    columns: Mapping[str, str] | None = None,
-    xacro: Mapping[str, str] | None = None,
-) -> Draft:
-    """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
+@dataclass(frozen=True)
+class Stated:
+    """What a user states of logs.
 
-    ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
     Payloads (``masses``, kg, 0 for none) are by path, name or stem of a log; a ``preset`` gives the kind of commands
     and whether torques include gravity; ``columns`` are patterns by kind (``{"position": "enc_J*"}``), ``xacro`` the
     arguments of a robot's xacro file.
+    """
+
+    masses: Mapping[str, float] = field(default_factory=dict)
+    kind: Literal["current", "torque"] | None = None
+    preset: str | None = None
+    columns: Mapping[str, str] | None = None
+    xacro: Mapping[str, str] | None = None
+
+
+def draft_logs(logs: Sequence[Path], robot: str | None = None, base: Any = None, stated: Stated = Stated()) -> Draft:
+    """Draft an experiment from logs recorded with the same layout, see :func:`gtau.signals.reading.discovery.discover`.
+
+    ``robot`` is a name of the catalog or the path of a file; if left out, the description that the first bag holds.
     """
     if len(set(logs)) < len(logs):
         twice = next(log for log in logs if list(logs).count(log) > 1)
         raise GtauError(f"the log '{twice}' is given twice; give every log once.")
     urdf = robot_description(logs[0]) if robot is None and is_rosbag(logs[0]) else None
-    known = None if robot is None and urdf is None else _robot(logs[0], robot, urdf, base, xacro)
+    known = None if robot is None and urdf is None else _robot(logs[0], robot, urdf, base, stated.xacro)
     if known is not None and known.floating:
         raise GtauError(
             f"robot '{known.name}': its base '{known.floating}' floats, and an experiment file with a base that "
             f"floats is not drafted; start from {FLOATING}."
         )
-    draft = replace(discover(logs, known, URDF if urdf is not None else robot, base, columns), urdf=urdf)
-    draft = replace(draft, robot={**draft.robot, "xacro": dict(xacro)}) if xacro else draft
-    draft = draft if preset is None else with_preset(draft, preset)
-    draft = draft if kind is None else with_kind(draft, kind)
-    return with_masses(draft, _by_log(draft, masses or {}))
+    draft = replace(discover(logs, known, URDF if urdf is not None else robot, base, stated.columns), urdf=urdf)
+    draft = replace(draft, robot={**draft.robot, "xacro": dict(stated.xacro)}) if stated.xacro else draft
+    draft = draft if stated.preset is None else with_preset(draft, stated.preset)
+    draft = draft if stated.kind is None else with_kind(draft, stated.kind)
+    return with_masses(draft, _by_log(draft, stated.masses))
 
 
 def draft_as(recording: Recording, logs: Sequence[Path], robot: str, masses: Mapping[str, float]) -> Draft:
