@@ -6,7 +6,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -24,7 +23,7 @@ from gtau.estimation.diagnostics.units import doubtful_currents, doubtful_gravit
 from gtau.estimation.diagnostics.verdict import unexplained_shares
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
-from gtau.estimation.experiment_runs import Options, Subject, describe, geometry_of, read_runs, refusal_note
+from gtau.estimation.experiment_runs import Options, Source, Subject, describe, geometry_of, read_runs, refusal_note
 from gtau.estimation.preconditions import estimator_for, plan, reduced, require_inputs
 from gtau.estimation.regression.assembly import FEWEST_ROWS
 from gtau.estimation.regression.dataset import preparation_of, robot_notes
@@ -130,10 +129,7 @@ class CheckedExperiment:
 
 @single_threaded_blas()
 def check(
-    source: str | Path | Experiment | Robot,
-    runs: Sequence[Run] | None = None,
-    options: Options | None = None,
-    progress: Progress = silent,
+    source: Source, runs: Sequence[Run] | None = None, options: Options | None = None, progress: Progress = silent
 ) -> CheckedExperiment:
     """Check the logs of an experiment; see :func:`gtau.check`. Raises GtauError."""
     subject = describe(source, runs, options)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +13,13 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import worst
 from gtau.estimation.estimators import NAMES, estimator_of
 from gtau.estimation.estimators.estimator import Gains
-from gtau.estimation.experiment_runs import Options, read
+from gtau.estimation.experiment_runs import Options, Source, read
 from gtau.estimation.identify import estimate
 from gtau.estimation.preconditions import plan, reduced, require_inputs
 from gtau.findings import Finding, Grade
 from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import gain_unit
-from gtau.robots.robot import Robot
-from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
@@ -85,10 +82,7 @@ class EstimatorComparison:
 
 
 def compare(
-    source: str | Path | Experiment | Robot,
-    runs: Sequence[Run] | None = None,
-    options: Options | None = None,
-    progress: Progress = silent,
+    source: Source, runs: Sequence[Run] | None = None, options: Options | None = None, progress: Progress = silent
 ) -> EstimatorComparison:
     """Identify with every estimator, and compare the results; see :func:`gtau.compare`. Raises GtauError."""
     subject = read(source, runs, replace(options or Options(), method="ml"), progress)

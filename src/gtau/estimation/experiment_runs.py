@@ -91,9 +91,11 @@ class Subject:
         return {name: prior for name, prior in known.items() if name in written or sheets.get(name) != prior}
 
 
-def read(
-    source: str | Path | Experiment | Robot, runs: Sequence[Run] | None, options: Options, progress: Progress = silent
-) -> Subject:
+Source = str | Path | Experiment | Robot
+"""An experiment file, what it holds, or a robot, which comes with its runs."""
+
+
+def read(source: Source, runs: Sequence[Run] | None, options: Options, progress: Progress = silent) -> Subject:
     """Read an experiment, or take a robot with its runs; options replace its own entries; raises GtauError."""
     subject = describe(source, runs, options)
     if subject.experiment is None:
@@ -101,9 +103,7 @@ def read(
     return replace(subject, runs=read_runs(subject.experiment, subject.experiment.runs, progress))
 
 
-def describe(
-    source: str | Path | Experiment | Robot, runs: Sequence[Run] | None = None, options: Options | None = None
-) -> Subject:
+def describe(source: Source, runs: Sequence[Run] | None = None, options: Options | None = None) -> Subject:
     """Do as :func:`read`, but leave the logs of an experiment unread."""
     options = options or Options()
     if isinstance(source, Robot):

@@ -12,7 +12,7 @@ from gtau.documents.validation import MAPPING, MASSES, NAMES, NUMBER, PATH, TEXT
 from gtau.documents.yaml_document import Document
 from gtau.errors import GtauError
 from gtau.estimation import identify as estimation
-from gtau.estimation.experiment_runs import Options, Subject, describe, read, read_validation
+from gtau.estimation.experiment_runs import Options, Source, Subject, describe, read, read_validation
 from gtau.estimation.results.estimate import Requirement, TorqueError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding
@@ -117,10 +117,7 @@ Validation = tuple[Sequence[Run], Sequence[Finding]]
 
 
 def identify(
-    source: str | Path | Experiment | Robot,
-    runs: Sequence[Run] | None = None,
-    options: Options | None = None,
-    progress: Progress = silent,
+    source: Source, runs: Sequence[Run] | None = None, options: Options | None = None, progress: Progress = silent
 ) -> IdentifiedModel:
     """Identify a robot from an experiment file or from runs; see :func:`gtau.identify`. Raises GtauError."""
     subject = read(source, runs, options or Options(), progress)
