@@ -67,7 +67,7 @@ PLANTS = {"serial": arm(), "parallel": linkage()}
 
 
 def fit_of(robot: Robot, runs: Sequence[Run], priors: dict[str, Prior] | None = None) -> Fit:
-    dataset = reduce_runs(robot, runs, priors=priors)
+    dataset = replace(reduce_runs(robot, runs), priors=priors or {})
     return ML.fit(dataset.system(per_run=len(runs) > 1))
 
 

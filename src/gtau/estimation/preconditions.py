@@ -161,14 +161,10 @@ def reduced(
     """
     options = subject.options
     dataset = reduce_runs(
-        subject.robot,
-        subject.runs,
-        preparation,
-        decimator="chebyshev" if options.as_paper else "fir",
-        progress=progress,
-        priors=options.priors if estimator.takes_priors else {},
-        prior_inertias=options.prior_inertias or 0.0,
+        subject.robot, subject.runs, preparation, "chebyshev" if options.as_paper else "fir", progress
     )
+    priors = options.priors or {} if estimator.takes_priors else {}
+    dataset = replace(dataset, priors=priors, prior_inertias=options.prior_inertias or 0.0)
     if estimator.takes_priors and not options.as_paper and dataset.runs[0].kind == "current":
         dataset = with_voltages(dataset, options.drives)
     demanded = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")

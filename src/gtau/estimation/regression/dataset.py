@@ -323,8 +323,6 @@ def reduce_runs(
     preparation: Preparation | None = None,
     decimator: Literal["fir", "chebyshev"] = "fir",
     progress: Progress = silent,
-    priors: Mapping[str, Prior] | None = None,
-    prior_inertias: float = 0.0,
     model: InverseDynamics | None = None,
 ) -> Dataset:
     """Prepare all runs and reduce them to triangular factors; raises GtauError."""
@@ -340,5 +338,4 @@ def reduce_runs(
     equations = Equations(model, sensors_of(robot, runs))
     preparation = preparation or preparation_of(equations, runs, decimator)
     prepared = prepare_runs(model, runs, preparation)
-    dataset = Dataset(equations, preparation, prepared, (), priors or {}, prior_inertias)
-    return dataset.reduced(progress=progress)
+    return Dataset(equations, preparation, prepared, ()).reduced(progress=progress)
