@@ -244,7 +244,7 @@ def signal_faults(
 ) -> tuple[Cause, ...]:
     """Name the fault that the samples of a log show, given charts, speeds and unevenness of healthy logs."""
     run = log.run.ordered(model.idm.actuated, link_side=False)
-    parts = list[tuple[np.ndarray, ...]]()
+    parts: statistics.Parts = []
     friction = [k for k, quantity in enumerate(log.quantities) if quantity.group == "friction"]
     usual = np.exp(2 * healthy[[chart.kind == statistics.RESIDUAL for chart in log.charts]])
     single, all_free = _mean_squares(model, run, parts, friction, [*range(len(log.quantities))])
@@ -263,7 +263,7 @@ def signal_faults(
 
 
 def _mean_squares(
-    model: IdentifiedModel, run: Run, parts: list[tuple[np.ndarray, ...]] | None, *free: list[int]
+    model: IdentifiedModel, run: Run, parts: statistics.Parts | None, *free: list[int]
 ) -> list[np.ndarray]:
     """Compute each joint's mean squared residual (n,) over the model's, for each choice of ``free`` columns."""
     G, rows, _ = statistics.normal_equations(model, run, parts)
@@ -301,12 +301,7 @@ def _exchanged(
 
 
 def _position_fault(
-    model: IdentifiedModel,
-    run: Run,
-    parts: list[tuple[np.ndarray, ...]],
-    friction: list[int],
-    single: np.ndarray,
-    joint: int,
+    model: IdentifiedModel, run: Run, parts: statistics.Parts, friction: list[int], single: np.ndarray, joint: int
 ) -> tuple[Cause, np.ndarray]:
     """Fit friction and torque as functions of a joint's position: the likelier cause, and what it leaves (n,)."""
     joints, *rows = (np.concatenate(part) for part in zip(*parts, strict=True))

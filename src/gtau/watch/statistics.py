@@ -82,6 +82,10 @@ ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 inverse_of = partial(np.linalg.pinv, rcond=1e-10, hermitian=True)  # directions without any effect are left out
 
 
+Parts = list[tuple[np.ndarray, ...]]
+"""Joint, position, direction and values ``[columns | y]`` (K, p + 1) of rows (K,), part by part."""
+
+
 class TooShort(GtauError):
     """Error raised for a log that is too short, however the robot moves in it."""
 
@@ -263,13 +267,13 @@ def _limits(G: np.ndarray, quantities: Sequence[Quantity]) -> np.ndarray:
 
 
 def normal_equations(
-    model: IdentifiedModel, run: Run, parts: list[tuple[np.ndarray, ...]] | None = None
+    model: IdentifiedModel, run: Run, parts: Parts | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Reduce a log to the normal equations ``A^T A``, ``A = [columns | y]``, of the watched quantities.
 
     Returns the normal equations of each joint in each jackknife block (blocks, n, p + 1, p + 1), rows divided by the
     model's residual; the number of rows (blocks, n); and the mean absolute velocity (n,) of each joint. If given,
-    ``parts`` receives the joint, position, direction and values ``[columns | y]`` (K, p + 1) of the rows (K,).
+    ``parts`` receives the rows.
     """
     idm, base, n = model.idm, model.base, len(model.idm.actuated)
     name = f"run '{run.name}'"

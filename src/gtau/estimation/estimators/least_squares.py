@@ -16,7 +16,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Fit, FitSystem, Gains, Solution, Solve
-from gtau.estimation.estimators.newton import solve
+from gtau.estimation.estimators.newton import Weigh, solve
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Problem
 from gtau.progress import Progress, silent
@@ -39,11 +39,7 @@ def wls(problem: Problem, gains: np.ndarray, delays: np.ndarray | None = None) -
 
 
 def _with_given(
-    problem: Problem,
-    gains: np.ndarray,
-    weigh: Callable[[np.ndarray], np.ndarray],
-    name: str,
-    delays: np.ndarray | None = None,
+    problem: Problem, gains: np.ndarray, weigh: Weigh, name: str, delays: np.ndarray | None = None
 ) -> Solution:
     delays = problem.own_delays if delays is None else delays
     start = np.concatenate([np.zeros(problem.n_theta), gains, delays])

@@ -89,13 +89,11 @@ def stacked(problem: Problem) -> np.ndarray:
     return triangles
 
 
-def solve(
-    problem: Problem,
-    values: np.ndarray,
-    weigh: Callable[[np.ndarray], np.ndarray],
-    free_gains: bool,
-    steps: int = STEPS,
-) -> Solution:
+Weigh = Callable[[np.ndarray], np.ndarray]
+"""Makes the weights (c,) of the channels' errors from the sums of their squares (c,)."""
+
+
+def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool, steps: int = STEPS) -> Solution:
     """Iterate Newton's method from ``values`` (k,); ``weigh`` makes weights (c,) from squared residuals (c,)."""
     triangles = stacked(problem)
     n = len(problem.channels)
