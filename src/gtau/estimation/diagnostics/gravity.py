@@ -146,7 +146,7 @@ def _freely(at: Fit) -> Iterator[Fit]:
         yield at
 
 
-def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEffect:
+def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEffect | None:
     """Describe a fit with another gravity, on the joints that it explains, or on the one that it explains best."""
     problem, before = unaltered.problem, unaltered.solution.sigma
     joints = problem.joints
