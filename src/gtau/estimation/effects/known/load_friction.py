@@ -1,9 +1,9 @@
 """Friction that grows with a joint's load.
 
 The load is the model's, without friction, as in the term ``fl``: the measured current is the friction itself where
-friction exceeds the load, so it would explain the noise of the current and any drive gain. Where base
-parameters regroup the rotor with the links, further columns take rotors of several inertias out of the load, as the
-gear does not transmit their torques.
+friction exceeds the load, so it would explain the noise of the current and any drive gain. A gear does not
+transmit the torque of its rotor, which is in the load of ``fl``: it goes with the first column, and where base
+parameters regroup the rotor with the links, with further ones, of rotors of several inertias.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ ROTORS = (0.1, 0.2, 0.4, 0.8)
 
 
 def _torques(at: FitWindow) -> Torques:
-    joints, terms, samples = at.fit.dataset.model.actuated, at.fit.system.terms, at.window.samples()
-    apart = np.array([Parameter("ia", joint) in at.fit.dataset.base.names for joint in joints])
-    # the load of the term has the rotor in it
-    missing = apart | [Parameter("fl", joint) not in terms for joint in joints]
-    load = at.torques_along(at.motion, at.transmitted).T
-    rotor = samples.qdd * rms_torques(at.fit) / at.fit.dataset.rms_accelerations * ~apart
-    loads = np.stack([np.abs(load) * missing, *(np.abs(load - size * rotor) - np.abs(load) for size in ROTORS)])
+    fit, joints, samples = at.fit, at.fit.dataset.model.actuated, at.window.samples()
+    modelled, apart = (
+        np.array([Parameter(kind, joint) in names for joint in joints])
+        for kind, names in (("fl", fit.system.terms), ("ia", fit.dataset.base.names))
+    )
+    load = at.torques_along(at.motion, at.transmitted + at.passive_friction).T
+    of_term = at.torques_along(at.motion, fit.system.load(at.run, fit.solution.theta)).T
+    rotor = samples.qdd * rms_torques(fit) / fit.dataset.rms_accelerations * ~apart
+    more = np.stack([np.abs(load - size * rotor) - np.abs(load) for size in ROTORS])
+    loads = np.concatenate([(np.abs(load) - modelled * np.abs(of_term))[None], more])
     return at.decimated((loads * np.sign(samples.qd)).swapaxes(1, 2))
 
 
