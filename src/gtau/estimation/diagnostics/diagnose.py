@@ -28,6 +28,7 @@ from gtau.estimation.diagnostics.verdict import GIVEN, GOOD, decide, delay_verdi
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import CONTRADICTED, Mixed, contradictions, estimate_effects, estimated_effects
 from gtau.estimation.effects.known import EFFECTS
+from gtau.estimation.effects.known.wrenches import WRENCH_ERRORS
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import likeliest
@@ -46,10 +47,11 @@ FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, effects fit the noi
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
 LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
 HARMLESS_SHARE = 0.3  # share of the residual variance that a description explains, up to which it is information
-LARGE_SHARE = 0.1  # the same of physics that is larger than a motor can be
+LARGE_SHARE = 0.1  # the same of physics that is larger than a motor can be, and of measured wrenches
 
 FEW_ROWS = "too few rows for tests"
 DESCRIPTIONS = {effect.name for effect in EFFECTS if effect.description}
+IMITATED = DESCRIPTIONS - WRENCH_ERRORS  # by friction and gears, which a measured wrench does not contain
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +142,7 @@ def _contradicting(
         if effect.description
         and not effect.beyond
         and effect.likelihood > CONTRADICTED
-        and effect.share > (HARMLESS_SHARE if effect.effect in DESCRIPTIONS else LARGE_SHARE)
+        and effect.share > (HARMLESS_SHARE if effect.effect in IMITATED else LARGE_SHARE)
         and abs(effect.size) > descriptions.REFUTED_STD * effect.std
     ]
     return tuple(sorted(against, key=lambda effect: -effect.share))

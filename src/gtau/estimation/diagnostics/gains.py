@@ -26,7 +26,7 @@ from gtau.estimation.diagnostics.verdict import (
 )
 from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
 from gtau.estimation.effects.known.torque_scale import EFFECT as TORQUE_SCALE
-from gtau.estimation.effects.known.wrenches import WRENCH_OFFSETS, WRENCH_POINTS
+from gtau.estimation.effects.known.wrenches import WRENCH_ERRORS
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.problem import Estimates
@@ -187,7 +187,7 @@ def explained_share(part: EstimatedEffect) -> str:
 def refuted(fit: Fit, part: EstimatedEffect, joints: tuple[str, ...], text: str, own: str = "") -> Finding:
     """Find, against the gains of some joints, that another description explains the data better."""
     kind, advice = part.cause.kind, part.cause.advice
-    if kind not in (WRENCH_OFFSETS.name, WRENCH_POINTS.name):
+    if kind not in WRENCH_ERRORS:
         advice = wrenches_first(fit, advice)
     return contradiction(REFUTED, joints, text, advice, causes=(kind,), own=own)
 

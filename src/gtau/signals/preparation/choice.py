@@ -82,7 +82,8 @@ def _decimated(
     elif factor is None:
         # Accelerations beyond the signal are noise. 12 bits at 50 Hz (signal to 6 Hz): rows to 10 Hz put a gain 2.5 %
         # off. Ten UR10e, 18 bits at 200 Hz (to 8.5 Hz): squares of z are 2.8 with rows to 27 Hz, 0.8 to 8.9 Hz.
-        end = max(spectrum.end for joints in run_spectra for spectrum in joints if spectrum.moves)
+        # A base tracked to 3 Hz, joints to 5 Hz: rows to 6.7 Hz put the first gain 9 % off, to 3.3 Hz 2.2 %.
+        end = _end_of_signal(runs[0], run_spectra)
         given = runs[0].log.settings.bandwidth is not None
         least, most = (filters.decimation_factor(rate, f, LARGEST_FACTOR) for f in (end / 2, bandwidth))
         factor = _affordable(runs, run_spectra, preparation, 1 if given else least, most)
@@ -92,6 +93,16 @@ def _decimated(
         highest = max(cutoff, ABOVE_ROWS * decimator.cutoff(rate))
         cutoff = filters.below_nyquist(highest, rate, min(run.updates for run in runs))
     return replace(preparation, decimator=decimator, cutoff=cutoff)
+
+
+def _end_of_signal(run: Run, run_spectra: Sequence[Sequence[JointSpectrum]]) -> float:
+    """Find where noise takes over, Hz: in the positions of the joints, or before that in the pose of a base."""
+    ends = dict[bool, float]()
+    for joints in run_spectra:
+        for joint, spectrum in zip(run.joints, joints, strict=True):
+            if spectrum.moves:
+                ends[joint in run.base] = max(spectrum.end, ends.get(joint in run.base, 0.0))
+    return min(ends.values())
 
 
 def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:
@@ -115,6 +126,7 @@ def _affordable(
         for j, lengths in enumerate(_usable_blocks(run, preparation.at(run.rate))):
             if spectra_of_run[j].moves:
                 blocks.append((j, ratio, lengths))
+    fewest = FEWEST_ROWS / (3 if runs[0].base else 1)  # as each body moves the base's six rows, too
     chosen, factor = 1, 2
     while factor <= max(least, most):
         samples = np.zeros((2, len(runs[0].joints)))
@@ -122,7 +134,7 @@ def _affordable(
             guard = filters.Decimator(max(1, round(factor * ratio)), preparation.decimator.kind).guard
             samples[:, j] += np.sum([np.maximum(lengths - 2 * guard, 0), lengths], axis=1) / ratio
         kept, total = samples[:, samples[1] > 0]
-        if not total.size or kept.min() / factor < FEWEST_ROWS or (factor > least and (kept / total).mean() < KEPT):
+        if not total.size or kept.min() / factor < fewest or (factor > least and (kept / total).mean() < KEPT):
             break
         chosen = factor
         factor += max(1, factor // filters.MAX_FACTOR)  # from there on in steps of some 5 %
@@ -136,6 +148,7 @@ def _usable_blocks(run: Run, preparation: Preparation) -> list[np.ndarray]:
     speeds = [np.abs(filters.position_filter(run.position, run.rate, preparation.cutoff, *part)[1]) for part in parts]
     limit = preparation.speed_fraction * np.sqrt(np.mean([np.mean(speed**2, axis=0) for speed in speeds], axis=0))
     lengths: list[list[np.ndarray]] = [[] for _ in run.joints]
+    limit[[joint in run.base for joint in run.joints]] = 0.0  # which has no friction, and may rest
     for speed, part in zip(speeds, parts, strict=True):
         usable = (speed >= limit) & valid_samples(run, preparation, *part)[:, : len(run.joints)]
         for j, joint_lengths in enumerate(lengths):

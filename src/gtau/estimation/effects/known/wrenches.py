@@ -75,3 +75,4 @@ def _felt(at: FitWindow, errors: np.ndarray) -> Torques:
 WRENCH_OFFSETS = Effect("wrench offsets", _offsets, _offset_columns, _say_offset, shared=True, description=True)
 WRENCH_POINTS = Effect("wrench points", _points, _point_columns, _say_point, shared=True, description=True)
 EFFECTS = WRENCH_OFFSETS, WRENCH_POINTS
+WRENCH_ERRORS = frozenset(effect.name for effect in EFFECTS)
