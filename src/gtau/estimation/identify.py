@@ -17,7 +17,7 @@ from gtau.estimation.diagnostics.log_checks import (
     require_payload_excitation,
     smoothed_commands,
 )
-from gtau.estimation.diagnostics.scale import sensor_scales, weigh_known
+from gtau.estimation.diagnostics.scale import contradictory_voltages, sensor_contradictions, sensor_scales, weigh_known
 from gtau.estimation.electrical import motor_estimates
 from gtau.estimation.estimators.essential import essential_fit, select_friction
 from gtau.estimation.estimators.estimator import Estimator, Fit
@@ -147,7 +147,8 @@ def estimate(
     if dataset.robot.inertias:
         loaded = TOOL_BODIES in {effect.effect for effect in examined.effects}
         bare, audit = audit_inertias(plain, estimates, loaded)
-    payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy)
+    references = (*sensor_contradictions(scales, plain, accuracy), *contradictory_voltages(plain, accuracy))
+    payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy, references)
     bodies, lost = _consistent_bodies(fit, plain, options)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
@@ -156,7 +157,7 @@ def estimate(
         estimates = Estimates(essential.unknowns, reduced.values, reduced.covariance, nothing, nothing, None)
         plain = fit
         examined = replace(examined, mixed=None)  # which is of all parameters
-    findings = diagnose(plain, examined, estimates, payloads, options.gains, scales, accuracy, audit) + lost
+    findings = diagnose(plain, examined, estimates, payloads, options.gains, references, accuracy, audit) + lost
     verdicts = channel_verdicts(fit, estimates, findings, delayed=not as_paper)
     predicting, curves, errors = (estimates, {}, {}) if as_paper else friction_step(fit, estimates)
     figures = {"reduction_loss": loss, "lack_of_fit": lack, "accuracy": float(accuracy)}

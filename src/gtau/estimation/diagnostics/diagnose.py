@@ -222,17 +222,17 @@ def diagnose(
     estimates: Estimates,
     payloads: Mapping[str, Finding],
     prior_gains: Mapping[str, float],
-    scales: Sequence[scale.SensorScale],
+    references: Sequence[Finding],
     accuracy: float,
     audit: InertiaAudit | None = None,
 ) -> tuple[Finding, ...]:
     """List what speaks against the estimates of a fit, what counts most first, and what else the user should know.
 
     ``payloads`` are verdicts on known payloads by name, ``prior_gains`` those expected, N m/A or N per A, by joint,
-    and ``scales`` of the torque sensors. ``accuracy`` is half the relative width of the 95 % interval up to which a
-    gain is good, and ``audit`` what the data say of the inertias of the robot's file.
+    and ``references`` what speaks against torque sensors and voltages. ``accuracy`` is half the relative width of the
+    95 % interval up to which a gain is good, and ``audit`` what the data say of the inertias of the robot's file.
     """
-    judged, joints = gains.judged_gains(fit, estimates), fit.problem.joints
+    judged = gains.judged_gains(fit, estimates)
     wrong = [verdict for verdict in payloads.values() if verdict.outcome == Grade.CONTRADICTORY]
     wrong.sort(key=lambda finding: -finding.size)
     plain = estimates
@@ -248,8 +248,7 @@ def diagnose(
         *gains.refuted_descriptions(fit, examined.contradicting, judged, wrong, accuracy),
         *gains.unexplained_signals(fit, wrong),
         *(scale.contradictory_payload(finding.subject, motors(fit)) for finding in wrong if fit.free_gains),
-        *scale.sensor_contradictions(scales, joints, accuracy),
-        *filter(None, [scale.contradictory_voltage(fit, accuracy)]),
+        *references,
         *scale.contradictory_priors(fit, plain, accuracy),
         # a gain without a value: what follows would judge that value
         *gains.gains_without_value(fit, judged),

@@ -181,11 +181,11 @@ def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     return tuple(scales)
 
 
-def sensor_contradictions(scales: Sequence[SensorScale], joints: Sequence[str], accuracy: float) -> Iterator[Finding]:
-    """Find the gains of ``joints`` (n,) that rest on a sensor contradicting the other stated constants."""
+def sensor_contradictions(scales: Sequence[SensorScale], fit: Fit, accuracy: float) -> Iterator[Finding]:
+    """Find the gains of a fit that rest on a sensor contradicting the other stated constants."""
     for scale in sorted(scales, key=lambda scale: -float(np.abs(scale.gain_shift).max())):
         moves = np.abs(scale.gain_shift)
-        moved = tuple(joint for joint, move in zip(joints, moves, strict=True) if move > accuracy)
+        moved = tuple(joint for joint, move in zip(fit.problem.joints, moves, strict=True) if move > accuracy)
         if scale.verdict(accuracy).outcome == Grade.CONTRADICTORY and moved:
             sensor, joint = scale.channel.kind.name, scale.channel.joint
             text = f"the scale comes from the {sensor} of '{joint}', which contradicts all other data"
@@ -233,37 +233,51 @@ def contradictory_priors(fit: Fit, estimates: Estimates, accuracy: float) -> Ite
         yield Finding(PRIOR, subject=name, size=size, text=text, advice=advice, shown_as="model")
 
 
-def contradictory_voltage(fit: Fit, accuracy: float) -> Finding | None:
+def contradictory_voltages(fit: Fit, accuracy: float) -> Iterator[Finding]:
     """Find the voltage that contradicts all else, where that explains more than a wrong scale of all else does."""
     motors = fit.dataset.motors
     if not motors or not fit.free_gains:
-        return None
+        return
     alone = _without_voltages(fit, motors)
     others = [alone or _without_voltages(fit, (motor,)) for motor in motors]
-    r, s = np.array([_voltage_apart(*pair) for pair in zip(others, motors, strict=True)]).T
-    if not np.any((np.abs(r) > APART * s) & (np.abs(r) > accuracy)):
-        return None
+    apart = _voltages_apart(motors, others, accuracy)
+    if apart is not None:  # or effects are, which take seconds
+        alone = alone and _beside_effects(alone)
+        apart = _voltages_apart(motors, [alone or (other and _beside_effects(other)) for other in others], accuracy)
+    if apart is None:
+        return
+    r, s = apart
     worst = int(np.argmax(np.abs(r / s)))
     motor, weights = motors[worst], 1 / s**2
     common = float(weights @ r / weights.sum())
     if alone and weights @ (r - common) ** 2 <= np.delete(weights * r**2, worst).sum():
-        return None  # but for one factor, the voltages agree with all else
+        return  # but for one factor, the voltages agree with all else
     moves = np.abs((_without_voltages(fit, (motor,)) or fit).gains / fit.gains - 1)
     moved = tuple(joint for joint, move in zip(fit.problem.joints, moves, strict=True) if move > accuracy)
     gain, unit = motor.ke / (1 + r[worst]), gain_unit(fit.dataset.robot, motor.joint, "current")
     text = f"the voltage of '{motor.joint}' says {motor.ke:.3g} {unit}, and all other data {gain:.3g} {unit}"
     advice = f"check the unit of the voltage, and 'convention' of drives.{motor.joint} (dc, amplitude or power)"
     grade = Grade.CONTRADICTORY if moved else Grade.WARNING
-    return Finding(VOLTAGE, moved, motor.joint, text=text, advice=advice, grade=grade, size=abs(r[worst] / s[worst]))
+    yield Finding(VOLTAGE, moved, motor.joint, text=text, advice=advice, grade=grade, size=abs(r[worst] / s[worst]))
 
 
-def _voltage_apart(other: Fit | None, motor: MotorEquation) -> tuple[float, float]:
-    """Compute the gain by a voltage over that of another fit, less 1, with its standard deviation."""
-    if other is None:
-        return 0.0, np.inf
-    k = other.problem.unknowns.places[Parameter("gain", motor.joint)]
-    gain, std = float(other.solution.values[k]), float(np.sqrt(other.solution.jackknife[k, k]))
-    return motor.ke / gain - 1, float(np.hypot(std / gain, motor.std / motor.ke))
+def _voltages_apart(
+    motors: Sequence[MotorEquation], others: Sequence[Fit | None], accuracy: float
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Compute the gains by voltages over those of other fits, less 1, and their stds; None where no gain is off."""
+    r, s = np.zeros(len(motors)), np.full(len(motors), np.inf)
+    for k, (motor, other) in enumerate(zip(motors, others, strict=True)):
+        if other is not None:
+            place = other.problem.unknowns.places[Parameter("gain", motor.joint)]
+            gain, std = other.solution.values[place], np.sqrt(other.solution.jackknife[place, place])
+            r[k], s[k] = motor.ke / gain - 1, np.hypot(std / gain, motor.std / motor.ke)
+    return (r, s) if np.any((np.abs(r) > APART * s) & (np.abs(r) > accuracy)) else None
+
+
+def _beside_effects(fit: Fit) -> Fit:
+    """Move the estimates by all effects: iron that saturates adds to a payload."""
+    mixed = estimate_effects(fit)
+    return fit if mixed is None else mixed.applied(fit)
 
 
 def _without_voltages(fit: Fit, motors: Sequence[MotorEquation]) -> Fit | None:
@@ -298,15 +312,16 @@ def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Fi
         )
 
 
-def weigh_known(fit: Fit, method: str, accuracy: float) -> dict[str, Finding]:
+def weigh_known(fit: Fit, method: str, accuracy: float, references: Sequence[Finding]) -> dict[str, Finding]:
     """Judge payloads, by name: each known value is estimated in turn, with given gains or from the other constants.
 
     A verdict names the value that leaves least when it alone is freed. The mass of a single payload that sets the scale
-    is not tested. Given gains are taken for exact to the ``accuracy`` (relative).
+    is not tested. Given gains are taken for exact to the ``accuracy`` (relative). A voltage that contradicts all else,
+    as ``references`` say, tests no payload.
     """
-    if (voltage := contradictory_voltage(fit, accuracy)) is not None:  # which tests no payload
-        wrong = [motor for motor in fit.dataset.motors if motor.joint == voltage.subject]
-        fit = _without_voltages(fit, wrong) or fit
+    wrong = [finding.subject for finding in references if finding.kind == VOLTAGE]
+    if wrong:
+        fit = _without_voltages(fit, [motor for motor in fit.dataset.motors if motor.joint in wrong]) or fit
     payloads = [run.payload for run in fit.dataset.runs if run.payload]
     known = {payload.name: payload for payload in payloads if payload.mass is not None}
     masses = ("m",) if not fit.free_gains or len(known) > 1 or fit.problem.scaled else ()
@@ -327,8 +342,8 @@ def _freed(fit: Fit, method: str, payload: Payload, kind: str, accuracy: float) 
     other = refitted(fit, [changed if load and load.name == payload.name else load for load in stated], method=method)
     if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
         return None  # without this value nothing gives the scale, or it cannot be separated from what is not declared
-    if fit.dataset.motors and (mixed := estimate_effects(other)) is not None:  # iron that saturates adds to a payload
-        other = mixed.applied(other)
+    if fit.dataset.motors:
+        other = _beside_effects(other)
     problem, theta = other.problem, other.solution.theta
     stds = np.sqrt(np.diag(other.solution.jackknife))
     columns = [
