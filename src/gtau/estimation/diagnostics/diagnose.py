@@ -81,9 +81,8 @@ class Examination:
             return None
         if self.contradicting or any(finding.joints and finding.decisive for finding in self.findings):
             return None
-        if np.any(np.abs(self.mixed.values[problem.gain_rows] / fit.gains - 1) > LARGEST_MOVE):
-            return None
-        return self.mixed.applied(fit)
+        far = np.any(np.abs(self.mixed.values[problem.gain_rows] / fit.gains - 1) > LARGEST_MOVE)
+        return None if far else self.mixed.applied(fit)
 
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:
@@ -233,8 +232,8 @@ def diagnose(
     95 % interval up to which a gain is good, and ``audit`` what the data say of the inertias of the robot's file.
     """
     judged = gains.judged_gains(fit, estimates)
-    wrong = [verdict for verdict in payloads.values() if verdict.outcome == Grade.CONTRADICTORY]
-    wrong.sort(key=lambda finding: -finding.size)
+    contradicted = (verdict for verdict in payloads.values() if verdict.outcome == Grade.CONTRADICTORY)
+    wrong = sorted(contradicted, key=lambda finding: -finding.size)
     plain = estimates
     # effects explain part of a wrong prior, and of reversed torques
     if (fit.dataset.stated_priors or audit) and examined.mixed is not None:

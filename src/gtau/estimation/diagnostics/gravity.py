@@ -94,10 +94,8 @@ def _along(fit: Fit) -> list[SampleWindow]:
 
 def at_middle(fit: Fit) -> Fit | None:
     """Fit the middle of the runs; None where that does not determine the gains."""
-    gains, terms = (
-        (None if fit.free_gains else fit.gains),
-        tuple(term for term in fit.system.terms if term.kind not in BY_LOAD),
-    )
+    gains = None if fit.free_gains else fit.gains
+    terms = tuple(term for term in fit.system.terms if term.kind not in BY_LOAD)
     plain = replace(fit, system=replace(fit.system, terms=terms), solve=ml_or_wls(gains))
     return refitted(plain, dataset=fit.dataset.reduced(along=_along(fit))) if fit.dataset.windows() else None
 
@@ -148,8 +146,7 @@ def _freely(at: Fit) -> Iterator[Fit]:
 
 def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEffect | None:
     """Describe a fit with another gravity, on the joints that it explains, or on the one that it explains best."""
-    problem, before = unaltered.problem, unaltered.solution.sigma
-    joints = problem.joints
+    problem, joints, before = unaltered.problem, unaltered.problem.joints, unaltered.solution.sigma
     shares = before / problem.balance(unaltered.solution.theta)
     ratio = other.solution.sigma / before
     most = max(np.sqrt(LEFT), ratio[: len(joints)].min())
@@ -207,12 +204,11 @@ def gravity_not_shown(fit: Fit) -> Iterator[Finding]:
 
     Its share is the ratio of rms gravity torque (about its mean) to rms total torque, of the joint that feels it most.
     """
-    dataset, n = fit.dataset, len(fit.gains)
+    dataset, model, n = fit.dataset, fit.dataset.model, len(fit.gains)
     gravity = np.array(dataset.robot.gravity)
     if not gravity.any():
         return
-    model = dataset.model
-    regressor = dataset.model.gravity_torques(dataset.base.standard)
+    regressor = model.gravity_torques(dataset.base.standard)
     torques = np.zeros(n)
     for run, window in dataset.windows():
         motion = window_motion(model, window)

@@ -144,8 +144,7 @@ def scale_uncertainty(system: System, again: Solve) -> np.ndarray:
 class SensorScale:
     """Ratio of a joint's torque from the other stated constants to its sensor's torque, with its standard deviation.
 
-    Each gain moves by ``gain_shift`` (n,), a share of itself, where the scale of the sensor is estimated, not taken as
-    1.
+    Each gain moves by ``gain_shift`` (n,), a share of itself, where the scale of the sensor is estimated.
     """
 
     channel: Channel
@@ -163,8 +162,7 @@ class SensorScale:
 
 def sensor_scales(fit: Fit) -> tuple[SensorScale, ...]:
     """Estimate the scale of each sensor from the other stated constants, where there are any."""
-    problem, scales = fit.problem, []
-    payloads = [run.payload for run in fit.dataset.runs]
+    problem, scales, payloads = fit.problem, [], [run.payload for run in fit.dataset.runs]
     for k in problem.sensor_channels:
         channel, channels = problem.channels[k], list(problem.channels)
         channels[k] = replace(channel, kind=replace(channel.kind, calibration=""))
@@ -288,8 +286,7 @@ def _without_voltages(fit: Fit, motors: Sequence[MotorEquation]) -> Fit | None:
 
 def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
     """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
-    masses = {run.payload.name: run.payload.mass for run in fit.dataset.runs if run.payload}
-    known = {name: mass for name, mass in masses.items() if mass is not None}
+    known = {load.name: load.mass for run in fit.dataset.runs if (load := run.payload) and load.mass is not None}
     judged = np.flatnonzero(half_widths(fit, estimates) < 1)
     if not fit.free_gains or fit.kind != "torque" or fit.problem.scaled or len(known) != 1 or len(judged) < 2:
         return

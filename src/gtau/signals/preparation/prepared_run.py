@@ -198,10 +198,8 @@ class PreparedRun:
         moving = ~(slow @ rubbing) & (self.moves | ~rubbing.any(axis=0))
         valid = self.valid(start, stop)
         # a wrench acts on all joints, one on a floating base on its rows alone
-        usable, base = (
-            moving[:, rows] & valid[:, :c],
-            np.array([not channel.kind.measures_joint for channel in modelled]),
-        )
+        usable = moving[:, rows] & valid[:, :c]
+        base = np.array([not channel.kind.measures_joint for channel in modelled])
         for frame, six in wrenches:
             usable &= valid[:, six].all(axis=1, keepdims=True) | (frame.body in run.base) & ~base
         time = block(run.time, at.start, at.stop)
