@@ -335,9 +335,13 @@ def test_a_payload_on_the_last_axis_is_to_be_mounted_beside_it(tmp_path: Path, m
     assert not beside.at_hand
     carried, result = [], result_with(0.05)
     result.gains = np.ones(len(task.model.actuated))
+    result.delays = {joint: SimpleNamespace(value=delay) for joint, delay in (("a", None), ("b", 0.0), ("c", 0.01))}
     torques = "gtau.campaigns.candidates.torques"
-    monkeypatch.setattr(torques, lambda _, q, qd, qdd, payload: carried.append(payload) or 0 * q)
-    runs = list(_simulated(beside, result, 0))
+    monkeypatch.setattr(torques, lambda _, q, qd, qdd, payload: carried.append(payload) or 1 * q)
+    runs = list(_simulated(beside, result))
+    q, current, step = runs[0].position, runs[0].command, round(0.01 * task.rate)
+    np.testing.assert_allclose(current[:, :2], q[:, :2], atol=1e-12)
+    np.testing.assert_allclose(current[:-step, 2], q[step:, 2], atol=1e-9)  # a delay leads
     assert carried[1].parameters == pytest.approx({"mx": 0.08, "my": 0.0, "mz": 0.3, "zz": 0.02})
     assert runs[1].payload.parameters == {"zz": 0.02}
     assert carried[0] is runs[0].payload is None

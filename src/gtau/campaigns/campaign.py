@@ -221,7 +221,7 @@ def _decided(
         designed, note = played_again(task, used, refusal, progress)
         decision = decision.noting(note)
     if decision.kind != decisions.CONFIRM:
-        designed, decision = _best_candidate(designed, decision, result, last.number, progress)
+        designed, decision = _best_candidate(designed, decision, result, progress)
     if decision.goes_on:
         trusted = model if task.prior.covariance is not None else None
         warm_up = decisions.warming(result, last)
@@ -247,7 +247,7 @@ def _confirmation(
 
 
 def _best_candidate(
-    designed: Design, decision: Decision, result: IdentifiedModel, seed: int, progress: Progress
+    designed: Design, decision: Decision, result: IdentifiedModel, progress: Progress
 ) -> tuple[Design, Decision]:
     """Simulate candidates for the next motion; return the best one, and the decision with what they would reach."""
     offered = list(candidates(designed)) if decision.kind == decisions.MODEL else [Candidate("as designed", designed)]
@@ -257,7 +257,7 @@ def _best_candidate(
     widths = []
     for k, candidate in enumerate(offered):
         progress(f"rehearsing {candidate.label}", k, len(offered))
-        widths.append(expected_width(candidate, result, seed, drives))
+        widths.append(expected_width(candidate, result, drives))
     chosen = offered[min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: widths[k])]
     listed = [
         {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
@@ -267,7 +267,7 @@ def _best_candidate(
     if any(offered[-1].beside) and beside <= decisions.WORTH * min(usual):
         advice = f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{beside:.3g} %"
         decision = replace(decision, notes=(advice, *decision.notes))
-    return chosen.design, decisions.refuse_to_go_on(result, decision, listed, expected_width(None, result, 0, drives))
+    return chosen.design, decisions.refuse_to_go_on(result, decision, listed, expected_width(None, result, drives))
 
 
 def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: Progress) -> tuple[Design, Rehearsal]:

@@ -65,16 +65,17 @@ def estimate_effects(fit: Fit) -> Mixed | None:
 
     Where they move a gain, they move the torques that their columns are made of: these are then made again.
     """
-    mixed = _estimate(fit)
+    mixed = effects_beside(fit)
     if mixed is None or not fit.free_gains:
         return mixed
     gains = mixed.values[fit.system.problem.gain_rows]
     if not NONLINEAR < float(np.max(np.abs(gains / fit.gains - 1))) < FAR:
         return mixed
-    return _estimate(mixed.applied(fit), mixed.mixed)
+    return effects_beside(mixed.applied(fit), mixed.mixed)
 
 
-def _estimate(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
+def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
+    """Estimate all effects as :func:`estimate_effects` does, with columns of the torques of the fit alone."""
     windows = fit.dataset.windows(WINDOWS)
     if not windows:
         return None
