@@ -252,22 +252,19 @@ def _best_candidate(
     """Simulate candidates for the next motion; return the best one, and the decision with what they would reach."""
     offered = list(candidates(designed)) if decision.kind == decisions.MODEL else [Candidate("as designed", designed)]
     offered += beside_the_axis(designed, result)
-    drives = designed.task.prior.drives
-
-    widths = []
+    widths, listed = [], []
     for k, candidate in enumerate(offered):
         progress(f"rehearsing {candidate.label}", k, len(offered))
-        widths.append(expected_width(candidate, result, drives))
+        width = expected_width(candidate, result, designed.task.prior.drives)
+        half_width = width if np.isfinite(width) else None
+        listed.append({"motion": candidate.label, "half_width": half_width, "at_hand": candidate.at_hand})
+        widths.append(width)
     chosen = offered[min((k for k, candidate in enumerate(offered) if candidate.at_hand), key=lambda k: widths[k])]
-    listed = [
-        {"motion": candidate.label, "half_width": width if np.isfinite(width) else None, "at_hand": candidate.at_hand}
-        for candidate, width in zip(offered, widths, strict=True)
-    ]
     *usual, beside = widths
     if any(offered[-1].beside) and beside <= decisions.WORTH * min(usual):
         advice = f"mount the payload off the axis of the last joint: {offered[-1].label} it would be +-{beside:.3g} %"
         decision = replace(decision, notes=(advice, *decision.notes))
-    return chosen.design, decisions.refuse_to_go_on(result, decision, listed, expected_width(None, result, drives))
+    return chosen.design, decisions.refuse_to_go_on(result, decision, listed)
 
 
 def rehearsed(designed: Design, file: DesignFile, model: Path | None, progress: Progress) -> tuple[Design, Rehearsal]:

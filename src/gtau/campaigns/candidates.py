@@ -108,18 +108,18 @@ def widths(result: IdentifiedModel) -> dict[str, float]:
     }
 
 
-def expected_width(candidate: Candidate | None, result: IdentifiedModel, drives: Mapping[str, Drive]) -> float:
+def expected_width(candidate: Candidate, result: IdentifiedModel, drives: Mapping[str, Drive]) -> float:
     """Predict the widest half-interval of a gain, per cent, once the candidate is played as well; infinite if it fails.
 
-    Its logs are simulated without noise, as draws of it differ by more than candidates do: with two, an Orthoglide was
-    to reach 3.7 and 5.0 %, without 0.9 %, and reached 1.4 %. Of seven rounds of five-bars and Orthoglides in MuJoCo the
-    widest interval was predicted as 0.4 to 1.1 of what they led to, mostly 0.7. ``drives`` are of the design file.
+    Logs are simulated without noise, as draws of it differ by more than candidates do: an Orthoglide was to reach 3.7
+    and 5.0 %, and reached 1.4 %. Predictions are now 0.4 to 1.1 of what seven rounds of five-bars and Orthoglides led
+    to, mostly 0.7. ``drives`` are of the design file.
     """
     estimator = estimator_of("ml")
     try:
-        runs = () if candidate is None else _simulated(candidate, result)
+        runs = [*result.data, *_simulated(candidate, result)]
         with single_threaded_blas():
-            dataset = reduce_runs(result.robot, [*result.data, *runs], result.preparation, model=result.idm)
+            dataset = reduce_runs(result.robot, runs, result.preparation, model=result.idm)
             dataset = with_voltages(dataset, drives)  # of the logs alone, as no motion adds to what limits them
             fit = estimator.fit(select_friction(dataset, estimator.solver(None), silent), None, silent)
             estimates = estimates_of(fit, Examination(mixed=effects_beside(fit)), correlated=True, moved=True)

@@ -251,15 +251,9 @@ def _apart(alone: IdentifiedModel, before: Mapping[str, Any] | None) -> str:
     return ""
 
 
-def refuse_to_go_on(
-    result: IdentifiedModel, decision: Decision, candidates: Sequence[Mapping[str, Any]], usual: float
-) -> Decision:
-    """End the campaign if no motion at hand narrows the widest interval by a tenth, and say what else would.
-
-    The reference is the interval, or the ``usual`` interval from such data, per cent, if it is wider: with the interval
-    alone, a five-bar stopped at 3.12 % because its best motion usually leads to 3.22 %.
-    """
-    now = max(*widths(result).values(), usual)
+def refuse_to_go_on(result: IdentifiedModel, decision: Decision, candidates: Sequence[Mapping[str, Any]]) -> Decision:
+    """End the campaign if no motion at hand narrows the widest interval by a tenth, and say what else would."""
+    now = max(widths(result).values())
     decision = replace(decision, candidates=tuple(candidates))
     helpful = [c for c in candidates if c["half_width"] and c["half_width"] <= WORTH * now]
     if not np.isfinite(now) or any(c["at_hand"] for c in helpful):

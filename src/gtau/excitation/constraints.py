@@ -141,7 +141,7 @@ def _drives(point: Point) -> Iterator[ConstraintUsage]:
 def _load_rows(point: Point, j: int, load: np.ndarray) -> np.ndarray:
     weights = np.zeros_like(point.W)
     weights[j] = load
-    return point.rows(point.task.regressor.slopes(point.motion, weights))
+    return point.to_rows(point.by_joints(weights))
 
 
 def _workspace(point: Point) -> Iterator[ConstraintUsage]:

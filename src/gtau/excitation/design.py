@@ -27,7 +27,7 @@ TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round follows if the last one reduced the criterion below this share
 # iterations that must improve the logarithm of the criterion by WORTHLESS, or the round ends
-STALLED = 25
+STALLED = 12
 WORTHLESS = 3e-3
 # scales tried for an interrupted motion; the first within all limits is kept
 SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)
@@ -50,11 +50,6 @@ class Design:
         return (
             f"Design({self.task.model.robot.name!r}, {self.criterion!r}: {self.value:.4g}, start {self.start + 1}{cut})"
         )
-
-
-def never() -> bool:
-    """Never stop a search."""
-    return False
 
 
 class Stopped(GtauError):
@@ -115,7 +110,7 @@ def excite(
     'gains'
     """
     require_rest(task)
-    reported, stopped = progress or silent, stop or never
+    reported, stopped = progress or silent, stop or (lambda: False)
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failures: list[ConstraintUsage] = []
@@ -169,7 +164,7 @@ def redesign(task: DesignProblem, x: np.ndarray, progress: Progress = silent) ->
     kept: list[Design] = []
     if (begin := _smaller(task, "gains", x, 0)) is not None:
         total = ROUNDS * ITERATIONS
-        _from_one(task, "gains", begin.x, 0, kept.append, never, lambda done: progress(STAGE, done, total))
+        _from_one(task, "gains", begin.x, 0, kept.append, lambda: False, lambda done: progress(STAGE, done, total))
     return min(kept, key=lambda design: design.value, default=None)
 
 
@@ -191,16 +186,15 @@ def _from_one(
     tightness = {usage.what: MARGIN for usage in at_start if usage.what not in idle}
     if not tightness:  # not reachable from home
         return None
-    begin, kept, worst = x, None, None
+    begin, kept, worst, near = x, None, None, None
     if (guess := _feasible(task, criterion, x, start)) is not None:
         keep(guess)  # the result of an early interruption
     for number in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
-        ended = solve(programme, x, _stalled(programme, stop, progress, number * ITERATIONS))
+        near = solve(programme, x, _stalled(programme, stop, progress, number * ITERATIONS), near)
         if programme.best is None:
-            if kept is not None:
-                return None
-            return _most_exceeded(programme.constraint_usages(ended), 0.0) or worst
+            worst = _most_exceeded(programme.constraint_usages(np.ravel(near["x0"])), 0.0) or worst
+            break
         x = programme.best
         if stop():
             if (within := _smaller(task, criterion, x, start)) is not None:
@@ -208,7 +202,7 @@ def _from_one(
             break
         if (usages := _usages(task, x)) is None:
             tightness = tightness | {what: CLOSER * part for what, part in tightness.items() if what in reach}
-            x = begin
+            x, near = begin, None
             continue
         if exceeded := {usage.what: usage.excess for usage in usages if usage.excess > 1.0}:
             worst = _most_exceeded(usages, -np.inf)

@@ -214,6 +214,16 @@ class Point:
     platform: Motion | None
     W: np.ndarray
 
+    @cached_property
+    def jacobians(self) -> list[np.ndarray]:
+        """Jacobian rows (n, N, P) of the currents in every run."""
+        information = self.task.information
+        return [information.jacobians(self.W, run, self.grid.step) for run in range(len(self.task.payloads))]
+
+    def by_joints(self, by_W: np.ndarray) -> np.ndarray:
+        """Convert derivatives by W into derivatives by q, qd, qdd (3, n, N)."""
+        return self.task.pullback(self.motion, self.task.regressor.slopes(self.motion, by_W))
+
     def rows(self, slopes: np.ndarray, by_condition: float = 0.0) -> np.ndarray:
         """Convert derivatives by the whole robot's motion, see :class:`Pullback`, into gradients (N, series.size)."""
         return self.to_rows(self.task.pullback(self.motion, slopes, by_condition))

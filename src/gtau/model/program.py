@@ -321,7 +321,7 @@ def threads() -> int:
 def share(work: Callable[[int, int], None], samples: int, worth: int = SHARE) -> None:
     """Call ``work(start, stop)`` for stretches of the ``samples``, in threads where each gets ``worth`` at least."""
     # what a thread does is not shared again
-    parts = 1 if hasattr(_inside, "pool") else min(threads(), samples // worth)
+    parts = 1 if samples < 2 * worth or hasattr(_inside, "pool") else min(threads(), samples // worth)
     if parts < 2:
         work(0, samples)
         return
