@@ -114,7 +114,7 @@ def _impossible(rows: EffectRows, mixed: MixedFit) -> list[int]:
     return [
         number
         for number, layout in enumerate(rows.layouts)
-        if layout.effect.shared and mixed.log_s[number] > BOUNDS[0]
+        if layout.effect.shared and not layout.effect.in_runs and mixed.log_s[number] > BOUNDS[0]
         for column, k in zip(
             layout.columns, range(first + layout.places.start, first + layout.places.stop), strict=True
         )
@@ -141,7 +141,7 @@ def _estimated(result: Mixed) -> Iterator[EstimatedEffect]:
                 continue
             all_sizes = np.zeros_like(common), [np.zeros_like(part) for part in parts]
             if effect.shared:
-                all_sizes[0][common != 0] = size / column.plausible
+                all_sizes[0][common != 0] = mixed.sizes[number] * mixed.at.common[common != 0]
             else:
                 j = result.rows.fit.system.problem.joints.index(column.joint)
                 all_sizes[1][j][layout.places] = mixed.sizes[number] * mixed.at.own_effects[j, layout.places]
@@ -213,28 +213,36 @@ def _columns(result: Mixed, number: int, layout: Layout) -> Iterator[tuple[Effec
     mixed, fit, effect = result.mixed, result.rows.fit, layout.effect
     nothing = [np.zeros(len(mixed.model.own_groups)) for _ in mixed.model.rows]
     common, scale = np.zeros(len(mixed.at.common)), mixed.sizes[number]
+    modes = run_modes(len(fit.dataset.runs))
+    modes = modes - modes.mean(axis=0)
+
+    def of_run(column: EffectColumn, u: np.ndarray) -> tuple[EffectColumn, np.ndarray]:
+        """Name the run that differs most from the mean of all, and weigh the modes for it."""
+        run = int(np.argmax(np.abs(modes @ u)))
+        return replace(column, about=fit.dataset.runs[run].name), scale * column.plausible * modes[run]
+
     if effect.shared:
         first = mixed.model.unknowns + len(result.rows.in_runs[0]) + layout.places.start
+        width = modes.shape[1] if effect.in_runs else 1
         for k, column in enumerate(layout.columns):
-            functional = common.copy()
-            functional[first + k] = scale * column.plausible
+            functional, places = common.copy(), slice(first + k * width, first + (k + 1) * width)
+            functional[places] = scale * column.plausible
+            if effect.in_runs:
+                column, functional[places] = of_run(column, mixed.at.common[places])
             yield column, functional, nothing
         return
     for j, joint in enumerate(fit.system.problem.joints):
         if joint not in fit.dataset.robot.motors:
             continue
         u, std = mixed.at.own_effects[j, layout.places], np.sqrt(mixed.at.variance[j, layout.places])
-        parts, about = [part.copy() for part in nothing], ""
-        if effect.in_runs:  # of the run that differs most from the mean of all
-            modes = run_modes(len(fit.dataset.runs))
-            modes = modes - modes.mean(axis=0)
-            k, run = 0, int(np.argmax(np.abs(modes @ u)))
-            parts[j][layout.places] = scale * layout.columns[0].plausible * modes[run]
-            about = fit.dataset.runs[run].name
+        parts = [part.copy() for part in nothing]
+        k = 0 if effect.in_runs else int(np.argmax(np.abs(u) / std))
+        column = replace(layout.columns[k], joint=joint)
+        if effect.in_runs:
+            column, parts[j][layout.places] = of_run(column, u)
         else:
-            k = int(np.argmax(np.abs(u) / std))
-            parts[j][layout.places.start + k] = scale * layout.columns[k].plausible
-        yield replace(layout.columns[k], joint=joint, about=about or layout.columns[k].about), common, parts
+            parts[j][layout.places.start + k] = scale * column.plausible
+        yield column, common, parts
 
 
 class Influence:

@@ -81,14 +81,14 @@ def friction_step(
     names_of_curves: list[Parameter] = []
     errors: dict[str, tuple[float, float]] = {}
     fixed = _fixed(fit, estimates, {joint.name for joint in joints})
-    groups = _on_all_samples(fit, law, joints)
+    groups = _on_all_samples(fit, joints)
     choices = [choose(group) if len(group.G) else None for group in groups]
     mixes = {joint: np.zeros(joint.count) for joint in joints}
     for group, choice in zip(groups, choices, strict=True):
         if choice is not None:
             ends = np.cumsum([joint.count for joint in group.joints])
             mixes |= dict(zip(group.joints, np.split(_error(choice[0]), ends), strict=False))
-    filtered = normal_equations(fit, law, joints, mixes=mixes)  # errors are stated behind the filter of these rows
+    filtered = normal_equations(fit, joints, mixes=mixes)  # errors are stated behind the filter of these rows
     for group, choice, rows in zip(groups, choices, filtered, strict=True):
         if choice is not None:
             candidate, plain, evidence = choice
@@ -108,9 +108,9 @@ def friction_step(
     return estimates, {joint.name: curves[joint.name] for joint in joints if joint.name in curves}, errors
 
 
-def _on_all_samples(fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint]) -> tuple[FrictionGroup, ...]:
+def _on_all_samples(fit: Fit, joints: Sequence[FrictionJoint]) -> tuple[FrictionGroup, ...]:
     """Reduce all samples, with Huber's weights until the friction they lead to settles if the fit has weighted rows."""
-    groups, before = normal_equations(fit, law, joints, FINER), None
+    groups, before = normal_equations(fit, joints, FINER), None
     if fit.unweighted is None:
         return groups
     limits = [np.full(len(group.motors), TUNING) for group in groups]
@@ -119,7 +119,7 @@ def _on_all_samples(fit: Fit, law: FrictionLaw, joints: Sequence[FrictionJoint])
         if before is not None and np.allclose(np.hstack(errors), before, rtol=CONVERGED, atol=0):
             break
         before = np.hstack(errors)
-        groups = normal_equations(fit, law, joints, FINER, list(zip(errors, limits, strict=True)))
+        groups = normal_equations(fit, joints, FINER, list(zip(errors, limits, strict=True)))
         limits = [TUNING * robust_sigma([group.residuals]) for group in groups]
     return groups
 

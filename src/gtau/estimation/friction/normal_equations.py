@@ -181,7 +181,6 @@ def groups_of(joints: Sequence[FrictionJoint]) -> list[tuple[tuple[FrictionJoint
 
 def normal_equations(
     fit: Fit,
-    law: FrictionLaw,
     joints: Sequence[FrictionJoint],
     finer: int = 1,
     weigh: Sequence[tuple[np.ndarray, np.ndarray]] | None = None,
@@ -211,7 +210,7 @@ def normal_equations(
         decimator = dataset.preparation.at(prepared.run.rate).decimator
         decimator = replace(decimator, factor=max(decimator.factor // finer, 1))
         outputs = decimator.outputs(len(prepared))
-        for part, columns, torques in _rows_along(fit, law, joints, run, decimator, mixes):
+        for part, columns, torques in _rows_along(fit, joints, run, decimator, mixes):
             first, last = (decimator.factor * k for k in (part.outputs.start, part.outputs.stop - 1))
             valid = decimator.keep(prepared.valid(first, last + 2 * decimator.support + 1)[:, :n]).T
             blocks = run * count + np.arange(part.outputs.start, part.outputs.stop) * count // outputs
@@ -240,7 +239,6 @@ def normal_equations(
 
 def _rows_along(
     fit: Fit,
-    law: FrictionLaw,
     joints: Sequence[FrictionJoint],
     run: int,
     decimator: Decimator,
@@ -258,14 +256,16 @@ def _rows_along(
     names = {joint.name for joint in joints}
     friction = columns_along(joints, dataset, run, mixes)
     load = fit.system.load(run, solution.theta)
-    mean = dict(zip(fit.system.problem.parameters, solution.theta, strict=True))
+    parameters = fit.system.problem.parameters
+    mean = dict(zip(parameters, solution.theta, strict=True))
+    cold = solution.theta * [name.kind not in TEMPERATURE_TERMS for name in parameters]
     sought = [mean.get(name, 0.0) if name.kind in PLAIN_FRICTION and name.body in names else 0.0 for name in base.names]
-    known = fit.system.motion(run, solution.theta) - sought
-    ends = np.cumsum([*(1 if mixes else joint.count for joint in joints), len(joints)])
+    known = fit.system.motion(run, cold) - sought
+    ends = np.cumsum([1 if mixes else joint.count for joint in joints])
     regressor = model.columns(base.standard)
     for part in stream_rows(model, regressor, dataset.prepared[run], decimator, load, friction=friction):
         assert part.friction is not None
-        *made, speeds, _ = np.split(part.friction, ends)
+        *made, speeds = np.split(part.friction, ends)
         measured = fit.gains[:, None] * delayed_signal(np.moveaxis(part.currents[:, :n], 0, -1), solution.delays[:n])
         columns = {joint: np.vstack([A, speed]) for joint, A, speed in zip(joints, made, speeds, strict=True)}
         left = measured + part.external - regressor.torques(part.entries, known, n)

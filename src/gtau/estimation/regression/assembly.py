@@ -126,7 +126,7 @@ def column_blocks(
     return (
         ColumnBlock(base.names, lambda run, channel, above: _felt(base, channel, np.eye(base.count))),
         *(_payload_block(base, payload) for payload in payloads),
-        _drift_block(base, drifting),
+        _drift_block(base, [channel.joint for channel in channels], drifting),
         _own_block(base, terms),
         _own_block(base, offsets),
     )
@@ -147,9 +147,10 @@ def _payload_block(base: BaseParameters, payload: PayloadColumns) -> ColumnBlock
     return ColumnBlock((*payload.unknown, *values), columns, values)
 
 
-def _drift_block(base: BaseParameters, runs: int) -> ColumnBlock:
+def _drift_block(base: BaseParameters, joints: Sequence[str], runs: int) -> ColumnBlock:
     """Build the block of friction's differences from its mean in every run; they add up to zero."""
-    drifting = [k for k, name in enumerate(base.names) if name.kind in DRIFTING] if runs > 1 else []
+    kinds = {Parameter(kind, joint) for kind in DRIFTING for joint in joints}
+    drifting = [k for k, name in enumerate(base.names) if name in kinds] if runs > 1 else []
     units = np.eye(base.count)[:, drifting]
 
     def columns(run: int, channel: Channel, above: np.ndarray) -> np.ndarray:

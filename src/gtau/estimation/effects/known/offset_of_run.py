@@ -1,6 +1,6 @@
 """Another offset of the current in each run: sensors warm up, or are zeroed again.
 
-Where the payload's weight is nearly constant along the runs, such as at a vertical axis, it is the same as an offset.
+Where a joint feels a nearly constant weight of the payload, such as a vertical axis, an offset looks the same.
 """
 
 from __future__ import annotations
@@ -25,10 +25,8 @@ def _columns(fit: Fit) -> list[EffectColumn]:
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"an offset of '{column.joint}' that is {'larger' if size > 0 else 'smaller'} in run '{column.about}'"
-    return (
-        what,
-        "let the drives warm up, zero their current sensors before the runs, and alternate loaded and unloaded runs",
-    )
+    advice = "zero the current sensors before the runs, let the drives warm up, and alternate loaded and unloaded runs"
+    return what, advice
 
 
 EFFECT = Effect("offset of a run", _torques, _columns, _say, in_runs=True)
