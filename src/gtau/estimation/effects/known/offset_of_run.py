@@ -1,4 +1,4 @@
-"""Another offset of the current in each run: sensors warm up, or are zeroed again.
+"""Another offset of the current in each run.
 
 Where a joint feels a nearly constant weight of the payload, such as a vertical axis, an offset looks the same.
 """

@@ -1,4 +1,4 @@
-"""Friction of passive joints that differs between runs, as they warm up.
+"""Friction of passive joints that differs between runs.
 
 With changes of 10 % of a tenth of the motors' friction, gains of a five-bar and a 3-RRR were 5 to 8 % off.
 """
