@@ -17,7 +17,8 @@ PLAUSIBLE = 0.1  # relative change between runs, as of motors
 def _passive(fit: Fit) -> list[Parameter]:
     """List the friction parameters of passive joints that are estimated."""
     names, driven = fit.system.problem.parameters, fit.dataset.model.actuated
-    return [name for name in names if name.kind in DRIFTING and name.run is None and name.body not in driven]
+    passive = (name for name in fit.dataset.base.names if name.kind in DRIFTING and name.body not in driven)
+    return [name for name in passive if name in names]
 
 
 def _torques(at: FitWindow) -> Torques:
