@@ -57,8 +57,7 @@ def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
         loads = []
         for load in (run.payload for run in dataset.runs):
             if load is not None and load.name == name:
-                factor = 1.0 if masses else 1 + by
-                parameters = {kind: factor * value for kind, value in load.parameters.items()}
+                parameters = {kind: value if masses else (1 + by) * value for kind, value in load.parameters.items()}
                 mass = None if load.mass is None else (1 + by) * load.mass
                 load = load.model_copy(update={"mass": mass, "parameters": parameters})
             loads.append(load)
@@ -71,14 +70,10 @@ def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
         return replace(problem, blocks=blocks)
 
     def known(by: float) -> Problem:
-        values = problem.known.copy()
-        values[:, -1] *= 1 + by
-        return replace(problem, known=values)
+        return replace(problem, known=problem.known * [*np.ones(problem.n_theta), 1 + by])
 
     def faster(by: float) -> Problem:
-        voltages = problem.voltages.copy()
-        voltages[:, 1] /= 1 + by
-        return replace(problem, voltages=voltages)
+        return replace(problem, voltages=problem.voltages / [1.0, 1 + by, 1.0])
 
     loads = {load.payload.name: load.payload for load in reversed(system.payloads) if load.acts}
     for name, payload in reversed(loads.items()):

@@ -22,6 +22,7 @@ from gtau.estimation.effects.effect import (
     FitWindow,
     Torques,
     friction_torques,
+    plain_friction,
     rms_speeds,
 )
 from gtau.estimation.effects.known import EFFECTS
@@ -31,7 +32,6 @@ from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known
 from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
-from gtau.robots.parameter import Parameter
 
 # Of log s: beside a description that stands, its errors have plausible sizes. Larger ones would contradict it, and
 # often explain physics that has no column: if they are free, a gain of a dVRK becomes 0.37 instead of 0.71 N per A.
@@ -157,18 +157,17 @@ class EffectRows:
     def in_runs(self) -> tuple[list[int], np.ndarray]:
         """Places of the friction of runs among the unknowns, (r,), and a root (r, r) of its prior covariance."""
         names, joints = self.fit.system.problem.unknowns, self.fit.dataset.model.actuated
-        values = dict(zip(self.fit.system.problem.parameters, np.abs(self.fit.solution.theta), strict=True))
-        least = dict(zip(joints, friction_torques(self.fit), strict=True))
-        speeds = {"fv": dict(zip(joints, rms_speeds(self.fit), strict=True)), "fs": {}}
+        plausible, speeds = friction_torques(self.fit), rms_speeds(self.fit)
+        estimates = zip(("fv", "fs"), plain_friction(self.fit), (plausible / speeds, plausible), strict=True)
+        sizes = {kind: np.where(level > 0, level, otherwise) for kind, level, otherwise in estimates}
         places = [k for k, name in enumerate(names) if name.run is not None]
         root = np.zeros((len(places), len(places)))
         drift = difference_root(len(self.fit.dataset.runs)) if places else root
         for a, b in np.ndindex(root.shape):
             one, other = names[places[a]], names[places[b]]
             if (one.kind, one.body) == (other.kind, other.body):
-                plausible = least.get(one.body, 0.0) / speeds[one.kind].get(one.body, 1.0)
-                size = values.get(Parameter(one.kind, one.body)) or plausible
-                root[a, b] = FRICTION_CHANGE * size * drift[one.run, other.run]
+                size = FRICTION_CHANGE * sizes[one.kind][joints.index(one.body)]
+                root[a, b] = size * drift[one.run, other.run]
         return places, root
 
 

@@ -1,6 +1,6 @@
 """Compile the geometry of an MJCF file by MuJoCo, and check its numbers and angles.
 
-It is loaded in a process of its own first, because MuJoCo may crash, hang or run out of memory.
+A file is first loaded in another process, because MuJoCo may crash, hang or run out of memory.
 """
 
 from __future__ import annotations
