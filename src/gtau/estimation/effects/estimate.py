@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -36,18 +37,54 @@ SEEN = 0.02  # of its plausible size: an effect below is not listed
 
 @dataclass(frozen=True, eq=False)
 class Mixed:
-    """Estimates of a fit with all effects beside them.
+    """Estimates of a ``fit`` with all effects beside them, whose columns are those of ``rows``.
 
-    ``values`` (k,) are moved, ``covariance`` (k, k) is theirs, of which noise alone gives ``random``; ``slopes`` (k, .)
-    are theirs by the common columns of the mixed model.
+    The ``slopes`` (k, .) of its values are by the common columns of the mixed model, whose steps count from ``origin``.
     """
 
+    fit: Fit
     rows: EffectRows
     mixed: MixedFit
     slopes: np.ndarray
-    values: np.ndarray
-    covariance: np.ndarray
-    random: np.ndarray
+    origin: np.ndarray
+
+    @property
+    def likeliest(self) -> np.ndarray:
+        """Values (k,) at the likeliest sizes of all effects."""
+        return self._settled(self.origin + self.mixed.at_sizes(self.mixed.log_s, self.slopes)[0])
+
+    @cached_property
+    def _averaged(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.mixed.averaged(self.slopes)
+
+    @cached_property
+    def values(self) -> np.ndarray:
+        """Values (k,) over all sizes, each as likely as the data say."""
+        return self._settled(self.origin + self._averaged[0])
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Covariance (k, k) of the values."""
+        covariance, gain_rows = self._averaged[1].copy(), self.fit.system.problem.gain_rows
+        if self.fit.free_gains:
+            known = np.diag(covariance)[gain_rows] == 0
+            covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * self.values[gain_rows]) ** 2))
+        return covariance
+
+    @cached_property
+    def random(self) -> np.ndarray:
+        """Part (k, k) of the covariance that noise alone gives."""
+        random = self.mixed.at_sizes(np.full(len(self.mixed.log_s), BOUNDS[0] - 10.0), self.slopes)[1]
+        total, alone = np.diag(self.covariance), np.diag(random)
+        part = np.sqrt(np.divide(total, alone, out=np.ones_like(alone), where=alone > total))  # 1 but for rounding
+        return random * part[:, None] * part
+
+    def _settled(self, values: np.ndarray) -> np.ndarray:
+        """Keep the delays of the fit that effects hardly move."""
+        plain = self.fit.solution
+        stays = np.abs(values - plain.values) < DELAY_MOVES * np.sqrt(np.diag(plain.jackknife))
+        stays[: self.fit.system.problem.unknowns.delays.start] = False
+        return np.where(stays, plain.values, values)
 
     def applied(self, fit: Fit) -> Fit:
         """Move the estimates of a fit, which scatter as the noise does."""
@@ -68,10 +105,12 @@ def estimate_effects(fit: Fit) -> Mixed | None:
     mixed = effects_beside(fit)
     if mixed is None or not fit.free_gains:
         return mixed
-    gains = mixed.values[fit.system.problem.gain_rows]
-    if not NONLINEAR < float(np.max(np.abs(gains / fit.gains - 1))) < FAR:
+    values, gain_rows = mixed.likeliest, fit.system.problem.gain_rows
+    if not NONLINEAR < float(np.max(np.abs(values[gain_rows] / fit.gains - 1))) < FAR:
         return mixed
-    return effects_beside(mixed.applied(fit), mixed.mixed)
+    solution = finish(fit.system.problem, values, weights_of(fit), fit.free_gains)
+    again = effects_beside(replace(fit, solution=solution), mixed.mixed)
+    return again and replace(again, fit=fit)
 
 
 def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
@@ -93,18 +132,7 @@ def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
         gains, values = values[gain_rows], origin + mixed.at_sizes(mixed.log_s, slopes)[0]
         if np.all(np.abs(values[gain_rows] - gains) <= STAYS * np.abs(gains)):
             break
-    step, covariance = mixed.averaged(slopes)
-    values = origin + step
-    _, random, _ = mixed.at_sizes(np.full(len(mixed.log_s), BOUNDS[0] - 10.0), slopes)  # by the noise alone
-    stays = np.abs(values - fit.solution.values) < DELAY_MOVES * np.sqrt(np.diag(fit.solution.jackknife))
-    stays[: fit.system.problem.unknowns.delays.start] = False
-    values[stays] = fit.solution.values[stays]
-    if fit.free_gains:
-        known = np.diag(covariance)[gain_rows] == 0
-        covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * values[gain_rows]) ** 2))
-    total, alone = np.diag(covariance), np.diag(random)
-    part = np.sqrt(np.divide(total, alone, out=np.ones_like(alone), where=alone > total))  # 1 but for rounding
-    return Mixed(rows, mixed, slopes, values, covariance, random * part[:, None] * part)
+    return Mixed(fit, rows, mixed, slopes, origin)
 
 
 def _impossible(rows: EffectRows, mixed: MixedFit) -> list[int]:
@@ -275,7 +303,7 @@ class Influence:
             J_c += product[self.unknown]
             c_e += float(product[-1])
             c_c += float(column @ product)
-            count = max(float(model.rows[j].counts.sum()), 1.0)
+            count = max(float(model.rows[j].counts[0]), 1.0)
             rms = np.sqrt(max(float(column @ product), 0.0) / count) / weights_of(fit)[j]
             torque = max(torque, rms / max(float(fit.system.problem.balance(fit.solution.theta)[j]), 1e-300))
         step = self.inverse @ J_c

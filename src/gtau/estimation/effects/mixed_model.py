@@ -36,14 +36,14 @@ PASSES, SETTLED = 5, 0.03  # of noise and effects in turn, until no standard dev
 LARGEST_CORRELATION = 0.98  # partial autocorrelation that is believed
 LEAST_STD = 1e-3  # of the noise, in standard deviations of the fit: a channel without a signal has none
 LEAST_FREEDOM = 0.2  # share of the rows, at least, that count for the noise
-LAGS = ((0, 0, 0), (1, 0, 0), (1, 0, 1), (1, 1, 1), (2, 0, 0), (2, 0, 1), (2, 1, 1), (2, 0, 2), (2, 1, 2), (2, 2, 2))
-"""Products that are kept: rows with none, one or two before them, and the two lags that are multiplied."""
 
 
 @dataclass(frozen=True, eq=False)
 class LagProducts:
-    """Sums ``products`` (10, r, r) of a channel's rows times rows before them, by ``LAGS``, and ``counts`` (3,).
+    """Sums ``products`` (7, r, r) of a channel's rows times rows before them, and ``counts`` (3,) of these.
 
+    The first three are at the lags 0, 1 and 2. Three are of the two rows at either end of each stretch, from its end:
+    the first with itself, the first with the second, the second with itself. The last is of stretches of a single row.
     The model's columns are the rows times a ``basis`` (r, p), or the rows themselves.
     """
 
@@ -51,38 +51,40 @@ class LagProducts:
     counts: np.ndarray
     basis: np.ndarray | None = None
 
-    def __add__(self, other: LagProducts) -> LagProducts:
+    def add(self, other: LagProducts) -> None:
         """Add the rows of another part of the logs."""
-        return LagProducts(self.products + other.products, self.counts + other.counts)
+        self.products[:] += other.products
+        self.counts[:] += other.counts
 
     @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""
-        return self.combined([float((a, b) == (0, 0)) for _, a, b in LAGS])
+        return self.combined([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def combined(self, weights: Sequence[float]) -> np.ndarray:
-        """Add up the products by their ``weights`` (10,): (p, p)."""
+        """Add up the products by their ``weights`` (7,): (p, p)."""
         total = np.tensordot(weights, self.products, 1)
         return np.asarray(total if self.basis is None else self.basis.T @ total @ self.basis)
 
     def lagged(self, lag: int, coefficients: np.ndarray) -> tuple[float, float]:
         """Sum the products of the residuals at a ``lag``, and count them; ``coefficients`` (p,) combine the columns."""
-        parts = [k for k, (before, a, b) in enumerate(LAGS) if (a, b) == (0, lag) and before >= lag]
         along = coefficients if self.basis is None else self.basis @ coefficients
-        total = float(along @ self.products[parts].sum(axis=0) @ along)
-        return total / (2 if lag else 1), float(self.counts[lag:].sum())
+        return float(along @ self.products[lag] @ along) / (2 if lag else 1), float(self.counts[lag])
 
 
 def lag_products(rows: np.ndarray, begins: np.ndarray) -> LagProducts:
     """Multiply rows (K, p) with the rows before them; a stretch without gaps ``begins`` at some rows, (K,)."""
     at = np.arange(len(rows))
-    place = at - np.maximum.accumulate(np.where(begins, at, 0))
-    parts = [at[place == 0], at[place == 1], at[place >= 2]]
-    products = np.empty((len(LAGS), rows.shape[1], rows.shape[1]))
-    for k, (before, a, b) in enumerate(LAGS):
-        product = rows[parts[before] - a].T @ rows[parts[before] - b]
-        products[k] = product if a == b else product + product.T
-    return LagProducts(products, np.array([len(part) for part in parts]))
+    first = np.maximum.accumulate(np.where(begins, at, 0))
+    place, length = at - first, np.bincount(first, minlength=len(rows))[first]
+    starts = at[(place == 0) & (length > 1)]
+    ends = starts + length[starts] - 1
+    outer, inner, alone = rows[np.append(starts, ends)], rows[np.append(starts + 1, ends - 1)], rows[length == 1]
+    at_lags = [(rows[lag:][place[lag:] >= lag], rows[:-lag][place[lag:] >= lag]) for lag in (1, 2)]
+    crossed = [later.T @ before for later, before in (*at_lags, (outer, inner))]
+    lag_1, lag_2, ends_crossed = (product + product.T for product in crossed)
+    products = [rows.T @ rows, lag_1, lag_2, outer.T @ outer, ends_crossed, inner.T @ inner, alone.T @ alone]
+    return LagProducts(np.array(products), np.array([len(rows), *(len(later) for later, _ in at_lags)]))
 
 
 @dataclass(frozen=True)
@@ -93,14 +95,14 @@ class Noise:
     partial: tuple[float, float] = (0.0, 0.0)
 
     def whitened(self, rows: LagProducts) -> np.ndarray:
-        """Combine products of rows into products of rows with independent noise of unit variance, (p, p)."""
-        first, second = self.partial
-        filters = (
-            np.array([1.0]) * np.sqrt((1 - first**2) * (1 - second**2)),
-            np.array([1.0, -first]) * np.sqrt(1 - second**2),
-            np.array([1.0, -first * (1 - second), -second]),
-        )
-        return rows.combined([filters[before][a] * filters[before][b] / self.std**2 for before, a, b in LAGS])
+        """Combine products of rows into products of rows with independent noise of unit variance, (p, p).
+
+        The inverse covariance of a stretch is a band that is the same all along it but for the rows at its ends.
+        """
+        a, b = self.partial[0] * (1 - self.partial[1]), self.partial[1]
+        alone = (1 - self.partial[0] ** 2) * (1 - b**2)
+        within, ends = (1 + a**2 + b**2, a * b - a, -b), (-(a**2 + b**2), -a * b, -(b**2))
+        return rows.combined(np.array([*within, *ends, alone - within[0]]) / self.std**2)
 
 
 def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:

@@ -184,7 +184,7 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
     plausible = np.array([column.plausible for _, columns in acting for column in columns])
     weights, gains = weights_of(fit), fit.solution.gains
     driven = fit.system.problem.unknown_gains  # a base that floats, or a sensor, has no drive of its own
-    products: list[LagProducts] | None = None
+    products: list[LagProducts] = []
     for run, window in windows:
         at = FitWindow(fit, run, window)
         A, keep = at.rows(torques)
@@ -192,12 +192,11 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
         columns = -A[..., A.shape[-1] - len(plausible) :] * plausible * (weights / gains)[:, None, None]
         rows = np.concatenate([*_placed(layouts, columns, modes[run], driven, False), equations,
                                *_placed(layouts, columns, modes[run], driven, True)], axis=-1)  # fmt: skip
-        parts = []
-        for block, kept in zip(rows, keep, strict=True):
-            used = np.flatnonzero(kept)
-            parts.append(lag_products(block[used], np.diff(used, prepend=-2) != 1))
-        products = parts if products is None else [a + b for a, b in zip(products, parts, strict=True)]
-    assert products is not None
+        used = [np.flatnonzero(kept) for kept in keep]
+        parts = [lag_products(block[k], np.diff(k, prepend=-2) != 1) for block, k in zip(rows, used, strict=True)]
+        for total, part in zip(products, parts, strict=False):
+            total.add(part)
+        products = products or parts
     return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
 
 
