@@ -1,7 +1,12 @@
 """Elastic joints: the motor, whose position is logged, leads its link by the torque over the stiffness.
 
 The deflection of a joint moves the links behind it, so it changes the torques of all joints, but not the friction and
-the rotor of its motor. A second column takes the rotor out of what base parameters regroup it with.
+the rotor of its motor. Base parameters regroup the rotor's inertia ``ia`` with the links', so that the torque is
+
+    B(q - d) + ia dd'',    d = (B - ia q'') / k,
+
+with B the torque of the base parameters and k the stiffness: a second column, of the size ``ia / k``, takes the rotor
+out, in the deflection and in what it moves.
 """
 
 from __future__ import annotations
@@ -24,15 +29,20 @@ def _motors(fit: Fit) -> list[str]:
 
 def _torques(at: FitWindow) -> Torques:
     fit, window = at.fit, at.window
-    leads = at.torques_along(at.motion, at.transmitted).T * SI / rms_torques(fit)
-    rotors = window.samples().qdd * SI / fit.dataset.rms_accelerations
+    torques, per_acceleration = at.torques_along(at.motion, at.transmitted).T, SI / fit.dataset.rms_accelerations
     motions, deflected = (window.q, window.qd, window.qdd), []
-    for lead in (leads, rotors):
+    for lead in (torques * SI / rms_torques(fit), window.samples().qdd * per_acceleration):
         steps = (lead, *differentiate(lead, window.run.rate))
         for joint in _motors(fit):
             only = STEP * np.array([name == joint for name in fit.dataset.model.actuated])
             deflected.append(tuple(motion - step * only for motion, step in zip(motions, steps, strict=True)))
-    return at.with_positions(deflected, at.transmitted)
+    links = at.with_positions(deflected, at.transmitted)
+    places = [fit.dataset.model.actuated.index(joint) for joint in _motors(fit)]
+    rotors = np.zeros((len(deflected), *torques.T.shape))
+    _, change = differentiate(torques * per_acceleration, window.run.rate)
+    rotors[range(len(places), len(deflected)), places] = -change.T[places]
+    of_rotors = at.decimated(rotors)
+    return lambda rows: links(rows) + of_rotors(rows)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
