@@ -79,6 +79,9 @@ def test_logs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.gains == pytest.approx(drafted.gains)
     assert result.gains == pytest.approx([2.5, 4.0], rel=0.01)
     stated: dict[str, Any] = {"robot": "five-bar", "payload": {"loaded.csv": 1.2}}
+    for log in (Path("loaded.csv"), "./loaded.csv", Path("loaded.csv").resolve(), "loaded"):
+        by_path = gtau.draft(["empty.csv", "loaded.csv"], "five-bar", {log: 1.2})
+        assert [run.payload and run.payload.mass for run in by_path.runs] == [None, 1.2]
     checked = gtau.check(["empty.csv", "loaded.csv"], **stated)
     assert [log.run.name for log in checked.logs] == ["empty", "loaded"]
     command = ["check", "empty.csv", "loaded.csv", "--robot", "five-bar", "--payload", "loaded.csv=1.2", "--out", "out"]

@@ -208,7 +208,9 @@ def _robot(log: Path, robot: str | None, urdf: str | None, base: Any, xacro: Map
 def _by_log(draft: Draft, masses: Mapping[str, float]) -> dict[Path, float]:
     by_log = {}
     for name, mass in masses.items():
-        logs = [run[0] for run in draft.logs if any(name in (str(log), log.name, log.stem) for log in run)]
+        path = Path(name)
+        logs = [run[0] for run in draft.logs if any(path in (log, Path(log.name), Path(log.stem)) for log in run)]
+        logs = logs or [run[0] for run in draft.logs if path.resolve() in [log.resolve() for log in run]]
         if len(logs) != 1:
             count = "more than one" if logs else "no"
             names = ", ".join(run[0].name for run in draft.logs)
