@@ -181,6 +181,20 @@ def test_parameters_that_cannot_be_negative(terms: dict[str, float], nonnegative
     assert judge_parameter(0.0022, 0.0002, terms).outcome == Grade.GOOD
 
 
+@pytest.mark.parametrize("braking", [True, False])
+def test_friction_may_fall_with_the_speed_but_not_drive_a_joint(runs: list[Run], braking: bool) -> None:
+    """Stribeck friction that falls by more than viscous friction grows, or a current of the other sign."""
+
+    def rubbing(run: Run) -> Run:
+        speed = np.gradient(run.position, run.time, axis=0)
+        rms = np.sqrt(np.mean(speed**2, axis=0))
+        friction = np.sign(speed) * np.maximum(1 - np.abs(speed) / (4 * rms), 0.0) if braking else -speed / rms
+        return replace(run, command=run.command + np.std(run.command, axis=0) * friction)
+
+    gains = identify(FIVE_BAR, [rubbing(run) for run in runs]).drive_gains.values()
+    assert {gain.verdict.outcome for gain in gains} == {Grade.GOOD if braking else Grade.CONTRADICTORY}
+
+
 def test_the_first_finding_that_lowers_a_verdict_counts() -> None:
     note = Finding("note", ("a",), text="so", grade=Grade.WARNING)
     wide, wrong, turned = (

@@ -15,6 +15,7 @@ from gtau.estimation.diagnostics.verdict import (
     NEGATIVE_STD,
     WIDE_SCALE,
     WRENCHES,
+    brakes,
     contradiction,
     half_widths,
     has_wrenches,
@@ -253,7 +254,8 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
         std = float(stds[place])
         columns = np.array([np.linalg.norm(R[:, place]) for R in problem.triangles])
         felt = float(np.max(abs(value) * columns / signals)) > IMPOSSIBLE_SHARE
-        if felt and judge_parameter(value, std, terms).outcome == Grade.CONTRADICTORY:
+        verdict = judge_parameter(value, std, terms, brakes(fit, estimates, name))
+        if felt and verdict.outcome == Grade.CONTRADICTORY:
             unit = unit_of(name.kind, dataset.robot, name.body)
             listed.setdefault(name.body, []).append(f"{name} = {value:.3g} {unit} (standard deviation {std:.2g})")
     for body, parameters in sorted(listed.items(), key=lambda item: -len(item[1])):

@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.estimation.diagnostics.diagnose import Examination
 from gtau.estimation.diagnostics.scale import SensorScale, scale_shares
-from gtau.estimation.diagnostics.verdict import GOOD, judge_parameter, parameter_verdict
+from gtau.estimation.diagnostics.verdict import GOOD, brakes, judge_parameter, parameter_verdict
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import squared, stacked
 from gtau.estimation.friction.curves import FrictionCurve, friction_unit, reference_temperatures
@@ -186,7 +186,7 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
             made,
             regrouping=base.regroupings[name],
             between_run_std=between_runs.get(name),
-            verdict=judge_parameter(made.value, made.std, terms),
+            verdict=judge_parameter(made.value, made.std, terms, brakes(fit, vector, name)),
             essential=name in essential.parameters,
         )
     return parameters
