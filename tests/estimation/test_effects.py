@@ -69,6 +69,14 @@ def test_a_torque_constant_that_falls_has_its_size_and_its_gain_is_right(runs: l
     assert abs(gain / GAINS[0] - 1) < 0.4 * abs(plain / GAINS[0] - 1)
 
 
+def test_columns_are_made_again_until_no_gain_moves(runs: list[Run]) -> None:
+    rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
+    result = mixed(currents(runs, lambda run: run.command * (1 + 0.1 * np.abs(run.command) / (2 * rms))))
+    gains = result.values[result.rows.fit.system.problem.gain_rows]
+    np.testing.assert_allclose(result.rows.fit.gains, gains, rtol=0.005)  # those of the columns
+    np.testing.assert_allclose(gains, GAINS, rtol=0.0015)
+
+
 def test_a_torque_constant_that_falls_along_the_runs_has_its_size(runs: list[Run]) -> None:
     def warmer(run: Run) -> np.ndarray:
         along = np.linspace(-0.5, 0.5, len(run.time))[:, None]
