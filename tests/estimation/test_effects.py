@@ -14,7 +14,7 @@ from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from stated_arm import plant, robot
 
 from gtau.demo import write_tutorial
-from gtau.estimation.effects.effect import EstimatedEffect, FitWindow, rms_speeds
+from gtau.estimation.effects.effect import EstimatedEffect, FitWindow, rms_speeds, rms_torques
 from gtau.estimation.effects.estimate import Mixed, contradictions, estimate_effects, estimated_effects
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.rows import difference_root, run_covariance, run_modes
@@ -25,6 +25,7 @@ from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION
+from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -128,6 +129,36 @@ def test_no_gear_transmits_the_friction_and_the_rotor_of_its_motor(name: str, ru
         torques = effect.torques(at)(SimpleNamespace(outputs=slice(None)))
         columns.append(torques / np.abs(torques).max(axis=(0, 1)))  # their scale is a share of the whole torque
     np.testing.assert_allclose(*columns, atol=1e-9)
+
+
+def test_columns_of_elastic_joints_move_the_links_without_the_rotors(runs: list[Run]) -> None:
+    """Beside the term of rotors alone, ``ia^2 / k``, which both columns hold in part."""
+    fit = ML.fit(reduce_runs(ROBOT, runs).system())
+    model, base, problem = fit.dataset.model, fit.dataset.base, fit.system.problem
+    rotors, stiffness = np.array([0.05, 0.08]), 1e6
+    links = {name: 0.1 for name in model.parameter_names if name.kind in ("zz", "mx", "m")}
+    chi = links | {Parameter("ia", joint): ia for joint, ia in zip(JOINTS, rotors, strict=True)}
+    regrouped = dict(zip(base.names, base.matrix @ [chi.get(name, 0.0) for name in model.parameter_names], strict=True))
+    values = fit.solution.values.copy()
+    values[: len(problem.parameters)] = [regrouped.get(name, 0.0) for name in problem.parameters]
+    run, window = fit.dataset.windows()[0]
+    at = FitWindow(replace(fit, solution=replace(fit.solution, values=values)), run, window)
+
+    def torques(*motion: np.ndarray) -> np.ndarray:
+        return model.torques(*motion, links)
+
+    motion, rate = (window.q, window.qd, window.qdd), window.run.rate
+    before = torques(*motion)
+    lead = before / stiffness
+    leads = (lead, *differentiate(lead, rate))
+    after = torques(*(part - moved for part, moved in zip(motion, leads, strict=True)))
+    alone = rotors**2 / stiffness * differentiate(window.qdd, rate)[1]
+    every = SimpleNamespace(outputs=slice(None))
+    effect = next(effect for effect in EFFECTS if effect.name == "elasticity")
+    units = 1e3 * np.concatenate([rms_torques(at.fit), -rotors * fit.dataset.rms_accelerations])
+    columns = effect.torques(at)(every) @ (units / stiffness)
+    expected = at.decimated((after - before + alone).T[None])(every)[..., 0]
+    np.testing.assert_allclose(columns, expected, atol=2e-3 * np.abs(expected).max())
 
 
 def test_presliding_is_found_and_gains_are_right() -> None:

@@ -104,7 +104,7 @@ class FitWindow:
         decimated = self.decimator.apply(torques)  # (m, n, outputs)
         return lambda rows: decimated[:, :, rows.outputs].transpose(1, 2, 0)
 
-    def with_positions(self, moved: Iterable[tuple[np.ndarray, np.ndarray, np.ndarray]], values: np.ndarray) -> Torques:
+    def with_positions(self, moved: Iterable[Sequence[np.ndarray]], values: np.ndarray) -> Torques:
         """Compute how torques change along other motions (N, n), each moved by a ``STEP`` of its unit, a column each.
 
         The torques are of the base columns with some ``values``.
@@ -114,9 +114,7 @@ class FitWindow:
         before = self.torques_along(self.motion, values)
         return self.decimated((self._moved(list(moved), values, before) - before) / STEP)
 
-    def _moved(
-        self, motions: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], values: np.ndarray, before: np.ndarray
-    ) -> np.ndarray:
+    def _moved(self, motions: Sequence[Sequence[np.ndarray]], values: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Compute the torques (m, n, N) along m other motions in one call, ``before`` where loops do not close."""
         model, labels = self.fit.dataset.model, instants(self.window.run.name, np.tile(self.window.time, len(motions)))
         q, qd, qdd = (np.concatenate(parts).T.copy() for parts in zip(*motions, strict=True))

@@ -102,7 +102,7 @@ class Noise:
         a, b = self.partial[0] * (1 - self.partial[1]), self.partial[1]
         alone = (1 - self.partial[0] ** 2) * (1 - b**2)
         within, ends = (1 + a**2 + b**2, a * b - a, -b), (-(a**2 + b**2), -a * b, -(b**2))
-        return rows.combined(np.array([*within, *ends, alone - within[0]]) / self.std**2)
+        return rows.combined([weight / self.std**2 for weight in (*within, *ends, alone - within[0])])
 
 
 def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
