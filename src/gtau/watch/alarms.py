@@ -137,11 +137,9 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
     tolerance = np.array([accepted.get(quantity.kind, np.inf) for quantity in quantities])
     vague = median(std) > np.maximum(tolerance, np.abs(median(values)) / ODD)
     tolerance[vague] = np.inf  # one log does not determine these; errors of the model are larger
-    model_std, reference = np.zeros((2, len(quantities)))
-    for k, quantity in enumerate(quantities):
-        if quantity.kind == "gain" and quantity.joint in model.drive_gains:
-            gain = model.drive_gains[quantity.joint]
-            model_std[k] = (gain.std or 0.0) / abs(gain.value or 1.0)
+    gain_std = {("gain", joint): (gain.rel_std or 0.0) / 100 for joint, gain in model.drive_gains.items()}
+    model_std = np.array([gain_std.get((quantity.kind, quantity.joint), 0.0) for quantity in quantities])
+    reference = np.zeros(len(quantities))
     view = View(history.settings, logs, quantities, values, std, tolerance, reference, model_std, [])
     for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
