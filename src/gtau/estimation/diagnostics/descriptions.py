@@ -94,15 +94,17 @@ def noise_beside_effects(fit: Fit) -> np.ndarray:
     return result.rows.fit.solution.sigma * [noise.std for noise in result.mixed.model.noise]
 
 
-def described_otherwise(effect: str, cause: Finding, other: Fit, unaltered: Fit) -> EstimatedEffect | None:
+def described_otherwise(
+    effect: str, cause: Finding, other: Fit, unaltered: Fit, beside: bool = True
+) -> EstimatedEffect | None:
     """Compare a fit with another description to the ``unaltered`` one, with the user's description.
 
-    None if effects beside the user's description explain nearly as much as they do beside the other.
+    None if effects ``beside`` the user's description explain nearly as much as they do beside the other.
     """
-    noise = noise_beside_effects(other) / noise_beside_effects(unaltered)
-    if np.exp(2 * unaltered.problem.total_rows @ np.log(noise) / unaltered.problem.total_rows.sum()) > BESIDE_LEFT:
-        return None
     rows, ratio = unaltered.problem.total_rows, other.solution.sigma / unaltered.solution.sigma
+    noise = noise_beside_effects(other) / noise_beside_effects(unaltered) if beside else ratio
+    if np.exp(2 * rows @ np.log(noise) / rows.sum()) > BESIDE_LEFT:
+        return None
     likelihood = -float(rows @ np.log(ratio))
     share = min(1 - float(rows @ ratio**2 / rows.sum()), 1.0)
     change = 100 * (other.gains / unaltered.gains - 1) if unaltered.free_gains else np.zeros(len(unaltered.gains))

@@ -83,7 +83,8 @@ def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None
         return None
     text, advice = clock_words(fit, factor - 1, f" by {percent(abs(factor - 1), '.2g')}")
     cause = Finding(OTHER_CLOCK, values={"factor": factor}, text=text, advice=advice)
-    return described_otherwise(GRAVITY.name, cause, other, unaltered)
+    # large effects of many kinds together imitate it too, but this one number leaves a tenth of the residuals
+    return described_otherwise(GRAVITY.name, cause, other, unaltered, beside=False)
 
 
 def _along(fit: Fit) -> list[SampleWindow]:
