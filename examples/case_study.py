@@ -107,18 +107,16 @@ TABLE_3_NOTES = """\
 - **Gains** match the plant to 0.14 %. Standard deviations are smaller than the paper's: a simulated robot has no
   elasticity, backlash or warm-up.
 - **Passive frictions.** The paper's `fv_33R = -5.57` adds energy, opposite to `fv_21R = 5.57`: kept parameters absorb
-  the effects of cancelled ones. Of our small passive frictions most are found.
-- **The set** is selected by the Bayesian information criterion. The paper's rule (`--ratio 10`) would cancel even
-  `m_PR` here.
+  the effects of cancelled ones.
 """
 PAYLOAD_NOTES = """\
-With the manufacturer's gains the payload is too light by the same factor as the gains, as in the paper.
+With the manufacturer's gains the payload is too light by the same factor as the gains.
 """
 TABLE_4_NOTES = """\
 - **PID.** Errors have the paper's size; its trajectory 2, not published, must accelerate about twice as much as ours.
 - **Computed torque (CTC).** Our errors are some micrometres, the paper's 60 to 150: a velocity measured 1 ms later than
   the one fed forward would alone cause 70 micrometres rms here.
-- **Manufacturer's or identified gains** make no relevant difference, as in the paper: each model was identified with
+- **Manufacturer's or identified gains** make no relevant difference: each model was identified with
   its own gains. With 25 % error on them the payload enters a fifth too small.
 """
 
@@ -206,7 +204,7 @@ def page(study: Study) -> str:
             TABLE_3_NOTES,
             "## Torques on a run that was not used (Fig. 5)\n",
             "![Measured and predicted torques](../images/case-study-torques.png)\n",
-            "Raw torques; in the table errors in the band of the identification, without reversals.\n",
+            "Raw torques; the table's errors are in the identification's band, without reversals.\n",
             _table(
                 ("joint", "signal rms, N", "error rms, N", "error, %"),
                 [
