@@ -122,11 +122,10 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
     parts = [chart._replace(kind=chart.group, unit="1") if chart.group == "friction" else chart for chart in charts]
     quantities = tuple(dict.fromkeys(parts))
     speed = dict(zip(model.robot.actuated, np.nan_to_num(median(logs.speeds), nan=1.0), strict=True))
-    S, known = np.zeros((len(charts), len(quantities))), np.ones(len(charts))  # combinations of charts
+    known = [identified(model, chart.name) if chart.group == "friction" else 1.0 for chart in charts]
+    S = np.zeros((len(charts), len(quantities)))  # combinations of charts
     for k, chart in enumerate(charts):
         S[k, quantities.index(parts[k])] = speed[chart.joint] if chart.kind == "fv" else 1.0
-        if chart.group == "friction":
-            known[k] = identified(model, chart.name)
     total = known @ S
     S /= np.where(total > 0, total, np.nan)
     shown = np.isfinite(logs.charts).astype(float) @ (S != 0) > 0

@@ -51,8 +51,7 @@ def logs_of(paths: Iterable[Path]) -> list[Path]:
 def _logs_in(folder: Path) -> list[Path]:
     if is_log_folder(folder):
         return [folder]
-    entries = in_order(folder.glob("[!.]*"))
-    return [entry for entry in entries if entry.is_file() or is_log_folder(entry)]
+    return [entry for entry in in_order(folder.glob("[!.]*")) if entry.is_file() or is_log_folder(entry)]
 
 
 def date_of(log: Path) -> str:

@@ -213,15 +213,10 @@ class History:
     def logs(self, charts: int, joints: int) -> Logs:
         """Read the logs, given the numbers of charts and joints."""
         rows = self._do("SELECT id, log, date, count, numbers FROM logs ORDER BY date, id").fetchall()
-        ids, names, dates, counts, parts = zip(*rows, strict=True) if rows else ((),) * 5
+        *columns, parts = zip(*rows, strict=True) if rows else ((),) * 5
         numbers = np.frombuffer(b"".join(parts)).reshape(len(rows), 2 * (charts + joints))
-        return Logs(
-            np.array(ids, dtype=int),
-            np.array(names, dtype=str),
-            np.array(dates, dtype=str),
-            np.array(counts, dtype=int),
-            *np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1),
-        )
+        arrays = map(np.array, columns, (int, str, str, int))
+        return Logs(*arrays, *np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1))
 
     @property
     def extent(self) -> tuple[int, str]:
