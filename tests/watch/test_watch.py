@@ -24,11 +24,12 @@ from gtau.errors import GtauError
 from gtau.model.home import load_robot
 from gtau.report.watch import alarm_words, state_of, verdict_text
 from gtau.result import Result, identify, load
+from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Tolerances
 from gtau.signals.run import Run
 from gtau.watch.alarms import power
 from gtau.watch.causes import signal_faults
-from gtau.watch.statistics import LogStatistics, statistics_of, unseen_zeros
+from gtau.watch.statistics import LogStatistics, identified, statistics_of, unseen_zeros
 from gtau.watch.watch import Watch
 
 NOISE = 0.02  # A
@@ -97,6 +98,17 @@ def test_statistics_are_the_changes_that_were_made(model: Result) -> None:
         assert moved(statistics_of(model, day(0, **change)), name) == pytest.approx(wanted, abs=tolerance), name
     late = replace(day(0), command=np.roll(day(0).command, 2, axis=0))  # by 4 ms: v(t - d) is that of later
     assert moved(statistics_of(model, late), "delay_left") == pytest.approx(0.004, abs=4e-4)
+
+
+def test_friction_is_what_the_law_makes_of_terms_that_cancel(model: Result) -> None:
+    """Friction that hardly falls at the logged speeds: its terms are 20 N m, their sum is what it was."""
+    names = [Parameter(kind, "left") for kind in ("fv", "fs")]
+    viscous, coulomb = (model.friction_parameters[name] for name in names)
+    assert [identified(model, name) for name in names] == pytest.approx([viscous.value, coulomb.value], rel=1e-6)
+    terms = {"fs": coulomb.value + 20.0, "fb": -20.0, "vs": 1e3}
+    falling = {Parameter(kind, "left"): replace(coulomb, value=value) for kind, value in terms.items()}
+    other = model.replaced(friction={**model.friction, **falling})
+    assert [identified(other, name) for name in names] == pytest.approx([viscous.value + 0.02, coulomb.value], abs=1e-3)
 
 
 @pytest.mark.parametrize(

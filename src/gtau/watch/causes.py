@@ -215,8 +215,9 @@ def _hypotheses(model: IdentifiedModel, quantities: tuple[statistics.Quantity, .
     if len({quantity.joint for quantity in quantities} - {""}) > 1:
         for kind, group in (("clock", "delay"), ("gain", "gain")):
             yield kind, "", np.array([[float(quantity.group == group)] for quantity in quantities])
-        friction = [statistics.identified(model, quantity.name) * quantity.charted for quantity in quantities]
-        yield "warming", "", np.array(friction)[:, None]
+        felt = [quantity.group == "friction" and quantity.charted for quantity in quantities]
+        friction = [statistics.identified(model, quantities[k].name) for k in np.flatnonzero(felt)]
+        yield "warming", "", np.eye(len(quantities))[:, felt] @ np.transpose([friction])
 
 
 def _covariance(values: np.ndarray, formula: np.ndarray) -> np.ndarray:

@@ -215,7 +215,7 @@ class History:
         rows = self._do("SELECT id, log, date, count, numbers FROM logs ORDER BY date, id").fetchall()
         *columns, parts = zip(*rows, strict=True) if rows else ((),) * 5
         numbers = np.frombuffer(b"".join(parts)).reshape(len(rows), 2 * (charts + joints))
-        arrays = map(np.array, columns, (int, str, str, int))
+        arrays: list[np.ndarray] = list(map(np.array, columns, (int, str, str, int)))
         return Logs(*arrays, *np.split(numbers, [charts, 2 * charts, 2 * charts + joints], axis=1))
 
     @property

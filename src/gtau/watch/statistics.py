@@ -26,7 +26,7 @@ Standard deviations come from the block jackknife over blocks of the log, as res
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -80,7 +80,6 @@ SHOWN = {"1": ("%", 100.0), "s": ("ms", 1000.0)}
 """Units that people read as others, and the factors to them."""
 ZERO_UNITS = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
 inverse_of = partial(np.linalg.pinv, rcond=1e-10, hermitian=True)  # directions without any effect are left out
-
 
 Parts = list[tuple[np.ndarray, ...]]
 """Joint, position, direction and values ``[columns | y]`` (K, p + 1) of rows (K,), part by part."""
@@ -176,9 +175,9 @@ def charts_of(model: IdentifiedModel) -> tuple[Quantity, ...]:
 
 
 def identified(model: IdentifiedModel, name: Parameter) -> float:
-    """Return the identified value of a parameter of friction, 0 where there is none."""
-    estimate = model.friction_parameters.get(name)
-    return 0.0 if estimate is None else estimate.value or 0.0
+    """Return viscous or Coulomb friction of a joint: of the straight line through its law at the logged speeds."""
+    values: Mapping[str, float] = {term: known.value or 0.0 for term, known in model.friction_parameters.items()}
+    return model.friction_law.straight(values, name.body)[PLAIN_FRICTION.index(name.kind)]
 
 
 def statistics_of(model: IdentifiedModel, run: Run) -> LogStatistics:
@@ -335,7 +334,8 @@ def _columns(
     A[..., : payload.shape[1]] = W @ payload
     A[..., -1] = gains * np.einsum("ijk,ji->jk", part.currents, delayed(delays)) - tau
     zeros, rate = _motion_slopes(model, part.motion, load, instants(run, part.time))
-    A[..., -2] = rate + W @ [identified(model, name) * (name.kind == "fv") for name in standard]
+    viscous = {name: estimate.value for name, estimate in model.friction_parameters.items() if name.kind == "fv"}
+    A[..., -2] = rate + W @ [viscous.get(name) or 0.0 for name in standard]
     for k, quantity in enumerate(quantities[payload.shape[1] : -1], start=payload.shape[1]):
         j = idm.actuated.index(quantity.joint)
         match quantity.kind:
