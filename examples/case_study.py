@@ -91,9 +91,8 @@ INTRODUCTION = """\
 # The Orthoglide case study
 
 Section 5 of Briot and Gautier, "Global identification of joint drive gains and dynamic parameters of parallel
-robots", repeated on a simulated robot with friction in all 15 joints, force ripple, encoder and current resolution,
-noise, and currents held for a millisecond. Parameters are from the paper's Table 3, or else ours. `gtau demo` does the
-same with shorter logs.
+robots", repeated on a simulated robot with friction in all 15 joints, force ripple, resolutions of encoders and
+currents, noise, and currents held for a millisecond. Parameters are from the paper's Table 3, or else ours.
 
 ![The robot at home](../images/case-study-robot.png)
 

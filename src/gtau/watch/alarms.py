@@ -138,8 +138,7 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
     tolerance[vague] = np.inf  # one log does not determine these; errors of the model are larger
     gain_std = {("gain", joint): (gain.rel_std or 0.0) / 100 for joint, gain in model.drive_gains.items()}
     model_std = np.array([gain_std.get((quantity.kind, quantity.joint), 0.0) for quantity in quantities])
-    reference = np.zeros(len(quantities))
-    view = View(history.settings, logs, quantities, values, std, tolerance, reference, model_std, [])
+    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), model_std, [])
     for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
             values[logs.dates < event.subject] = np.nan
