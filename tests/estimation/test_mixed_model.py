@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import block_diag, toeplitz
 
 from gtau.estimation.effects.mixed_model import (
+    MixedFit,
     MixedModel,
     Noise,
     find_sizes,
@@ -144,6 +145,17 @@ def test_no_size_is_beyond_its_bound() -> None:
     bounded = fit_mixed(replace(model, largest=largest)).log_s
     assert bounded[1] == pytest.approx(largest[1])
     assert (bounded <= largest).all()
+
+
+def test_a_size_far_beyond_its_bound_counts_for_nothing() -> None:
+    model, _ = simulated(np.random.default_rng(5))
+    scaled = replace(model, noise=tuple(replace(noise, std=1e-3) for noise in NOISE), largest=-5.0)
+    log_s = np.full(3, -5.0)
+    fit = MixedFit(scaled, log_s, posterior(scaled, log_s))
+    assert posterior(scaled, log_s + 2.0).loss < fit.at.loss - 800  # its exponential would be infinite
+    value, covariance = fit.averaged(np.eye(FREE, FREE + SHARED))
+    assert np.isfinite(value).all()
+    assert np.isfinite(covariance).all()
 
 
 def test_intervals_hold_and_noise_is_found() -> None:

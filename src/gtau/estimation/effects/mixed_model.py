@@ -304,7 +304,8 @@ class MixedFit:
             tried[:, group] = np.append(BOUNDS[0], self.log_s[group] + AROUND)
             parts = zip(*(self.at_sizes(log_s, slopes) for log_s in tried), strict=True)
             values, covariances, lost = map(np.array, parts)
-            weights = prior * np.exp(-lost) * (tried <= self.model.largest)[:, group]
+            lost[(tried > self.model.largest)[:, group]] = np.inf  # beyond a bound the data may ask for far more
+            weights = prior * np.exp(lost.min() - lost)
             mean += np.average(values, 0, weights) - value
             within = np.average(np.diagonal(covariances, axis1=1, axis2=2), 0, weights)
             factor *= np.divide(within, variance, out=np.ones_like(value), where=variance > 0)
