@@ -70,6 +70,14 @@ def test_a_torque_constant_that_falls_has_its_size_and_its_gain_is_right(runs: l
     assert abs(gain / GAINS[0] - 1) < 0.4 * abs(plain / GAINS[0] - 1)
 
 
+def test_delays_that_effects_hardly_move_keep_their_value_and_deviation(runs: list[Run]) -> None:
+    result = mixed(runs)
+    delays, plain = result.fit.system.problem.unknowns.delays, result.fit.solution
+    np.testing.assert_array_equal(result.values[delays], plain.values[delays])
+    own, of_fit = (np.diag(covariance)[delays] for covariance in (result.covariance, plain.jackknife))
+    assert (own > 0.99 * of_fit).all()
+
+
 def test_columns_are_made_again_until_no_gain_moves(runs: list[Run]) -> None:
     rms = np.sqrt(np.mean([np.mean(run.command**2, axis=0) for run in runs], axis=0))
     result = mixed(currents(runs, lambda run: run.command * (1 + 0.1 * np.abs(run.command) / (2 * rms))))

@@ -52,21 +52,27 @@ class Mixed:
     @property
     def likeliest(self) -> np.ndarray:
         """Values (k,) at the likeliest sizes of all effects."""
-        return self._settled(self.origin + self.mixed.at_sizes(self.mixed.log_s, self.slopes)[0])
+        values = self.origin + self.mixed.at_sizes(self.mixed.log_s, self.slopes)[0]
+        return np.where(self._stays(values), self.fit.solution.values, values)
 
     @cached_property
     def _averaged(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.mixed.averaged(self.slopes)
+        step, covariance = self.mixed.averaged(self.slopes)
+        return self.origin + step, covariance
 
     @cached_property
     def values(self) -> np.ndarray:
         """Values (k,) over all sizes, each as likely as the data say."""
-        return self._settled(self.origin + self._averaged[0])
+        return np.where(self._stays(self._averaged[0]), self.fit.solution.values, self._averaged[0])
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """Covariance (k, k) of the values."""
         covariance, gain_rows = self._averaged[1].copy(), self.fit.system.problem.gain_rows
+        wider = np.where(
+            self._stays(self._averaged[0]), np.diag(self.fit.solution.jackknife) - np.diag(covariance), 0.0
+        )
+        covariance += np.diag(np.maximum(wider, 0.0))
         if self.fit.free_gains:
             known = np.diag(covariance)[gain_rows] == 0
             covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (FLOOR * self.values[gain_rows]) ** 2))
@@ -80,12 +86,12 @@ class Mixed:
         part = np.sqrt(np.divide(total, alone, out=np.ones_like(alone), where=alone > total))  # 1 but for rounding
         return random * part[:, None] * part
 
-    def _settled(self, values: np.ndarray) -> np.ndarray:
-        """Keep the delays of the fit that effects hardly move."""
+    def _stays(self, values: np.ndarray) -> np.ndarray:
+        """Find the delays, (k,), that effects hardly move: they stay those of the fit."""
         plain = self.fit.solution
         stays = np.abs(values - plain.values) < DELAY_MOVES * np.sqrt(np.diag(plain.jackknife))
         stays[: self.fit.system.problem.unknowns.delays.start] = False
-        return np.where(stays, plain.values, values)
+        return np.asarray(stays)
 
     def applied(self, fit: Fit) -> Fit:
         """Move the estimates of a fit, which scatter as the noise does."""
