@@ -176,9 +176,9 @@ def widths(made: Sequence[dict]) -> list[list[str]]:
 
 
 def notable(made: Sequence[dict]) -> str:
-    """Show the departures of which an interval missed."""
+    """Show the departures under which fewer than nine in ten intervals hold."""
     head, *rows = by_departure(made)
-    rows = [row for row in rows if len(set(row[3].split(" of "))) > 1]
+    rows = [row for row in rows if (held := row[3].split(" of "))[1:] and int(held[0]) < 0.9 * int(held[1])]
     return "\n".join(f"| {' | '.join(row)} |" for row in [head, ["---", *["---:"] * (len(head) - 1)], *rows])
 
 
