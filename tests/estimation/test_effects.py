@@ -11,6 +11,7 @@ import friction_logs
 import numpy as np
 import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
+from scipy.signal import lfilter
 from stated_arm import plant, robot
 
 from gtau.demo import write_tutorial
@@ -76,6 +77,27 @@ def test_delays_that_effects_hardly_move_keep_their_value_and_deviation(runs: li
     np.testing.assert_array_equal(result.values[delays], plain.values[delays])
     own, of_fit = (np.diag(covariance)[delays] for covariance in (result.covariance, plain.jackknife))
     assert (own > 0.99 * of_fit).all()
+
+
+def test_intervals_grow_with_the_squares_of_moves_by_a_filter(runs: list[Run], monkeypatch: pytest.MonkeyPatch) -> None:
+    past = np.exp(-1 / (0.02 * runs[0].rate))
+    filtered = currents(runs, lambda run: lfilter([1 - past], [1, -past], run.command, axis=0))
+    plain = ML.fit(reduce_runs(ROBOT, filtered).system(per_run=True))
+    moves = {
+        effect.cause.joint: effect.moves
+        for effect in estimated_effects(mixed(filtered))
+        if effect.effect == "current lag"
+    }
+    variances = []
+    for curvature in (0.0, 1000.0):
+        monkeypatch.setattr("gtau.estimation.effects.estimate.CURVATURE", curvature)
+        result = mixed(filtered)
+        rows = plain.system.problem.gain_rows
+        variances.append(np.diag(result.covariance)[rows] / result.values[rows] ** 2)
+    moved = np.sum([[moves[by][joint] / 100 for joint in JOINTS] for by in JOINTS], axis=0)
+    added = np.sqrt(variances[1] - variances[0])  # other effects of motion move the gains a little, too
+    assert (added > 0.99 * 1000 * moved**2).all()
+    assert (added < 1.5 * 1000 * moved**2).all()
 
 
 def test_columns_are_made_again_until_no_gain_moves(runs: list[Run]) -> None:

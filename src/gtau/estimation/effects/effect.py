@@ -204,6 +204,8 @@ class Effect:
         Whether its columns, such as knots, or a sine and a cosine, have one size together: their rms torque.
     in_runs : bool
         Whether it has another size in each run, which drifts from run to run.
+    of_motion : bool
+        Whether it moves positions or time, so that its torques are linear in small sizes alone.
     harmless : float
         Size beyond which physics does not explain it either, so that it contradicts the description.
     """
@@ -216,6 +218,7 @@ class Effect:
     description: bool = False
     function: bool = False
     in_runs: bool = False
+    of_motion: bool = False
     harmless: float = np.inf
 
     def cause(self, fit: Fit, column: EffectColumn, size: float) -> Finding:

@@ -32,4 +32,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "log the current before any filter, and move more slowly"
 
 
-EFFECT = Effect("current lag", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "s2")], _say)
+EFFECT = Effect("current lag", _torques, lambda fit: [EffectColumn(PLAUSIBLE, "s2")], _say, of_motion=True)

@@ -58,4 +58,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return part, "move more slowly, or log the position behind the gear"
 
 
-EFFECT = Effect("elasticity", _torques, _columns, _say, shared=True)
+EFFECT = Effect("elasticity", _torques, _columns, _say, shared=True, of_motion=True)

@@ -32,4 +32,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "compare the encoder zeros with the robot's zero position"
 
 
-EFFECT = Effect("encoder zeros", _torques, _columns, _say, shared=True, description=True)
+EFFECT = Effect("encoder zeros", _torques, _columns, _say, shared=True, description=True, of_motion=True)

@@ -28,4 +28,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     return what, "check the gear ratio, encoder resolution and unit of its positions"
 
 
-EFFECT = Effect("position scales", _torques, _columns, _say, shared=True, description=True)
+EFFECT = Effect("position scales", _torques, _columns, _say, shared=True, description=True, of_motion=True)
