@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +18,8 @@ from repetitions import repeated_gains
 from threadpoolctl import threadpool_limits
 from typer.testing import CliRunner
 
+import gtau.excitation.design as design
+import gtau.excitation.nlp as nlp
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.excitation.constraints import ConstraintUsage
@@ -371,3 +378,47 @@ def test_voltages_give_gains_without_a_payload(tmp_path: Path) -> None:
     sheet = unloaded + "drives: {left: {gear_ratio: 50, torque_constant: 0.1}}\n"
     with pytest.raises(GtauError, match="the drive of 'left' states nothing of its voltages"):
         read_design(write(tmp_path, sheet))
+
+
+@pytest.mark.parametrize("error", [GtauError("the hull of the wrist is empty; correct it."), KeyboardInterrupt()])
+@pytest.mark.parametrize("call", [1, 5, 40])
+def test_exceptions_of_a_search_reach_the_caller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], error: BaseException, call: int
+) -> None:
+    """IPOPT would print them and go on."""
+    task, _ = read_design(write(tmp_path, DESIGN))
+    calls: list[int] = []
+
+    def broken(*given: object) -> tuple[float, np.ndarray]:
+        calls.append(1)
+        if len(calls) >= call:
+            raise error
+        return objective(*given)  # type: ignore[arg-type]
+
+    def searching(programme: Programme, x: np.ndarray, stop: Callable[[], bool], near: Any) -> Any:
+        monkeypatch.setattr(nlp, "objective", broken)
+        return solve(programme, x, stop, near)
+
+    objective, solve = nlp.objective, nlp.solve
+    monkeypatch.setattr(design, "solve", searching)
+    with pytest.raises(type(error)) as caught:
+        excite(task, starts=1)
+    assert caught.value is error
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_ctrl_c_in_the_solver_ends_a_search(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """CasADi asks for signals before every call, and would print the exception and go on."""
+    task, _ = read_design(write(tmp_path, DESIGN))
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(1)
+        if len(asked) == 30:
+            threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
+        return False
+
+    with pytest.raises(KeyboardInterrupt):
+        excite(task, starts=50, stop=stop)
+    assert capfd.readouterr() == ("", "")

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 import casadi as ca
@@ -139,7 +143,11 @@ class Programme:
 def solve(
     programme: Programme, x: np.ndarray, stop: Callable[[], bool], near: Mapping[str, ca.DM] | None
 ) -> Mapping[str, ca.DM]:
-    """Minimise from x; return the last x and multipliers, ``near`` the next; ``programme`` keeps the best of all x."""
+    """Minimise from x; return the last x and multipliers, ``near`` the next; ``programme`` keeps the best of all x.
+
+    Raises the first exception of Ctrl-C, ``stop`` or a function evaluated; CasADi would print it and go on.
+    """
+    errors: list[BaseException] = []
     usages = programme.constraint_usages(x)
     sizes = [len(usage.values) for usage in usages]
     allowed = np.array([programme.tightness[usage.what] for usage in usages])
@@ -160,12 +168,12 @@ def solve(
     pattern = ca.Sparsity.triplet(len(low), len(x), rows.tolist(), columns.tolist())
     scalar, slope, values = (ca.Sparsity.dense(size, 1) for size in (1, len(x), len(low)))
     results = {"x": len(x), "f": 1, "g": len(low), "lam_x": len(x), "lam_g": len(low)}
-    f = _Function([len(x)], [scalar], lambda x: [programme.value(x)[0]])
-    g = _Function([len(x)], [values], lambda x: [limits(x)])
-    f_slope = _Function([len(x), 0], [scalar, slope], programme.value)
-    g_slopes = _Function([len(x), 0], [values, pattern], lambda x: [limits(x), jacobian(x)[rows, columns]])
+    f = _Function(errors, [len(x)], [scalar], lambda x: [programme.value(x)[0]])
+    g = _Function(errors, [len(x)], [values], lambda x: [limits(x)])
+    f_slope = _Function(errors, [len(x), 0], [scalar, slope], programme.value)
+    g_slopes = _Function(errors, [len(x), 0], [values, pattern], lambda x: [limits(x), jacobian(x)[rows, columns]])
     polled = [results.get(name, 0) for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))]
-    ended = _Function(polled, [scalar], lambda _: [stop()])  # after every iteration
+    ended = _Function(errors, polled, [scalar], lambda _: [bool(errors) or stop()])  # after every iteration
     symbol = ca.MX.sym("x", len(x))
     again: Mapping[str, Any] = near if near is not None and near["lam_g0"].numel() == len(low) else {}
     solver = ca.nlpsol(
@@ -182,17 +190,46 @@ def solve(
             "ipopt": {**IPOPT, **(AGAIN if again else {})},
         },
     )
-    with single_threaded_blas():  # once more, because the solver's libraries are loaded only now
+    with _interruptions(errors), single_threaded_blas():  # once more: the solver's libraries are loaded only now
         solution = solver(**{**again, "x0": x}, lbg=low, ubg=high)
+    if errors:
+        raise errors[0]
     return {f"{name}0": solution[name] for name in ("x", "lam_x", "lam_g")}
+
+
+@contextmanager
+def _interruptions(errors: list[BaseException]) -> Iterator[None]:
+    """Collect exceptions of the handler of Ctrl-C."""
+    handler = signal.getsignal(signal.SIGINT)
+
+    def collect(number: int, frame: FrameType | None) -> None:
+        try:
+            handler(number, frame)  # type: ignore[operator, misc]
+        except BaseException as error:
+            errors.append(error)
+
+    handled = callable(handler) and threading.current_thread() is threading.main_thread()
+    if handled:
+        signal.signal(signal.SIGINT, collect)
+    try:
+        yield
+    finally:
+        if handled:
+            signal.signal(signal.SIGINT, handler)
 
 
 class _Function(ca.Callback):
     """A NumPy function of the first of some vectors as a CasADi function; its outputs are the nonzeros of patterns."""
 
-    def __init__(self, sizes: Sequence[int], patterns: Sequence[ca.Sparsity], function: Callable[..., Sequence[Any]]):
+    def __init__(
+        self,
+        errors: list[BaseException],
+        sizes: Sequence[int],
+        patterns: Sequence[ca.Sparsity],
+        function: Callable[..., Sequence[Any]],
+    ):
         ca.Callback.__init__(self)
-        self._sizes, self._patterns, self._function = sizes, patterns, function
+        self._errors, self._sizes, self._patterns, self._function = errors, sizes, patterns, function
         self.construct("function", {})
 
     def get_n_in(self) -> int:
@@ -211,10 +248,13 @@ class _Function(ca.Callback):
         return True
 
     def eval_buffer(self, arguments: Sequence[memoryview], results: Sequence[memoryview | None]) -> int:
-        for result, value in zip(results, self._function(np.frombuffer(arguments[0])), strict=True):
-            if result is not None:  # wanted
-                np.frombuffer(result)[:] = value
-        return 0
+        try:
+            for result, value in zip(results, self._function(np.frombuffer(arguments[0])), strict=True):
+                if result is not None:  # wanted
+                    np.frombuffer(result)[:] = value
+        except BaseException as error:
+            self._errors.append(error)
+        return len(self._errors)
 
 
 TRIES = 40  # scales of a random motion
