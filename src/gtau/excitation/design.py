@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter1d
 
 from gtau.documents.validation import FUNCTION, TEXT, WHOLE, takes
 from gtau.errors import GtauError
-from gtau.excitation.constraints import CONDITION, MARGIN, TOOL_SPEED, ConstraintUsage, constraint_usages, whole_run
+from gtau.excitation.constraints import CONDITION, MARGIN, ConstraintUsage, constraint_usages, whole_run
 from gtau.excitation.nlp import ITERATIONS, Programme, promising_start, solve
 from gtau.excitation.task import SPEED_FRACTION, DesignProblem, along, design_grid, evaluate
 from gtau.model.program import single_threaded_blas
@@ -21,8 +21,6 @@ FINER = 10
 STAGE = "searching"
 CLOSER = 0.8  # factor on the limits of kinds REACH after a round in which loops could not be closed
 REACH = ("position", CONDITION)
-# usage of the tool's speed at a start below which the search ignores it until exceeded (five-bar: 0.1)
-IDLE = 0.3
 TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round follows if the last one reduced the criterion below this share
@@ -181,9 +179,8 @@ def _from_one(
     if x is None:
         return None
     at_start = Programme(task, criterion, {}).constraint_usages(x)
-    idle = {usage.what for usage in at_start if usage.kind == TOOL_SPEED and usage.excess < IDLE}
     reach = {usage.what for usage in at_start if usage.kind in REACH}
-    tightness = {usage.what: MARGIN for usage in at_start if usage.what not in idle}
+    tightness = {usage.what: MARGIN for usage in at_start}
     if not tightness:  # not reachable from home
         return None
     begin, kept, worst, near = x, None, None, None
@@ -196,7 +193,7 @@ def _from_one(
             worst = _most_exceeded(programme.constraint_usages(np.ravel(near["x0"])), 0.0) or worst
             break
         x = programme.best
-        if stop():
+        if stop() or number == ROUNDS - 1:
             if (within := _smaller(task, criterion, x, start)) is not None:
                 keep(within)
             break
@@ -206,7 +203,7 @@ def _from_one(
             continue
         if exceeded := {usage.what: usage.excess for usage in usages if usage.excess > 1.0}:
             worst = _most_exceeded(usages, -np.inf)
-            tighter = {what: 0.98 * tightness.get(what, 1) / min(excess, TIGHTER) for what, excess in exceeded.items()}
+            tighter = {what: 0.98 * tightness[what] / min(excess, TIGHTER) for what, excess in exceeded.items()}
             tightness = tightness | tighter
             continue
         before, value = np.inf if kept is None else kept.value, float(np.exp(programme.best_value))

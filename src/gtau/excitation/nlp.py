@@ -87,8 +87,8 @@ def _by_information(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
 class Programme:
     """Criterion and limits of a task as functions of x, evaluated once for each x.
 
-    ``tightness`` maps limits in words to the share of them that may be used; other limits do not count if it is not
-    empty. ``best`` is the best x so far within these shares, and ``best_value`` the logarithm of its criterion.
+    ``tightness`` maps limits in words to the share of them that may be used. ``best`` is the best x so far within these
+    shares, and ``best_value`` the logarithm of its criterion.
     """
 
     def __init__(self, task: DesignProblem, criterion_name: str, tightness: Mapping[str, float]):
@@ -119,8 +119,7 @@ class Programme:
         """Compute the usage of all limits; empty if the motion is not reachable."""
         point = self.point(x)
         if self._usages is None:
-            usages = () if point is None else constraint_usages(point)
-            self._usages = tuple(usage for usage in usages if not self.tightness or usage.what in self.tightness)
+            self._usages = () if point is None else tuple(constraint_usages(point))
         return self._usages
 
     def value(self, x: np.ndarray) -> tuple[float, np.ndarray]:
