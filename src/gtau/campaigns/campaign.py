@@ -24,7 +24,6 @@ from gtau.excitation.design_file import DesignFile, make_task
 from gtau.progress import Progress, silent
 
 PLAY, MODEL_FILE = "play", "model.json"
-STARTS = 2  # searches for a motion
 REDUCED = 0.25  # m/s, largest speed of the tool in a dry run
 
 
@@ -130,7 +129,7 @@ def campaign(
     except GtauError as refusal:
         raise GtauError(f"{folder / DESIGN}: {refusal}") from None
     with searching() as stop:
-        designed = excite(task, starts=STARTS, seed=last + 1, progress=progress, stop=stop)
+        designed = excite(task, seed=last + 1, progress=progress, stop=stop)
     purpose = {"purpose": "first", "after": "", "warm_up": False}
     write_motion(place, file, *rehearsed(designed, file, None, progress), purpose)
     return _to_play(folder, aim, read_rounds(folder))
@@ -216,7 +215,7 @@ def _decided(
     task = next_task(file, result, model)
     try:
         with searching() as stop:
-            designed = excite(task, starts=STARTS, seed=int(place.name), progress=progress, stop=stop)
+            designed = excite(task, seed=int(place.name), progress=progress, stop=stop)
     except GtauError as refusal:
         designed, note = played_again(task, used, refusal, progress)
         decision = decision.noting(note)

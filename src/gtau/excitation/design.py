@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
@@ -24,9 +25,6 @@ REACH = ("position", CONDITION)
 TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
 WORTH = 0.97  # another round follows if the last one reduced the criterion below this share
-# iterations that must improve the logarithm of the criterion by WORTHLESS, or the round ends
-STALLED = 12
-WORTHLESS = 3e-3
 # scales tried for an interrupted motion; the first within all limits is kept
 SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)
 
@@ -84,7 +82,7 @@ def excite(
     starts, seed : int
         Number of random starts, and the seed of their generator.
     progress : callable, optional
-        Called with the stage, the number of iterations done, and their maximum.
+        Called with the stage, the number of iterations done, and their usual maximum.
     keep : callable, optional
         Called with every design that improves on the best one so far.
     stop : callable, optional
@@ -112,7 +110,7 @@ def excite(
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failures: list[ConstraintUsage] = []
-    total = starts * ROUNDS * ITERATIONS
+    ended = _polled(reported, stopped, starts)
 
     def better(candidate: Design) -> None:
         nonlocal best
@@ -122,18 +120,13 @@ def excite(
                 keep(candidate)
 
     for start in range(starts):
-
-        def advance(done: int, before: int = start * ROUNDS * ITERATIONS) -> None:
-            reported(STAGE, before + done, total)
-
-        advance(0)
         guess = promising_start(task, criterion, rng, START, stopped)
-        worst = _from_one(task, criterion, guess, start, better, stopped, advance)
+        worst = _from_one(task, criterion, guess, start, better, ended)
         if stopped():
             break
         if worst is not None:
             failures.append(worst)
-    reported(STAGE, total, total)
+    reported(STAGE, starts * ITERATIONS, starts * ITERATIONS)
     if best is not None:
         return replace(best, cut_short=stopped())
     if stopped():
@@ -161,9 +154,19 @@ def redesign(task: DesignProblem, x: np.ndarray, progress: Progress = silent) ->
     """Improve the motion ``x``, scaled down if needed; None if no scale is within the limits."""
     kept: list[Design] = []
     if (begin := _smaller(task, "gains", x, 0)) is not None:
-        total = ROUNDS * ITERATIONS
-        _from_one(task, "gains", begin.x, 0, kept.append, lambda: False, lambda done: progress(STAGE, done, total))
+        _from_one(task, "gains", begin.x, 0, kept.append, _polled(progress, lambda: False, 1))
     return min(kept, key=lambda design: design.value, default=None)
+
+
+def _polled(progress: Progress, stop: Callable[[], bool], starts: int) -> Callable[[], bool]:
+    """Make the function called in every iteration, which counts them and returns True to stop."""
+    total, iterations = starts * ITERATIONS, count()
+
+    def ended() -> bool:
+        progress(STAGE, min(next(iterations), total), total)
+        return stop()
+
+    return ended
 
 
 def _from_one(
@@ -173,7 +176,6 @@ def _from_one(
     start: int,
     keep: Callable[[Design], None],
     stop: Callable[[], bool],
-    progress: Callable[[int], None],
 ) -> ConstraintUsage | None:
     """Design from one start and ``keep`` feasible designs; return the most exceeded limit if there is none."""
     if x is None:
@@ -188,7 +190,7 @@ def _from_one(
         keep(guess)  # the result of an early interruption
     for number in range(ROUNDS):
         programme = Programme(task, criterion, tightness)
-        near = solve(programme, x, _stalled(programme, stop, progress, number * ITERATIONS), near)
+        near = solve(programme, x, stop, near)
         if programme.best is None:
             worst = _most_exceeded(programme.constraint_usages(np.ravel(near["x0"])), 0.0) or worst
             break
@@ -213,20 +215,6 @@ def _from_one(
         if value > WORTH * before:
             break
     return None if kept is not None else worst
-
-
-def _stalled(
-    programme: Programme, stop: Callable[[], bool], progress: Callable[[int], None], done: int
-) -> Callable[[], bool]:
-    """Make the function called in every iteration: True to stop, or if the criterion no longer improves."""
-    values = [np.inf] * STALLED
-
-    def ended() -> bool:
-        progress(done + len(values) - STALLED)
-        values.append(programme.best_value)
-        return stop() or values[-1] > values[-1 - STALLED] - WORTHLESS
-
-    return ended
 
 
 def _most_exceeded(usages: Iterable[ConstraintUsage], least: float) -> ConstraintUsage | None:

@@ -30,9 +30,9 @@ IPOPT: Mapping[str, int | float | str] = {
     "max_iter": ITERATIONS,
     "tol": TOLERANCE,
     "constr_viol_tol": 1e-4,
-    "acceptable_tol": 3 * TOLERANCE,
-    "acceptable_iter": 8,
-    "acceptable_obj_change_tol": 1e-3,
+    "acceptable_tol": 1e3,  # the change of the objective alone decides
+    "acceptable_iter": 5,
+    "acceptable_obj_change_tol": 1e-4,
     "mu_strategy": "adaptive",
     "mumps_pivot_order": 6,  # for dense columns: every number of a series acts on all instants
     "mumps_mem_percent": 20,  # instead of 1000, which the kernel would map anew in every factorisation
