@@ -175,29 +175,28 @@ def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
 def _clearances(point: Point, clearance: Clearance) -> Iterator[ConstraintUsage]:
     """Compute distances between bodies along the motion and the approach to it."""
     parts = [part for part in (point, _approach(point)) if part is not None]
-    pairs = clearance.pairs
-    contacts = [dict(zip(pairs, clearance.all_nearest(part.motion.c, pairs), strict=True)) for part in parts]
-    for body in dict.fromkeys(second for _, second in pairs):
-        nearest = [{pair: near for pair, near in by_pair.items() if pair[1] == body} for by_pair in contacts]
-        distances = [np.min([near.distance for near in by_pair.values()], axis=0) for by_pair in nearest]
-        obstacles = [first if first == FLOOR else f"'{first}'" for first, _ in nearest[0]]
+    c = np.concatenate([part.motion.c for part in parts], axis=1)
+    contacts = dict(zip(clearance.pairs, clearance.all_nearest(c, clearance.pairs), strict=True))
+    for body in dict.fromkeys(second for _, second in contacts):
+        nearest = {pair: near for pair, near in contacts.items() if pair[1] == body}
+        obstacles = [first if first == FLOOR else f"'{first}'" for first, _ in nearest]
         what = f"distance of '{body}' from {', '.join(obstacles)}"
-        values = np.concatenate(distances) / clearance.least
-        rows = partial(_nearing, parts, clearance, nearest)
+        values = np.min([near.distance for near in nearest.values()], axis=0) / clearance.least
+        rows = partial(_nearing, parts, c, clearance, nearest)
         yield ConstraintUsage("distance", what, clearance.least, "m", values, rows, True)
 
 
-def _nearing(parts: Sequence[Point], clearance: Clearance, nearest: Sequence[Mapping[Pair, Nearest]]) -> np.ndarray:
+def _nearing(
+    parts: Sequence[Point], c: np.ndarray, clearance: Clearance, nearest: Mapping[Pair, Nearest]
+) -> np.ndarray:
     """Compute the Jacobian (N, series.size) of the smallest distance of several pairs along all parts of a motion."""
-    rows = []
-    for part, by_pair in zip(parts, nearest, strict=True):
-        which = np.argmin([near.distance for near in by_pair.values()], axis=0)
-        by_c = np.zeros_like(part.motion.c)
-        for k, (pair, near) in enumerate(by_pair.items()):
-            if (chosen := which == k).any():
-                by_c[:, chosen] = clearance.slopes(part.motion.c, pair, near)[:, chosen] / clearance.least
-        rows.append(part.rows(by_c))
-    return np.vstack(rows)
+    which = np.argmin([near.distance for near in nearest.values()], axis=0)
+    by_c = np.zeros_like(c)
+    for k, (pair, near) in enumerate(nearest.items()):
+        if (chosen := which == k).any():
+            by_c[:, chosen] = clearance.slopes(c, pair, near)[:, chosen] / clearance.least
+    along = np.split(by_c, np.cumsum([part.motion.c.shape[1] for part in parts])[:-1], axis=1)
+    return np.vstack([part.rows(by) for part, by in zip(parts, along, strict=True)])
 
 
 def _approach(point: Point) -> Point | None:

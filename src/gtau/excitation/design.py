@@ -120,7 +120,7 @@ def excite(
                 keep(candidate)
 
     for start in range(starts):
-        guess = promising_start(task, criterion, rng, START, stopped)
+        guess = promising_start(task, criterion, rng, START)
         worst = _from_one(task, criterion, guess, start, better, ended)
         if stopped():
             break

@@ -263,20 +263,14 @@ SPREAD = 0.7  # share of the ranges in which centers are drawn
 DRAWS = 20
 
 
-def promising_start(
-    task: DesignProblem, criterion: str, rng: np.random.Generator, part: float, stop: Callable[[], bool]
-) -> np.ndarray | None:
+def promising_start(task: DesignProblem, criterion: str, rng: np.random.Generator, part: float) -> np.ndarray | None:
     """Draw random x that use a ``part`` of the limits, and return the best; None if none is reachable."""
-    best, least = None, np.inf
-    for _ in range(DRAWS):
-        if best is not None and stop():
-            break
-        if (x := random_start(task, rng, part)) is not None:
-            # a new programme closes the loops from home, not from another motion
-            value = Programme(task, criterion, {}).value(x)[0]
-            if value < least:
-                best, least = x, value
-    return best
+
+    def value(x: np.ndarray) -> float:  # a new programme closes the loops from home, not from another motion
+        return float(np.nan_to_num(Programme(task, criterion, {}).value(x)[0], nan=np.inf))
+
+    drawn = (random_start(task, rng, part) for _ in range(DRAWS))
+    return min((x for x in drawn if x is not None), key=value, default=None)
 
 
 def random_start(task: DesignProblem, rng: np.random.Generator, part: float) -> np.ndarray | None:
