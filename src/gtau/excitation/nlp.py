@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import casadi as ca
@@ -20,7 +17,6 @@ from gtau.excitation.task import DesignProblem, Point, close, design_grid, evalu
 from gtau.model.program import single_threaded_blas
 
 ITERATIONS = 100
-TOLERANCE = 1e-3  # of the logarithm of the criterion: 0.1 %
 IPOPT: Mapping[str, int | float | str] = {
     "print_level": 0,
     "sb": "yes",
@@ -28,7 +24,7 @@ IPOPT: Mapping[str, int | float | str] = {
     "limited_memory_max_history": 20,
     "limited_memory_aug_solver": "extended",  # instead of one solution for each vector of the history
     "max_iter": ITERATIONS,
-    "tol": TOLERANCE,
+    "tol": 1e-3,  # of the logarithm of the criterion: 0.1 %
     "constr_viol_tol": 1e-4,
     "acceptable_tol": 1e3,  # the change of the objective alone decides
     "acceptable_iter": 5,
@@ -189,32 +185,16 @@ def solve(
             "ipopt": {**IPOPT, **(AGAIN if again else {})},
         },
     )
-    with _interruptions(errors), single_threaded_blas():  # once more: the solver's libraries are loaded only now
-        solution = solver(**{**again, "x0": x}, lbg=low, ubg=high)
+    # CasADi clears an exception of Ctrl-C in the main thread; the solver's libraries are loaded only now
+    with ThreadPoolExecutor(1) as thread:
+        solution = thread.submit(single_threaded_blas()(solver), **{**again, "x0": x}, lbg=low, ubg=high)
+        try:
+            wait([solution])
+        except BaseException as error:
+            errors.append(error)  # which ends the solver
     if errors:
         raise errors[0]
-    return {f"{name}0": solution[name] for name in ("x", "lam_x", "lam_g")}
-
-
-@contextmanager
-def _interruptions(errors: list[BaseException]) -> Iterator[None]:
-    """Collect exceptions of the handler of Ctrl-C."""
-    handler = signal.getsignal(signal.SIGINT)
-
-    def collect(number: int, frame: FrameType | None) -> None:
-        try:
-            handler(number, frame)  # type: ignore[operator, misc]
-        except BaseException as error:
-            errors.append(error)
-
-    handled = callable(handler) and threading.current_thread() is threading.main_thread()
-    if handled:
-        signal.signal(signal.SIGINT, collect)
-    try:
-        yield
-    finally:
-        if handled:
-            signal.signal(signal.SIGINT, handler)
+    return {f"{name}0": solution.result()[name] for name in ("x", "lam_x", "lam_g")}
 
 
 class _Function(ca.Callback):
