@@ -24,7 +24,6 @@ CLOSER = 0.8  # factor on the limits of kinds REACH after a round in which loops
 REACH = ("position", CONDITION)
 TIGHTER = 3.0  # largest factor by which a limit is tightened between two rounds
 ROUNDS = 6  # of designing, checking and tightening
-WORTH = 0.97  # another round follows if the last one reduced the criterion below this share
 # scales tried for an interrupted motion; the first within all limits is kept
 SMALLER = (1.0, 0.97, 0.93, 0.88, 0.8)
 
@@ -185,7 +184,7 @@ def _from_one(
     tightness = {usage.what: MARGIN for usage in at_start}
     if not tightness:  # not reachable from home
         return None
-    begin, kept, worst, near = x, None, None, None
+    begin, worst, near = x, None, None
     if (guess := _feasible(task, criterion, x, start)) is not None:
         keep(guess)  # the result of an early interruption
     for number in range(ROUNDS):
@@ -208,13 +207,9 @@ def _from_one(
             tighter = {what: 0.98 * tightness[what] / min(excess, TIGHTER) for what, excess in exceeded.items()}
             tightness = tightness | tighter
             continue
-        before, value = np.inf if kept is None else kept.value, float(np.exp(programme.best_value))
-        if value < before:
-            kept = Design(task, criterion, x, value, usages, start)
-            keep(kept)
-        if value > WORTH * before:
-            break
-    return None if kept is not None else worst
+        keep(Design(task, criterion, x, float(np.exp(programme.best_value)), usages, start))
+        return None
+    return worst
 
 
 def _most_exceeded(usages: Iterable[ConstraintUsage], least: float) -> ConstraintUsage | None:

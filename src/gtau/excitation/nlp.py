@@ -16,7 +16,7 @@ from gtau.excitation.information import Criterion, criterion
 from gtau.excitation.task import DesignProblem, Point, close, design_grid, evaluate
 from gtau.model.program import single_threaded_blas
 
-ITERATIONS = 100
+ITERATIONS = 150
 IPOPT: Mapping[str, int | float | str] = {
     "print_level": 0,
     "sb": "yes",
