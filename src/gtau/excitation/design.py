@@ -109,7 +109,9 @@ def excite(
     rng = np.random.default_rng(seed)
     best: Design | None = None
     failures: list[ConstraintUsage] = []
-    ended = _polled(reported, stopped, starts)
+    total = starts * ITERATIONS
+    ended = _polled(reported, stopped, total)
+    reported(STAGE, 0, total)
 
     def better(candidate: Design) -> None:
         nonlocal best
@@ -125,7 +127,7 @@ def excite(
             break
         if worst is not None:
             failures.append(worst)
-    reported(STAGE, starts * ITERATIONS, starts * ITERATIONS)
+    reported(STAGE, total, total)
     if best is not None:
         return replace(best, cut_short=stopped())
     if stopped():
@@ -153,13 +155,13 @@ def redesign(task: DesignProblem, x: np.ndarray, progress: Progress = silent) ->
     """Improve the motion ``x``, scaled down if needed; None if no scale is within the limits."""
     kept: list[Design] = []
     if (begin := _smaller(task, "gains", x, 0)) is not None:
-        _from_one(task, "gains", begin.x, 0, kept.append, _polled(progress, lambda: False, 1))
+        _from_one(task, "gains", begin.x, 0, kept.append, _polled(progress, lambda: False, ITERATIONS))
     return min(kept, key=lambda design: design.value, default=None)
 
 
-def _polled(progress: Progress, stop: Callable[[], bool], starts: int) -> Callable[[], bool]:
+def _polled(progress: Progress, stop: Callable[[], bool], total: int) -> Callable[[], bool]:
     """Make the function called in every iteration, which counts them and returns True to stop."""
-    total, iterations = starts * ITERATIONS, count()
+    iterations = count()
 
     def ended() -> bool:
         progress(STAGE, min(next(iterations), total), total)
