@@ -26,7 +26,9 @@ IPOPT: Mapping[str, int | float | str] = {
     "max_iter": ITERATIONS,
     "tol": 1e-3,  # of the logarithm of the criterion: 0.1 %
     "constr_viol_tol": 1e-4,
-    "acceptable_tol": 1e3,  # the change of the objective alone decides
+    # The change of the objective alone decides. Of 24 searches of four robots, ending one that gains 0.3 % in twelve
+    # iterations is 2 % worse, in six 4 %; three iterations within 2e-4 lose one of an Orthoglide.
+    "acceptable_tol": 1e3,
     "acceptable_iter": 5,
     "acceptable_obj_change_tol": 1e-4,
     "mu_strategy": "adaptive",
