@@ -7,23 +7,7 @@ import pytest
 
 from gtau.estimation.results.estimate import TorqueError
 from gtau.report.identification import _largest
-from gtau.report.uncertainty import autocorrelation, histogram, spectrum
-
-
-def test_autocorrelation_of_a_first_order_process_with_masked_samples(rng: np.random.Generator) -> None:
-    series = []
-    for _ in range(4):
-        values = np.zeros(20_000)
-        for k in range(1, len(values)):
-            values[k] = 0.7 * values[k - 1] + rng.normal()
-        values[rng.random(len(values)) < 0.3] = np.nan
-        series.append((np.arange(len(values)) / 50, values))
-    found = autocorrelation(series)
-    assert found is not None
-    lag, value, band = found
-    np.testing.assert_allclose(value[:6], 0.7 ** np.arange(6), atol=0.03)
-    assert lag[1] == pytest.approx(1 / 50)
-    assert band == pytest.approx(1.96 / np.sqrt(0.7 * 80_000), rel=0.02)
+from gtau.report.uncertainty import histogram, spectrum
 
 
 def test_power_of_the_spectrum_is_the_variance_with_masked_samples(rng: np.random.Generator) -> None:

@@ -195,7 +195,7 @@ class Plots:
         return figure_of(replace(chart, panels=panels, columns=min(len(panels), 2)))
 
     def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
-        """Draw a joint's residuals along a run, with histogram, spectrum and autocorrelation."""
+        """Draw a joint's residuals along a run, with histogram and spectrum."""
         evidence, prediction, _ = self._evidence(joint, run)
         evidence = replace(evidence, prediction=prediction.in_band)
         robot = self.result.robot

@@ -15,11 +15,9 @@ from gtau.report.chart import Axis, Chart, Panel, Series, colour, intervals
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
-from gtau.signals.preparation.filters import fast_length
 
 SEGMENT = 256  # most samples in a segment of the spectrum
 FEWEST = 16  # samples needed for a statistic
-LAGS = 40
 
 Residuals = Sequence[tuple[np.ndarray, np.ndarray]]
 """Times (K,) in s on a uniform grid and residuals (K,) of each run, NaN where masked."""
@@ -44,20 +42,18 @@ def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> S
     residuals = {joint: [(run.time, run.residuals[:, j]) for run in used] for j, joint in enumerate(joints)}
     units = {joint: torque_unit(result.robot, joint) for joint in joints}
     words = (
-        "Over all runs used, without masked samples. White residuals have a flat spectrum and an autocorrelation "
-        "within the band; for other residuals the block jackknife corrects the standard deviations."
+        "Over all runs used, without masked samples. White residuals have a flat spectrum; for other residuals the "
+        "block jackknife corrects the standard deviations."
     )
     panels = residual_panels(residuals, units)
-    chart = Chart(panels, columns=3) if panels else None
+    chart = Chart(panels, columns=2) if panels else None
     return Section("Residuals", Text(words), chart, id="residuals")
 
 
 def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]) -> tuple[Panel, ...]:
-    """Draw histograms, spectra (a panel per unit) and autocorrelations of the residuals of joints."""
+    """Draw histograms and spectra (a panel per unit) of the residuals of joints."""
     bars: list[Series] = []
-    lags: list[Series] = []
     spectra: dict[str, list[Series]] = {}
-    band = 0.0
     for j, (joint, runs) in enumerate(residuals.items()):
         label = joint_label(joint)
         if (bins := histogram(runs)) is not None:
@@ -65,10 +61,6 @@ def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]
         if (densities := spectrum(runs)) is not None and (densities[1] > 0).any():
             frequency, density = (part[densities[1] > 0] for part in densities)
             spectra.setdefault(units[joint], []).append(Series(label, frequency, np.sqrt(density), colour(j)))
-        if (correlation := autocorrelation(runs)) is not None:
-            lag, value, white_band = correlation
-            lags.append(Series(label, lag, value, colour(j)))
-            band = max(band, white_band)
     panels = []
     if bars:
         x = np.linspace(-4.0, 4.0, 90)
@@ -78,9 +70,6 @@ def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]
     for unit, lines in spectra.items():
         axis, density_axis = Axis("frequency, Hz"), Axis(f"{unit}/√Hz", log=True)
         panels.append(Panel(axis, density_axis, tuple(lines), "Amplitude spectral density", height=2))
-    if lags:
-        title = "Autocorrelation; band: white noise"
-        panels.append(Panel(Axis("lag, s"), Axis("autocorrelation"), tuple(lags), title, band=(-band, band), height=2))
     return tuple(panels)
 
 
@@ -95,59 +84,26 @@ def histogram(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
     return (edges - values.mean()) / values.std(), density * values.std()
 
 
-def _centred(residuals: Residuals) -> list[tuple[float, np.ndarray, np.ndarray]]:
-    """List step (s), residuals about the mean (K,) and unmasked samples (K,) of each run that is long enough."""
-    centred = []
-    for time, values in residuals:
-        kept = np.isfinite(values)
-        if kept.sum() >= FEWEST:
-            step = (time[-1] - time[0]) / (len(time) - 1)
-            centred.append((step, np.where(kept, values - values[kept].mean(), 0.0), kept))
-    return centred
-
-
 def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
     """Compute frequencies (F,), Hz, and Welch's one-sided power spectral density (F,) over all runs.
 
     Masked residuals count as zero, and the density is scaled by the share of unmasked ones.
     """
-    runs = _centred(residuals)
-    if not runs:
+    long_enough = [(time, values) for time, values in residuals if np.isfinite(values).sum() >= FEWEST]
+    if not long_enough:
         return None
-    length = min(SEGMENT, *(len(values) for _, values, _ in runs))
+    length = min(SEGMENT, *(len(values) for _, values in long_enough))
     window = 0.5 - 0.5 * np.cos(2 * np.pi / length * np.arange(length))
     total, weight = np.zeros(length // 2 + 1), 0.0
-    for step, values, kept in runs:
-        parts = sliding_window_view(values, length)[:: length - length // 2] * window
+    for time, values in long_enough:
+        kept, step = np.isfinite(values), (time[-1] - time[0]) / (len(time) - 1)
+        centred = np.where(kept, values - values[kept].mean(), 0.0)
+        parts = sliding_window_view(centred, length)[:: length - length // 2] * window
         power = np.mean(np.abs(np.fft.rfft(parts)) ** 2, axis=0)
         total += step * len(kept) * power / (window**2).sum()
         weight += kept.sum()
     total[: (length + 1) // 2] *= 2
-    return np.fft.rfftfreq(length, runs[-1][0])[1:], total[1:] / weight
-
-
-def autocorrelation(residuals: Residuals) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """Compute lags (L,), s, autocorrelation (L,) over pairs of unmasked residuals, and the 95 % band of white noise."""
-    from scipy.special import ndtri
-
-    runs = _centred(residuals)
-    if not runs:
-        return None
-    lags = min(LAGS, min(len(values) for _, values, _ in runs) // 2)
-    products, pairs = np.zeros(lags + 1), np.zeros(lags + 1)
-    for _, values, kept in runs:
-        size = fast_length(len(values) + lags)
-        powers = np.abs(np.fft.rfft([values, kept], size)) ** 2
-        along = np.fft.irfft(powers, size)[:, : lags + 1]
-        products += along[0]
-        pairs += along[1].round()
-    variance = products[0] / pairs[0]
-    if not variance > 0:
-        return None
-    step = np.median([step for step, _, _ in runs])
-    value = products / np.maximum(pairs, 1) / variance
-    band = float(ndtri(0.975) / np.sqrt(pairs[0]))
-    return step * np.arange(lags + 1), value, band
+    return np.fft.rfftfreq(length, step)[1:], total[1:] / weight
 
 
 # Correlations, singular values and effects
