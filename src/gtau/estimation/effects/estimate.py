@@ -85,13 +85,13 @@ class Mixed:
 
     @cached_property
     def _moves_of_motions(self) -> np.ndarray:
-        """Squares of the relative moves of the gains, (c,), by each effect that moves positions or time, added up."""
-        explained, squares = Influence(self), np.zeros(len(self.mixed.model.rows))
+        """Squares of the relative moves of the gains, (n,), by each effect that moves positions or time, added up."""
+        explained, squares = Influence(self), np.zeros_like(self.values[self.fit.system.problem.gain_rows])
         for number, layout in enumerate(self.rows.layouts):
             if layout.effect.of_motion and self.mixed.sizes[number] >= SEEN:
                 _, moves, _ = explained(*self.sizes_of(number))
                 for joint, move in moves.items():
-                    squares[self.fit.system.problem.joints.index(joint)] += (move / 100) ** 2
+                    squares[self.fit.dataset.model.actuated.index(joint)] += (move / 100) ** 2
         return squares
 
     def sizes_of(self, number: int) -> tuple[np.ndarray, list[np.ndarray]]:
