@@ -47,7 +47,7 @@ def test_the_headline_of_coverage_counts_every_row(defects: dict) -> None:
     with (EVIDENCE / "coverage" / "defects.csv").open(encoding="utf-8", newline="") as file:
         summed = {row["defect"]: row for row in csv.DictReader(file)}
     assert set(summed) == set(defects)
-    for defect, line in summed.items():  # the sum over the robots; the page has those that missed
+    for defect, line in summed.items():  # the sum over the robots; the page has those that hold too rarely
         assert line["intervals with the truth"] == hits([row for row in rows if row["defect"] == defect]), defect
         held, of = line["intervals with the truth"].split(" of ")
-        assert (f"| {' | '.join(line.values())} |" in page) == (held != of), defect
+        assert (f"| {' | '.join(line.values())} |" in page) == (int(held) < 0.9 * int(of)), defect
