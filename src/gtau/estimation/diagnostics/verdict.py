@@ -89,13 +89,13 @@ def parameter_verdict(value: float | None, std: float | None) -> Finding:
 
 
 def judge_parameter(
-    value: float | None, std: float | None, terms: Mapping[Parameter, float], brakes: bool = False
+    value: float | None, std: float | None, terms: Mapping[Parameter, float], braking: bool = False
 ) -> Finding:
     """Judge a base parameter from its value, standard deviation, and the ``terms`` that it regroups.
 
-    Of viscous friction that ``brakes`` its joint together with the Coulomb friction, any value is possible.
+    Any value is possible of viscous friction that is ``braking`` its joint, together with the Coulomb friction.
     """
-    if value is None or not std or value >= -NEGATIVE_STD * std or brakes or not cannot_be_negative(terms):
+    if value is None or not std or value >= -NEGATIVE_STD * std or braking or not cannot_be_negative(terms):
         return parameter_verdict(value, std)
     kind = "friction that drives the joint" if next(iter(terms)).kind in ("fv", "fs") else "a negative inertia"
     text = f"it is negative by {-value / std:.0f} standard deviations: {kind}"
