@@ -149,7 +149,7 @@ def estimate(
         bare, audit = audit_inertias(plain, estimates, loaded)
     references = (*sensor_contradictions(scales, plain, accuracy), *contradictory_voltages(plain, accuracy))
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy, references)
-    bodies, lost = _consistent_bodies(fit, plain, options)
+    bodies, lost = _consistent_bodies(fit, plain, np.sqrt(np.diag(estimates.covariance)), options)
     progress("estimation", 1, 1)
     if as_paper:  # the gains that go with the essential parameters
         fit = replace(fit, system=replace(fit.system, problem=essential), solution=reduced)
@@ -174,13 +174,14 @@ def estimate(
     )
 
 
-def _consistent_bodies(fit: Fit, plain: Fit, options: Options) -> tuple[Consistency | None, tuple[Finding, ...]]:
+def _consistent_bodies(
+    fit: Fit, plain: Fit, std: np.ndarray, options: Options
+) -> tuple[Consistency | None, tuple[Finding, ...]]:
     """Find consistent parameters if they are asked for, or a note why there are none."""
     if not options.consistent:
         return None, ()
     try:
-        priors = options.priors or {}
-        return consistent(fit.system, fit.solution, plain.solution, priors, fit.free_gains), ()
+        return consistent(fit, plain.solution, std, options.priors or {}), ()
     except GtauError as refusal:  # what the data contradict, no bodies may have
         reason, _, advice = str(refusal).rstrip(".").partition("; ")
         text = f"physically consistent parameters were not found: {reason}"

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gtau.errors import GtauError, missing_extra
-from gtau.estimation.estimators.estimator import Solution, jackknife
+from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.newton import errors_of_known, jacobian_of_known, moved, residuals, stacked, weighted
 from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
-from gtau.estimation.regression.factors import leave_one_out, triangle
+from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.priors import theta_equations
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
@@ -252,7 +252,7 @@ Errors = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Move:
-    """Shift of a number by consistency: its value without and with it, and the shift in standard deviations."""
+    """Shift of a number by consistency: its value without and with it, and the shift in its standard deviations."""
 
     name: str
     free: float
@@ -265,9 +265,10 @@ class Consistency:
     """Physically consistent ``standard`` parameters by name, SI units.
 
     ``payloads`` are the ten inertial parameters of each carried payload by label (``L3``), ``gains`` drive gain and
-    standard deviation by joint, the latter 0 where given; ``moves`` are of every base parameter and gain, the most
-    moved first; ``eigenvalues`` the smallest of the pseudo-inertia by body, ``loss`` the growth of the residual by
-    joint, per cent; ``open`` standard parameters without effect on actuated joints, chosen and not identified.
+    standard deviation by joint, the latter without constraints, 0 where given; ``moves`` are of every base parameter
+    and gain, the most moved first; ``eigenvalues`` the smallest of the pseudo-inertia by body, ``loss`` the growth of
+    the residual by joint, per cent; ``open`` standard parameters without effect on actuated joints, chosen and not
+    identified.
     """
 
     standard: Mapping[str, float]
@@ -279,18 +280,16 @@ class Consistency:
     open: tuple[str, ...]
 
 
-def consistent(
-    system: System, solution: Solution, plain: Solution, priors: Mapping[str, Prior], free_gains: bool
-) -> Consistency:
+def consistent(fit: Fit, plain: Solution, std: np.ndarray, priors: Mapping[str, Prior]) -> Consistency:
     """Find physically consistent standard parameters, alone (gains given) or together with the gains.
 
-    ``solution`` is without constraints; ``priors`` constrain standard parameters. Where effects beside the model moved
-    it away from the ``plain`` one, what they add stays in the residuals, which the plain ones have there instead.
+    The ``fit`` is without constraints, ``std`` (k,) are the standard deviations of its estimates; ``priors`` constrain
+    standard parameters. Where effects beside the model moved it away from the ``plain`` solution, what they add stays
+    in the residuals, which the plain ones have there instead.
     Raises GtauError where no rigid bodies agree with the priors and payloads, or the programme does not converge.
     """
-    problem = system.unreduced
-    n = len(system.unreduced.joints)
-    base = system.dataset.base
+    system, solution, free_gains = fit.system, fit.solution, fit.free_gains
+    problem, base = system.unreduced, system.dataset.base
     names = system.dataset.model.parameter_names
     base_priors = theta_equations(base, names, problem.parameters, priors)
     unknowns = standard_unknowns(system, solution, priors)
@@ -325,30 +324,27 @@ def consistent(
             "the search did not converge; resolve contradictions first, or give 'priors' for the parameters that the "
             "data leave open."
         )
-    gain_std = _gain_std(errors, problem, values, weights, unknowns, stated) if free_gains else np.zeros(n)
-    if free_gains and np.ndim(solution.prior_covariance):  # leaving out data does not show the uncertainty of priors
-        gain_std = np.sqrt(gain_std**2 + np.diag(np.asarray(solution.prior_covariance))[system.problem.gain_rows])
     bodies = {body.name: body.values(x) for body in unknowns.rigid.bodies}
-    shares = 100 * (np.sqrt(squares(values) / squares(free))[:n] - 1)
-    gains = zip(problem.joints, values[problem.gain_rows], gain_std, strict=True)
+    shares = 100 * (np.sqrt(squares(values) / squares(free))[: len(problem.joints)] - 1)
+    gains = zip(problem.joints, values[problem.gain_rows], std[system.problem.gain_rows], strict=True)
     labels = [load.label for load in system.payloads]
     return Consistency(
         standard=dict(zip(names, x.tolist(), strict=False)),
         payloads={label: dict(zip(INERTIAL, bodies[label].tolist(), strict=True)) for label in labels},
-        gains={joint: (float(gain), float(std)) for joint, gain, std in gains},
-        moves=_moves(system, solution, values, free_gains),
+        gains={joint: (float(gain), float(free_std)) for joint, gain, free_std in gains},
+        moves=_moves(fit, values, std),
         eigenvalues={body: float(np.linalg.eigvalsh(pseudo_inertia(chi))[0]) for body, chi in bodies.items()},
         loss=dict(zip(problem.joints, shares.tolist(), strict=True)),
         open=base.without_effect,
     )
 
 
-def _moves(system: System, solution: Solution, values: np.ndarray, free_gains: bool) -> tuple[Move, ...]:
-    """List the shifts of parameters, and of free gains, from their ``solution``, the largest first."""
-    consistent = dict(zip(system.unreduced.unknowns, values, strict=True))
-    names = [name for name in system.problem.parameters if name.run is None]
-    names += system.problem.unknowns[system.problem.gain_rows] if free_gains else ()
-    std = np.sqrt(np.diag(solution.jackknife))
+def _moves(fit: Fit, values: np.ndarray, std: np.ndarray) -> tuple[Move, ...]:
+    """List the shifts of parameters, and of free gains, from those of the ``fit``, the largest first."""
+    problem, solution = fit.problem, fit.solution
+    consistent = dict(zip(fit.system.unreduced.unknowns, values, strict=True))
+    names = [name for name in problem.parameters if name.run is None]
+    names += problem.unknowns[problem.gain_rows] if fit.free_gains else ()
     moves = []
     for name in names:
         k = solution.unknowns.places[name]
@@ -379,19 +375,3 @@ def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, n
     rigid = unknowns.rigid.beside(1 / np.where(sizes > 0, sizes, 1.0))
     solved = constrained_least_squares(A, np.concatenate([y, unknowns.centre / unknowns.std]), rigid)
     return solved[:c], solved[c:]
-
-
-def _gain_std(
-    errors: Errors,
-    problem: Problem,
-    values: np.ndarray,
-    weights: np.ndarray,
-    unknowns: StandardUnknowns,
-    stated: np.ndarray,
-) -> np.ndarray:
-    """Compute standard deviations of the gains (n,) under the constraints, by the delete-one jackknife."""
-    n = len(problem.joints)
-    factors = [triangle(_linear(errors, unit, values, problem, weights, True)) for unit in problem.units]
-    steps = [_programme(triangle(R, stated), unknowns)[1][:n] for R in leave_one_out(factors)]
-    gains = 1 / (1 / values[problem.gain_rows] + np.array(steps))
-    return np.sqrt(np.diag(jackknife(gains)))
