@@ -37,7 +37,7 @@ def test_citations_are_read(equations) -> None:
         7, 15, *range(29, 34), 34, 36, 39,
     }  # fmt: skip
     assert equations.numbers("sequence 3, eq 4 and page 5") == set()
-    places = set(equations.citations(ROOT / "src" / "gtau" / "model" / "dynamics.py"))
+    places = set(equations.citations(ROOT / "src" / "gtau" / "model" / "equations.py"))
     assert {(15, "torques"), (14, "torques"), (2, "_wrench"), (1, "")} <= places
 
 

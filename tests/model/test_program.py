@@ -8,8 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 from robots_for_tests import planar_3rrr
 
-from gtau.model.closures import solve as symbolic_solve
-from gtau.model.dynamics import parameter_names, torques
+from gtau.model.equations import parameter_names, solve as symbolic_solve, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates
 from gtau.model.program import LANES, compile_program

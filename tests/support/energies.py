@@ -5,7 +5,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from gtau.model.dynamics import spring_length
+from gtau.model.equations import spring_length
 from gtau.model.kinematics import frames
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PRELOAD, STIFFNESS

@@ -13,8 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import closed_motion
-from gtau.model.dynamics import torques
+from gtau.model.equations import closed_motion, torques
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import Coordinates, configuration_rates
 from gtau.model.loops import Motion

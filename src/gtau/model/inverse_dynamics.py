@@ -13,7 +13,7 @@ import numpy as np
 
 from gtau.documents.validation import TEXT, takes
 from gtau.errors import GtauError, UnknownName, meant, spelled
-from gtau.model.dynamics import parameter_names, torques, wrench_torques
+from gtau.model.equations import parameter_names, torques, wrench_torques
 from gtau.model.kinematics import Coordinates
 from gtau.model.loops import Labels, Loops, Motion, close_loops, differentiate, displaced, follow, numbers
 from gtau.model.program import NONE, Program, compile_program, share

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from gtau.model.closures import closure_expressions
+from gtau.model.equations import closure_expressions
 from gtau.model.kinematics import SAME_LENGTH, Coordinates, constant, frames, placements, shifted, twists
 from gtau.model.program import Program, compile_program
 from gtau.robots.geometry import characteristic_length

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import error_expressions
+from gtau.model.equations import error_expressions
 from gtau.model.kinematics import Coordinates
 from gtau.robots.placement import within_a_turn
 from gtau.robots.robot import Joint, Robot

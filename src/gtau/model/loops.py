@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import closed_motion, newton_step
+from gtau.model.equations import closed_motion, newton_step
 from gtau.model.kinematics import Coordinates
 from gtau.model.loop_closure import closed_home
 from gtau.model.program import Program, compile_program, share

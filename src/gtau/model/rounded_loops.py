@@ -15,7 +15,7 @@ from math import pi
 import casadi as ca
 import numpy as np
 
-from gtau.model.closures import error_expressions
+from gtau.model.equations import error_expressions
 from gtau.model.kinematics import Coordinates, Varied, constant, frames, turned
 from gtau.model.loop_closure import CLOSED, LoopErrors, closed
 from gtau.robots.placement import angles_of, digits_of, euler_angles, is_written

@@ -20,8 +20,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.model.closures import closure_expressions, solve
-from gtau.model.dynamics import torques
+from gtau.model.equations import closure_expressions, solve, torques
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import advance as follow, pose_words

@@ -19,7 +19,7 @@ from gtau.documents.yaml_document import Document, read_yaml, yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.friction.law import FrictionLaw
 from gtau.estimation.results.model_file import load
-from gtau.model.dynamics import parameter_names
+from gtau.model.equations import parameter_names
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.progress import Progress, silent

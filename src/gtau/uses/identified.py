@@ -22,8 +22,8 @@ from gtau.estimation.friction.law import transmitted
 from gtau.estimation.regression.rows import SLOPES
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.model import dynamics
-from gtau.model.closures import closed_motion, newton_step
+from gtau.model import equations
+from gtau.model.equations import closed_motion, newton_step
 from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.kinematics import configuration_rates
 from gtau.model.loops import Motion
@@ -162,7 +162,7 @@ def functions(model: Identified) -> Functions:
     # standard parameters with the same torques: base parameters at their representatives, else zero
     standard = {name: ca.SX(1, 1) for name in idm.parameter_names}
     standard |= dict(zip(base.standard, transmitted(ca, base.standard, chi), strict=True))
-    load = dynamics.torques(layout, c, yd, ydd, J, standard)
+    load = equations.torques(layout, c, yd, ydd, J, standard)
     law = model.result.friction_law
     z = ca.SX.sym("z", len(law.states))
     friction, regressor = _friction(model, p, yd, J, z)
