@@ -15,7 +15,7 @@ from models_to_export import of_equations
 from gtau.estimation.experiment_runs import read_runs
 from gtau.findings import Grade
 from gtau.model.home import load_robot
-from gtau.report.uncertainty import PAPER
+from gtau.report.parameters import PAPER
 from gtau.result import Result, identify
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.experiment import read_experiment

@@ -14,9 +14,9 @@ from gtau.estimation.results.model_file import to_document
 from gtau.report.evidence import RunEvidence, gather
 from gtau.report.identification import report_page, summary_page, verdict_section
 from gtau.report.page import Page, Text
+from gtau.report.parameters import correlation_section
 from gtau.report.render.terminal import plain
 from gtau.report.torques import determination
-from gtau.report.uncertainty import correlation_section
 from gtau.signals.preparation.filters import Decimator
 from gtau.uses.prediction import Prediction
 

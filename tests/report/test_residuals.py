@@ -7,7 +7,7 @@ import pytest
 
 from gtau.estimation.results.estimate import TorqueError
 from gtau.report.identification import _largest
-from gtau.report.uncertainty import histogram, spectrum
+from gtau.report.torques import histogram, spectrum
 
 
 def test_power_of_the_spectrum_is_the_variance_with_masked_samples(rng: np.random.Generator) -> None:

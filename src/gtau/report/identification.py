@@ -29,12 +29,19 @@ from gtau.report.evidence import (
 from gtau.report.gains import GOOD_GRADES, all_sources, gains_section, masses_table, payloads_section, unknown_payloads
 from gtau.report.motion import logs_section, motion_section, singularities_section
 from gtau.report.page import Column, Facts, Kind, Page, Section, Text, joint_label, table_of
-from gtau.report.parameters import corrections, friction_section, inertias_section, parameters_section
+from gtau.report.parameters import (
+    PAPER,
+    corrections,
+    correlation_section,
+    effects_section,
+    friction_section,
+    inertias_section,
+    parameters_section,
+)
 from gtau.report.render.html import write_report
 from gtau.report.render.terminal import plain
 from gtau.report.robot import geometry_section
-from gtau.report.torques import determination, fit_table, torques_section
-from gtau.report.uncertainty import PAPER, correlation_section, effects_section, residuals_section
+from gtau.report.torques import determination, fit_table, residuals_section, torques_section
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.drafting import DRAFT
 from gtau.signals.reading.experiment import Experiment

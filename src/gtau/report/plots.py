@@ -17,7 +17,7 @@ from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.report import uncertainty
+from gtau.report import parameters
 from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.check import check_page
 from gtau.report.evidence import RunEvidence, gather, settings_of
@@ -33,10 +33,9 @@ from gtau.report.gains import (
 from gtau.report.identification import report_page, verdict_section
 from gtau.report.motion import TIME, distances_panels, seconds
 from gtau.report.page import Column, Kind, Page, Section, Table, Text, joint_label
-from gtau.report.parameters import friction_chart
 from gtau.report.render.charts import figure_of, robot_figure
 from gtau.report.render.html import frame, html as rendered, stamped
-from gtau.report.torques import torques_chart
+from gtau.report.torques import residual_panels, torques_chart
 from gtau.robots.parameter import torque_unit
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
@@ -189,7 +188,7 @@ class Plots:
     def friction(self, joint: str | None = None, run: str | Run | None = None) -> Figure:
         """Draw measured and predicted friction of one joint or all over the speed."""
         evidence, prediction, joints = self._evidence(joint, run)
-        chart = friction_chart(self.result, [replace(evidence, prediction=prediction.rows)])
+        chart = parameters.friction_chart(self.result, [replace(evidence, prediction=prediction.rows)])
         shown = {joint_label(name) for name in joints}
         panels = tuple(panel for panel in chart.panels if panel.title in shown)
         return figure_of(replace(chart, panels=panels, columns=min(len(panels), 2)))
@@ -201,20 +200,20 @@ class Plots:
         robot = self.result.robot
         unit, values = torque_unit(robot, joint), evidence.residuals[:, robot.actuated.index(joint)]
         line = Series("", evidence.time, values, "residual", width=1.0)
-        panels = uncertainty.residual_panels({joint: [(evidence.time, values)]}, {joint: unit})
+        panels = residual_panels({joint: [(evidence.time, values)]}, {joint: unit})
         along = Panel(TIME, Axis(f"residual, {unit}"), (line,), height=2.0)
         return figure_of(Chart((along, *panels), f"{evidence.run.name}: {joint}", columns=2))
 
     def effects(self) -> Figure:
         """Draw the effects that model and description lack, by how much each would move a gain, with intervals."""
-        chart = uncertainty.effects_chart(sorted(self.result.effects, key=lambda effect: -effect.largest_move))
+        chart = parameters.effects_chart(sorted(self.result.effects, key=lambda effect: -effect.largest_move))
         if chart is None:
             raise GtauError("no effect would move a gain, so there is nothing to draw.")
         return figure_of(chart)
 
     def correlation(self) -> Figure:
         """Draw the correlation matrix of all estimates."""
-        return figure_of(uncertainty.correlation_chart(*uncertainty.correlation_of(self.result)))
+        return figure_of(parameters.correlation_chart(*parameters.correlation_of(self.result)))
 
     def singular_values(self) -> Figure:
         """Draw the singular values of ``W_tot`` (eq. 33), with the gap before the smallest."""
@@ -223,7 +222,7 @@ class Plots:
                 "this result has no singular values: its gains were given, or it was loaded from a file; identify the "
                 "gains from the logs again."
             )
-        return figure_of(uncertainty.singular_values_chart(np.array(self.result.singular_values)))
+        return figure_of(parameters.singular_values_chart(np.array(self.result.singular_values)))
 
     def distances(self) -> Figure:
         """Draw distances to singular poses along the runs."""

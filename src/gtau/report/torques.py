@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from gtau.estimation.results.estimate import TorqueError
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.report.chart import Axis, Chart, Panel, Series
+from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.evidence import RunEvidence
 from gtau.report.motion import TIME, payload_words
 from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text, joint_label, table_of
@@ -40,6 +40,10 @@ EXTERNAL = Text(
 )
 SEEN = "seen: share of samples whose pose shows the component; elsewhere the component has no value."
 SHORTEST = 1e-3  # of the duration: stretches closer together are shaded as one
+SEGMENT = 256  # most samples in a segment of the spectrum
+FEWEST = 16  # samples needed for a statistic
+Residuals = Sequence[tuple[np.ndarray, np.ndarray]]
+"""Times (K,) in s on a uniform grid and residuals (K,) of each run, NaN where masked."""
 
 
 def errors_table(runs: Sequence[RunEvidence]) -> Table:
@@ -205,3 +209,77 @@ def stretches(time: np.ndarray, masked: np.ndarray) -> np.ndarray:
     if len(starts):
         starts, stops = starts[np.r_[True, apart]], stops[np.r_[apart, True]]
     return np.column_stack([starts, stops]).reshape(-1).astype(float)
+
+
+# Residuals
+
+
+def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Section | None:
+    """Show the residuals of each joint over all runs used."""
+    used = [run for run in runs if run.used and run.prediction is not None]
+    if not used:
+        return None
+    joints = used[0].prediction.joints if used[0].prediction else ()
+    residuals = {joint: [(run.time, run.residuals[:, j]) for run in used] for j, joint in enumerate(joints)}
+    units = {joint: torque_unit(result.robot, joint) for joint in joints}
+    words = (
+        "Over all runs used, without masked samples. White residuals have a flat spectrum; for other residuals the "
+        "block jackknife corrects the standard deviations."
+    )
+    panels = residual_panels(residuals, units)
+    chart = Chart(panels, columns=2) if panels else None
+    return Section("Residuals", Text(words), chart, id="residuals")
+
+
+def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]) -> tuple[Panel, ...]:
+    """Draw histograms and spectra (a panel per unit) of the residuals of joints."""
+    bars: list[Series] = []
+    spectra: dict[str, list[Series]] = {}
+    for j, (joint, runs) in enumerate(residuals.items()):
+        label = joint_label(joint)
+        if (bins := histogram(runs)) is not None:
+            bars.append(Series(label, *bins, colour(j), "steps"))
+        if (densities := spectrum(runs)) is not None and (densities[1] > 0).any():
+            frequency, density = (part[densities[1] > 0] for part in densities)
+            spectra.setdefault(units[joint], []).append(Series(label, frequency, np.sqrt(density), colour(j)))
+    panels = []
+    if bars:
+        x = np.linspace(-4.0, 4.0, 90)
+        normal = Series("normal density", x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), "soft", width=0.8)
+        axis = Axis("residual / standard deviation", limits=(-4.5, 4.5))
+        panels.append(Panel(axis, Axis("density"), (*bars, normal), "Histogram", height=2))
+    for unit, lines in spectra.items():
+        axis, density_axis = Axis("frequency, Hz"), Axis(f"{unit}/√Hz", log=True)
+        panels.append(Panel(axis, density_axis, tuple(lines), "Amplitude spectral density", height=2))
+    return tuple(panels)
+
+
+def histogram(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
+    """Compute bin edges (B + 1,) and density (B,) of the unmasked residuals, in standard deviations about the mean."""
+    values = np.concatenate([values[np.isfinite(values)] for _, values in residuals])
+    if len(values) < FEWEST or not np.ptp(values):
+        return None
+    bins = int(np.clip(np.sqrt(len(values)), 8, 40))
+    low, high = np.quantile(values, [0.001, 0.999])
+    density, edges = np.histogram(np.clip(values, low, high), bins=bins, range=(low, high), density=True)
+    return (edges - values.mean()) / values.std(), density * values.std()
+
+
+def spectrum(residuals: Residuals) -> tuple[np.ndarray, np.ndarray] | None:
+    """Compute frequencies (F,), Hz, and Welch's one-sided power spectral density (F,) over all runs.
+
+    Masked residuals count as zero, and the density is scaled by the share of unmasked ones.
+    """
+    from scipy.signal import welch
+
+    long_enough = [(time, values) for time, values in residuals if np.isfinite(values).sum() >= FEWEST]
+    if not long_enough:
+        return None
+    length = min(SEGMENT, *(len(values) for _, values in long_enough))
+    total, weight = np.zeros(length // 2 + 1), 0.0
+    for time, values in long_enough:
+        kept, rate = np.isfinite(values), (len(time) - 1) / (time[-1] - time[0])
+        centred = np.where(kept, values - values[kept].mean(), 0.0)
+        frequency, density = welch(centred, rate, nperseg=length, noverlap=length // 2, detrend=False)
+        total, weight = total + len(kept) * density, weight + kept.sum()
+    return frequency[1:], total[1:] / weight
