@@ -1,23 +1,27 @@
-"""Default guards against collisions: guessed shapes of bodies, a floor, and a speed of the tool."""
+"""Default guards against collisions: shapes of bodies, read or guessed, a floor, and a speed of the tool."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from gtau.documents.files import read_at_most
 from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.excitation.clearance import FIXED, FLOOR, Capsule, Clearance, Floor, Pair, Shape, bounding_capsule, clearance
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.singularities import random_motion
 from gtau.robots.geometry import places_on
-from gtau.robots.readers.links import urdf_shapes
+from gtau.robots.readers.source import Base
+from gtau.robots.readers.urdf_tree import origin_of, read_urdf_tree
+from gtau.robots.readers.xml_document import numbers
 from gtau.robots.robot import GROUND, Joint, Robot
 
 # radius of a link of unknown shape over the arm's length: UR10e 0.07 m, Panda 0.06 m, like their tubes
@@ -32,7 +36,11 @@ TOOL_SPEED = 1.5
 # m/s, by a word in a robot's name, as manuals state: 1.7 (Franka, limits of its control interface), 0.5 (Kinova, guide
 # of the Gen3: 50 cm/s in Cartesian translation), 1 (Ufactory, user manual of the xArm: up to 1000 mm/s)
 MAKERS = {"panda": 1.7, "gen3": 0.5, "xarm": 1.0}
+LARGEST_MESH = 64 * 2**20  # bytes
+RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])  # of an STL file
 Shapes = Mapping[str, Sequence[Shape]]
+Blob = tuple[np.ndarray, float]
+"""Points (K, 3), m, and the radius of a ball about each; the convex hull of the balls encloses a shape."""
 
 
 def guard(
@@ -119,7 +127,7 @@ def _named(pair: Pair) -> str:
 def _guesses(robot: Robot, stated: Shapes, file: Path) -> tuple[dict[str, list[Capsule]], str]:
     """Guess shapes of bodies without a stated shape, and say how."""
     urdf = file.suffix.lower() == ".urdf" and file.is_file()
-    in_file, ends, missing = urdf_shapes(file) if urdf else ({}, {}, {})
+    in_file, ends, missing = _shapes_of(file) if urdf else ({}, {}, {})
     bodies = [body for body in (GROUND, *robot.bodies) if body not in stated]
     drawn = {body: [_around(*shape) for shape in in_file[body]] for body in bodies if body in in_file}
     links = {} if robot.closures else _links(robot, ends)
@@ -141,6 +149,79 @@ def _guesses(robot: Robot, stated: Shapes, file: Path) -> tuple[dict[str, list[C
     shaped = [body for body in bodies if body in drawn or body in lines]
     shapes = {body: [*drawn.get(body, ()), *lines.get(body, ())] for body in shaped}
     return shapes, f"self-collision: bodies are capsules, {', '.join(sources)}{meshes}; state {STATE}"
+
+
+def _shapes_of(path: Path) -> tuple[dict[str, list[Blob]], dict[str, list[np.ndarray]], dict[str, int]]:
+    """Read the collision shapes of a URDF, origins of links fixed to each body, and counts of meshes not read."""
+    tree = read_urdf_tree(path, {}, Base())
+    shapes: dict[str, list[Blob]] = {}
+    ends: dict[str, list[np.ndarray]] = {}
+    missing: dict[str, int] = {}
+    for link in tree.root.findall("link"):
+        at = tree.frames.get(link.get("name", ""))
+        if at is None:
+            continue
+        ends.setdefault(at.body, []).append(at.placement.position)
+        for collision in link.findall("collision"):
+            if (geometry := collision.find("geometry")) is None:
+                continue
+            blob = next(filter(None, (_blob(shape, path) for shape in geometry)), None)
+            if blob is None:
+                missing[at.body] = missing.get(at.body, 0) + 1
+                continue
+            placement = at.at(origin_of(collision.find("origin"), "a collision shape")[0]).placement
+            points = blob[0] @ placement.rotation.T + placement.position
+            shapes.setdefault(at.body, []).append((np.asarray(points), blob[1]))
+    return shapes, ends, missing
+
+
+def _blob(shape: Element, path: Path) -> Blob | None:
+    """Turn a box, sphere, cylinder, capsule or mesh into points and a radius; None for a missing mesh."""
+
+    def number(key: str, count: int = 1) -> list[float]:
+        return numbers(shape.get(key, ""), count, f"{key} of a {shape.tag} in <collision>")
+
+    if shape.tag == "box":
+        return np.array([*product((-0.5, 0.5), repeat=3)]) * number("size", 3), 0.0
+    if shape.tag == "sphere":
+        return np.zeros((1, 3)), number("radius")[0]
+    if shape.tag in ("cylinder", "capsule"):
+        return np.array([[0.0, 0.0, -0.5], [0.0, 0.0, 0.5]]) * number("length"), number("radius")[0]
+    if shape.tag != "mesh":
+        return None
+    scale = numbers(shape.get("scale", "1 1 1"), 3, "scale of a mesh")
+    for file in _places(shape.get("filename", ""), path):
+        if file.is_file() and (points := _mesh_points(file)) is not None:
+            return points * scale, 0.0
+    return None
+
+
+def _places(name: str, path: Path) -> Iterator[Path]:
+    """List possible places of a mesh file: below the folders that contain the robot's file."""
+    scheme, _, rest = name.rpartition("://")
+    inside = rest.partition("/")[2]
+    if scheme == "package":
+        yield from (folder / part for folder in path.resolve().parents for part in (rest, inside))
+    elif scheme in ("", "file"):
+        yield path.parent / rest
+
+
+def _mesh_points(path: Path) -> np.ndarray | None:
+    """Read the corners (K, 3) of an STL or OBJ mesh; None for other formats or an empty mesh."""
+    content = read_at_most(LARGEST_MESH, path, f"{path}: the mesh is larger than 64 MiB; give a simpler one.")
+    if path.suffix.lower() == ".stl" and len(content) == 84 + RECORD.itemsize * int.from_bytes(
+        content[80:84], "little"
+    ):
+        points = np.frombuffer(content[84:], RECORD)["corners"].reshape(-1, 3).astype(float)
+    elif path.suffix.lower() in (".stl", ".obj"):
+        words = (line.split() for line in content.decode("latin-1").splitlines())
+        try:
+            points = np.array([[*map(float, line[1:4])] for line in words if line and line[0] in ("v", "vertex")])
+        except ValueError:
+            raise GtauError(f"{path} is not a valid mesh: a corner is not three numbers; correct it.") from None
+    else:
+        return None
+    return np.unique(points, axis=0) if points.ndim == 2 and len(points) and np.isfinite(points).all() else None
 
 
 def _around(points: np.ndarray, radius: float) -> Capsule:

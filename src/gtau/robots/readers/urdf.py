@@ -10,7 +10,7 @@ default), ``name_mot`` the motors, and ``joint_name`` with ``joint_type`` joints
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -19,14 +19,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from pydantic import field_validator
 
-from gtau.documents.validation import Keys, unknown, validate
+from gtau.documents.validation import Keys, some_of, unknown, validate
 from gtau.documents.yaml_document import read_yaml
 from gtau.errors import GtauError, errors_at
 from gtau.robots.geometry import drawn_base
-from gtau.robots.parameter import lumped
+from gtau.robots.parameter import RigidBody, lumped
 from gtau.robots.parts import listed, without_idle_pins
 from gtau.robots.placement import compose, digits_of, exact_placement, pose_of
-from gtau.robots.readers.links import urdf_bodies, urdf_masses
 from gtau.robots.readers.source import BaseChoice
 from gtau.robots.readers.urdf_tree import WORLD, UrdfTree, axis_of, driven_joints, origin_of, read_urdf_tree
 from gtau.robots.readers.xml_document import all_numbers, attribute, line_of, numbers
@@ -39,6 +38,11 @@ SIDES = ("predecessor", "successor", "link1", "link2")
 UNREAD = re.compile(r"constraint|coupling|\w+_constraint|linear_bushing\w*|joint")
 """Elements, without their prefix, that tie links and are not read."""
 CLOSING = "closing_"  # links that onshape-to-robot writes in pairs where a loop is cut
+TENSOR = [[0, 3, 4], [3, 1, 5], [4, 5, 2]]  # places of xx yy zz xy xz yz in a tensor
+TINY = 1e-9  # kg m2: smaller inertias belong to frames that have none
+SLACK = 1e-2  # of the largest principal moment over the sum of the others, as files round
+HEAVIEST = 1000.0  # largest mass in kg, and over the median mass of the file
+SHOWN = 4  # bodies that a note lists
 BY_HAND = (
     "is not read; write the frames that it ties under 'closed_loop', and the motors under 'name_mot', in a YAML file "
     "of the same name beside this one, or describe the robot in a robot file"
@@ -75,8 +79,8 @@ def _file(tree: UrdfTree, source: str) -> RobotFile:
     angles += all_numbers((part for part in parts if part.tag == "axis"), ["xyz"])
     # roll, pitch, yaw and the direction of the axis turn a joint
     rounding = replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
-    notes = (*urdf_masses(tree.root, tree.frames), *tree.notes)
-    stated = lumped((tree.frames[name], body) for name, body in urdf_bodies(tree.root) if name in tree.frames)
+    notes = (*_masses(tree.root, tree.frames), *tree.notes)
+    stated = lumped((tree.frames[name], body) for name, body in _bodies(tree.root) if name in tree.frames)
     inertias = tuple(stated.items()) if any(stated.values()) else ()
     return RobotFile(source, notes, inertias=inertias, rounding=rounding)
 
@@ -270,3 +274,72 @@ def _sides_in_gazebo(tree: UrdfTree, joint: Element, what: str) -> list[Attachme
     R = drawn[parent.body].rotation.T
     from_parent = pose_of(R @ there.rotation, R @ (there.position - drawn[parent.body].position))
     return [replace(parent, placement=from_parent), child]
+
+
+# Masses and inertias, to compare them with the identified ones, or as priors
+
+
+def _bodies(root: Element) -> Iterator[tuple[str, RigidBody]]:
+    """Read the mass and inertia of each link that states them."""
+    for link in root.findall("link"):
+        if (inertial := link.find("inertial")) is not None:
+            yield link.get("name", ""), _body(link.get("name", ""), inertial)
+
+
+def _body(name: str, inertial: Element) -> RigidBody:
+    def read(tag: str, key: str, default: str, what: str) -> list[float]:
+        element, count = inertial.find(tag), len(default.split()) or 1
+        if element is None:
+            return [0.0] * count
+        return numbers(element.get(key, default), count, f"{what} of link '{name}'")
+
+    (mass,) = read("mass", "value", "", "mass")
+    moments = [read("inertia", f"i{axes}", "0", f"i{axes}")[0] for axes in ("xx", "yy", "zz", "xy", "xz", "yz")]
+    xyz, rpy = (read("origin", key, "0 0 0", f"inertial {key}") for key in ("xyz", "rpy"))
+    rotation = Pose(rpy=(rpy[0], rpy[1], rpy[2])).rotation
+    return RigidBody(mass, np.array(xyz), rotation @ np.array(moments)[TENSOR] @ rotation.T)
+
+
+def _masses(root: Element, frames: Mapping[str, Attachment]) -> Iterator[str]:
+    """Note implausible masses and inertias of a URDF file; ``frames`` say which body carries each link."""
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    bodies = dict(_bodies(root))
+    carried = {link: at.body for link, at in frames.items() if link in links and at.body != GROUND}
+    odd = []
+    for name in bodies:
+        if name in carried:
+            odd += _impossible(f"link '{name}'", links[name], bodies[name].inertia)
+    masses = {name: bodies[name].mass if name in bodies else 0.0 for name in links}
+    typical = float(np.median([mass for mass in masses.values() if mass > 1e-6] or [1.0]))
+    for name, mass in masses.items():
+        if mass < 0.0 or mass > max(HEAVIEST * typical, HEAVIEST):
+            odd.append(f"link '{name}' (line {line_of(links[name])}) weighs {mass:,.0f} kg")
+    if odd:
+        yield (
+            f"physically impossible masses and inertias: {some_of(odd, SHOWN, '; ')}; they are identified, not read, "
+            "but correct them before you use the file elsewhere"
+        )
+    moved: dict[str, list[str]] = {}
+    for link, joint in carried.items():
+        moved.setdefault(joint, []).append(link)
+    light = [group[0] for group in moved.values() if not any(masses[link] for link in group)]
+    if light and any(masses.values()):  # else the file has no masses at all
+        names = some_of([f"'{name}' (line {line_of(links[name])})" for name in light], SHOWN)
+        yield (
+            f"these links have no mass in the file, though a joint moves them: {names}; here they have parameters "
+            "all the same, and where one is really massless, write 'parameters: none' for it in a saved robot file"
+        )
+
+
+def _impossible(name: str, element: Element, tensor: np.ndarray) -> list[str]:
+    """Report impossible moments of an inertia (3, 3), kg m2: negative ones, or one above the sum of the others."""
+    moments = np.linalg.eigvalsh(tensor)
+    if np.abs(moments).max() < TINY:
+        return []
+    shown = ", ".join(f"{moment:.3g}" for moment in moments)
+    where = f"{name} (line {line_of(element)}) has the principal moments {shown} kg m2"
+    if moments[0] < -SLACK * abs(moments[2]):
+        return [f"{where}, one of them negative"]
+    if moments[2] > (1.0 + SLACK) * (moments[0] + moments[1]):
+        return [f"{where}, the largest above the sum of the others"]
+    return []
