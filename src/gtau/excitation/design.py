@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -135,15 +135,20 @@ def excite(
             "the search was stopped before it found a motion within the limits, so nothing is written; let it run "
             "longer."
         )
+    raise _nothing_found(task, failures)
+
+
+def _nothing_found(task: DesignProblem, failures: Sequence[ConstraintUsage]) -> GtauError:
+    """Say why no motion was found, from the most exceeded limit of each start whose motions were reachable."""
     robot = task.model.robot.name
     if not failures:
-        raise GtauError(
+        return GtauError(
             f"robot '{robot}': the loops cannot be closed along any motion that was tried, from rest to the middle of "
             "the position limits or of the workspace and about it; narrow them to what the robot can reach, lower "
             "limits.condition, or start from another pose ('rest')."
         )
     nearest = min(failures, key=lambda usage: usage.shortfall)
-    raise GtauError(
+    return GtauError(
         f"robot '{robot}': no motion within the limits was found: the {nearest.what} must be {nearest.allowed}, "
         f"and the nearest motion reaches {nearest.reached:.4g}; relax this limit or the limits that conflict with "
         "it, or start from another pose ('rest')."

@@ -187,16 +187,22 @@ def solve(
             "ipopt": {**IPOPT, **(AGAIN if again else {})},
         },
     )
+    solution = _solution(solver, {**again, "x0": x, "lbg": low, "ubg": high}, errors)
+    return {f"{name}0": solution[name] for name in ("x", "lam_x", "lam_g")}
+
+
+def _solution(solver: ca.Function, start: Mapping[str, Any], errors: list[BaseException]) -> Mapping[str, ca.DM]:
+    """Call the solver, which ends at the first of the ``errors``, and raise that."""
     # CasADi clears an exception of Ctrl-C in the main thread; the solver's libraries are loaded only now
     with ThreadPoolExecutor(1) as thread:
-        solution = thread.submit(single_threaded_blas()(solver), **{**again, "x0": x}, lbg=low, ubg=high)
+        solution = thread.submit(single_threaded_blas()(solver), **start)
         try:
             wait([solution])
         except BaseException as error:
-            errors.append(error)  # which ends the solver
+            errors.append(error)
     if errors:
         raise errors[0]
-    return {f"{name}0": solution.result()[name] for name in ("x", "lam_x", "lam_g")}
+    return solution.result()
 
 
 class _Function(ca.Callback):

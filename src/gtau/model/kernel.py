@@ -70,6 +70,30 @@ def _sine_cosine(rows, sine, cosine, angle, count):  # type: ignore[no-untyped-d
                 rows[sine, n], rows[cosine, n] = np.sin(rows[angle, n]), np.cos(rows[angle, n])
 
 
+@_inlined
+def _no_sum(rows, op, to, a, b, count):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Compute the row ``to`` of an operation that is no sum of products."""
+    if op == 8:
+        for n in range(count):
+            rows[to, n] = rows[a, n] / rows[b, n]
+    elif op == 9:
+        for n in range(count):
+            rows[to, n] = np.sqrt(rows[a, n])
+    elif op == 10:
+        for n in range(count):
+            x = rows[a, n]
+            rows[to, n] = 1.0 if x > 0.0 else (-1.0 if x < 0.0 else x)  # zero and nan stay what they are
+    elif op == 11:
+        for n in range(count):
+            rows[to, n] = abs(rows[a, n])
+    elif op == 12:
+        for n in range(count):
+            x, y = rows[a, n], rows[b, n]
+            rows[to, n] = x if x > y or x != x else y  # nan if either is, so that a test on it fails
+    else:
+        _sine_cosine(rows, to, b, a, count)
+
+
 @_compiled(types.void(types.uint32[:, ::1], _NUMBERS, _NUMBERS, _SOURCES, _NUMBERS, *[types.int64] * 3))
 def evaluate(code, signs, rows, sources, outputs, start, stop, column):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Compute ``outputs``, from a ``column`` on, of the samples ``start`` to ``stop`` of ``sources``.
@@ -115,25 +139,8 @@ def evaluate(code, signs, rows, sources, outputs, start, stop, column):  # type:
                 for n in range(count):
                     part = s * rows[a, n] + t * rows[b, n] * rows[c, n]
                     rows[to, n] = part + u * rows[d, n] * rows[e, n] + v * rows[f, n] * rows[g, n]
-            elif op == 8:
-                for n in range(count):
-                    rows[to, n] = rows[a, n] / rows[b, n]
-            elif op == 9:
-                for n in range(count):
-                    rows[to, n] = np.sqrt(rows[a, n])
-            elif op == 10:
-                for n in range(count):
-                    x = rows[a, n]
-                    rows[to, n] = 1.0 if x > 0.0 else (-1.0 if x < 0.0 else x)  # zero and nan stay what they are
-            elif op == 11:
-                for n in range(count):
-                    rows[to, n] = abs(rows[a, n])
-            elif op == 12:
-                for n in range(count):
-                    x, y = rows[a, n], rows[b, n]
-                    rows[to, n] = x if x > y or x != x else y  # nan if either is, so that a test on it fails
             else:
-                _sine_cosine(rows, to, b, a, count)
+                _no_sum(rows, op, to, a, b, count)
             if out < len(outputs):
                 for n in range(count):
                     outputs[out, column + first - start + n] = rows[to, n]

@@ -163,19 +163,12 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
         stack.enter_context(patch.object(xacro, "check_attrs", attributes))
         stack.enter_context(patch.object(xacro.substitution_args, "_eval_find", find))
         stack.enter_context(patch.object(xacro.substitution_args, "eval", read_in_eval, create=True))
+        texts = {name: str(value) for name, value in arguments.items()}
+        texts |= {name: str(value).lower() for name, value in arguments.items() if isinstance(value, bool)}
         try:
-            texts = {name: str(value) for name, value in arguments.items()}
-            texts |= {name: str(value).lower() for name, value in arguments.items() if isinstance(value, bool)}
             document = xacro.process_file(str(path), mappings=texts)
-        except Exception as error:  # xacro wraps what it likes
-            while isinstance(cause := getattr(error, "exc", None), Exception):
-                error = cause
-            if isinstance(error, GtauError):
-                raise error from None
-            reason = short(str(error) or type(error).__name__, 200).rstrip(".")
-            raise GtauError(
-                f"{path} cannot be expanded ({reason}); correct it, or its arguments (xacro: ...)."
-            ) from None
+        except Exception as error:
+            raise _refusal(path, error) from None
         if unknown := [name for name in arguments if name not in declared]:
             has = f"it has {', '.join(declared)}" if declared else "it declares none"
             raise GtauError(f"{path} declares no argument '{unknown[0]}' (xacro:arg); {has}.")
@@ -185,3 +178,13 @@ def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | P
             yield urdf
         except GtauError as error:
             raise GtauError(str(error).replace(str(urdf), str(path))) from None
+
+
+def _refusal(path: Path, error: Exception) -> GtauError:
+    """Say why a file cannot be expanded; xacro wraps what it likes."""
+    while isinstance(cause := getattr(error, "exc", None), Exception):
+        error = cause
+    if isinstance(error, GtauError):
+        return error
+    reason = short(str(error) or type(error).__name__, 200).rstrip(".")
+    return GtauError(f"{path} cannot be expanded ({reason}); correct it, or its arguments (xacro: ...).")
