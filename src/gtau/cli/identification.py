@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -29,29 +29,6 @@ from gtau.documents.files import folder_of, write_atomically
 if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
 
-Results = Annotated[Path, option("DIR", "Folder for report.html, model.json and others.")]
-Method = Annotated[
-    str | None,
-    option(
-        METHODS,
-        "Estimator ('gtau docs verdicts'). Default: ml; tls with --as-paper; wls for torques that nothing tests.",
-    ),
-]
-Ratio = Annotated[
-    float | None, option("RATIO", "The paper's ratio for essential parameters, 10 to 30; default: BIC.", min=1.0)
-]
-AsPaper = Annotated[
-    bool, option("", "Follow the paper: its TLS (or wls, ols), filter, friction, reduction; no delays.", "--as-paper")
-]
-Consistent = Annotated[bool, option("", "Also find physically consistent standard parameters.", "--consistent")]
-PriorInertias = Annotated[
-    float | None,
-    option(
-        "STD",
-        "Use the robot file's inertias as priors of this relative standard deviation, 0.3 for 30 %; they set the scale "
-        "where nothing else does.",
-    ),
-]
 EXIT = {"play": 0, "done": 0, "stopped": 3, "blocked": 3}
 
 
@@ -63,24 +40,51 @@ def percent(text: str | float) -> float:
     raise typer.BadParameter(f"'{text}' is not an accuracy; write a number of per cent from 0.01 to 50.")
 
 
-Accuracy = Annotated[
-    float, option("PERCENT", "A gain is good if its 95 % interval is within +- PERCENT, 0.01 to 50.", parser=percent)
-]
-Verbose = Annotated[bool, option("", "Print all parameters, the fit of each joint and all notes.", "--verbose", "-v")]
+@dataclass(frozen=True)
+class EstimationOptions:
+    """What is asked of an identification."""
+
+    method: Annotated[
+        str | None,
+        option(
+            METHODS,
+            "Estimator ('gtau docs verdicts'). Default: ml; tls with --as-paper; wls for torques that nothing tests.",
+        ),
+    ] = None
+    ratio: Annotated[
+        float | None, option("RATIO", "The paper's ratio for essential parameters, 10 to 30; default: BIC.", min=1.0)
+    ] = None
+    as_paper: Annotated[
+        bool,
+        option("", "Follow the paper: its TLS (or wls, ols), filter, friction, reduction; no delays.", "--as-paper"),
+    ] = False
+    consistent: Annotated[bool, option("", "Also find physically consistent standard parameters.", "--consistent")] = (
+        False
+    )
+    prior_inertias: Annotated[
+        float | None,
+        option(
+            "STD",
+            "Use the robot file's inertias as priors of this relative standard deviation, 0.3 for 30 %; they set the "
+            "scale where nothing else does.",
+        ),
+    ] = None
+    accuracy: Annotated[
+        float,
+        option("PERCENT", "A gain is good if its 95 % interval is within +- PERCENT, 0.01 to 50.", parser=percent),
+    ] = 3.0
 
 
 @refusing
 def identify(
     sources: Sources,
     stated: LogOptions,
-    out: Results = Path("result"),
-    method: Method = None,
-    ratio: Ratio = None,
-    as_paper: AsPaper = False,
-    consistent: Consistent = False,
-    prior_inertias: PriorInertias = None,
-    accuracy: Accuracy = 3.0,
-    verbose: Verbose = False,
+    out: Annotated[Path, option("DIR", "Folder for report.html, model.json and others.")] = Path("result"),
+    *,
+    asked: EstimationOptions,
+    verbose: Annotated[
+        bool, option("", "Print all parameters, the fit of each joint and all notes.", "--verbose", "-v")
+    ] = False,
     json_: Json = False,
 ) -> None:
     """Identify drive gains and dynamic parameters, and write DIR/model.json.
@@ -101,7 +105,7 @@ def identify(
         from gtau.report.identification import full_page, summary_page, write_identification
         from gtau.uses.identify import identify_subject, with_requirements
 
-        options = Options(method, as_paper, consistent, accuracy / 100, ratio, prior_inertias=prior_inertias)
+        options = Options(**vars(asked) | {"accuracy": asked.accuracy / 100})
         result = identify_subject(read(described, None, options, progress), progress)
         validation, unread = read_validation(described, progress)
     result = result.replaced(notes=(*guessed, *result.notes, *unread))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from gtau.estimation.results.result import IdentifiedModel
     from gtau.export.exported import Exported
 
-HOURS = 8.0  # between false alarms
 CONTROLLERS = "ur, franka, kuka, abb, ros"  # as in export.payload, which --help need not import
 
 
@@ -185,45 +184,60 @@ def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exp
     return [export_payload(replace(body, name=name), to, out) for body, name in zip(bodies, names, strict=True)]
 
 
+@dataclass(frozen=True)
+class Draws:
+    """Parameter sets drawn beside the model."""
+
+    samples: Annotated[
+        int, option("N", "Also draw N parameter sets, for domain randomization: samples.npz.", min=0)
+    ] = 0
+    models: Annotated[int, option("N", "Draws also written as models.", min=0)] = 16
+    seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0
+
+
+@dataclass(frozen=True)
+class ThresholdOptions:
+    """What thresholds of collision detection are made from."""
+
+    experiment: Annotated[
+        Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs have no contact.")
+    ] = None
+    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms.")] = 8.0
+    observer: Annotated[float | None, option("HZ", "For 'thresholds': of the momentum observer of this bandwidth.")] = (
+        None
+    )
+
+
 @refusing
 def export(
     model: ModelFile,
     to: Annotated[str, option("KIND", "Format: {exports}.")],
     out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("exported"),
     into: Annotated[Path | None, option("FILE", "URDF or MJCF to copy with the identified parameters.")] = None,
-    samples: Annotated[
-        int, option("N", "Also draw N parameter sets, for domain randomization: samples.npz.", min=0)
-    ] = 0,
-    models: Annotated[int, option("N", "Draws also written as models.", min=0)] = 16,
-    seed: Annotated[int, option("SEED", "Seed of the draws.", min=0)] = 0,
-    experiment: Annotated[
-        Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs have no contact.")
-    ] = None,
-    hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms.")] = HOURS,
-    observer: Annotated[
-        float | None, option("HZ", "For 'thresholds': of the momentum observer of this bandwidth.")
-    ] = None,
+    *,
+    draws: Draws,
+    thresholds: ThresholdOptions,
     json_: Json = False,
 ) -> None:
     """Export a model for controllers, simulators, papers and other programs."""
     from gtau.export.exported import export_model
 
-    if to != "thresholds" and (experiment is not None or observer is not None or hours != HOURS):
+    if to != "thresholds" and thresholds != ThresholdOptions():
         raise GtauError(f"--experiment, --hours and --observer are for 'thresholds', not for '{to}'; leave them out.")
     with progress_bar() as progress:
         progress("export", 0, 1)
-        if to == "thresholds" and experiment is not None:
+        if to == "thresholds" and thresholds.experiment is not None:
             from gtau.estimation.experiment_runs import read_runs
             from gtau.estimation.results.model_file import load
             from gtau.export.thresholds import export_thresholds
             from gtau.uses.identify import experiment_of as experiment_for
 
             result = load(model)
-            described = experiment_for(result, experiment)
+            described = experiment_for(result, thresholds.experiment)
             runs = read_runs(described, described.validation, progress)
-            exported = export_thresholds(result, runs, out, hours, observer)
+            exported = export_thresholds(result, runs, out, thresholds.hours, thresholds.observer)
         else:
-            exported = export_model(model, to, out, into, samples, models, seed)
+            exported = export_model(model, to, out, into, **vars(draws))
     files = [str(path) for path in exported.files]
     document = {"kind": to, "files": files, "notes": list(exported.notes), "figures": dict(exported.figures)}
     _show_notes([exported.lost] if exported.lost and not json_ else [])
