@@ -16,7 +16,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.exported import Export, Exported, written
-from gtau.robots.parameter import position_unit, torque_unit
+from gtau.robots.parameter import torque_unit
 from gtau.signals.preparation.filters import position_filter
 from gtau.signals.run import Run
 from gtau.uses.external_torques import momentum_observer, predict_under_load
@@ -54,7 +54,7 @@ def export_thresholds(
         {
             "joint": joint,
             "from_speed": bound * float(fastest[j]),
-            "speed_unit": f"{position_unit(robot, joint)}/s",
+            "speed_unit": f"{robot.joint(joint).unit}/s",
             "threshold": float(values[k, j]),
             "unit": torque_unit(robot, joint),
         }

@@ -16,7 +16,7 @@ from gtau.report.chart import Chart
 from gtau.report.evidence import findings_section, preparation_words, same_in_several
 from gtau.report.page import Column, ColumnOf, Facts, Kind, Page, Section, Text, joint_label, table_of
 from gtau.report.robot import geometry_section
-from gtau.robots.parameter import command_unit, position_unit
+from gtau.robots.parameter import command_unit
 from gtau.robots.robot import Robot
 
 
@@ -53,7 +53,7 @@ def _log_document(log: LogCheck, robot: Robot) -> dict[str, Any]:
             {
                 "joint": joint.joint,
                 "moves": joint.spectrum.moves,
-                "unit": position_unit(robot, joint.joint),
+                "unit": robot.joint(joint.joint).unit,
                 "position": list(joint.position),
                 "speed": {"rms": joint.speed_rms, "max": joint.speed_max},
                 "bandwidth": joint.bandwidth if joint.spectrum.moves else None,
@@ -131,7 +131,7 @@ def _purpose(log: LogCheck) -> str:
 
 
 def _joints(log: LogCheck, robot: Robot) -> Section:
-    units = {joint.joint: position_unit(robot, joint.joint) for joint in log.joints}
+    units = {joint.joint: robot.joint(joint.joint).unit for joint in log.joints}
     speeds = {joint: f"{unit}/s" for joint, unit in units.items()}
     commands = {joint: command_unit(robot, joint, log.run.kind) for joint in units}
     kind = {"A": "current", "N": "force"}.get(commands[log.joints[-1].joint], "torque")

@@ -13,7 +13,6 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.report.chart import Axis, Chart, Panel, Rule, Series, colour
 from gtau.report.evidence import RunEvidence
 from gtau.report.page import Column, Kind, Section, Text, joint_label, table_of
-from gtau.robots.parameter import position_unit
 from gtau.robots.robot import Robot
 from gtau.signals.reading.logs import logged_instants
 from gtau.signals.run import Run
@@ -52,7 +51,7 @@ def joint_panels(
     lines: dict[str, list[Series]] = {"rad": [], "m": []}
     for j, joint in enumerate(joints):
         line = Series(joint_label(joint), time, values[:, j], colour(j))
-        lines[position_unit(robot, joint)].append(line)
+        lines[robot.joint(joint).unit].append(line)
     drawn = [(Axis(f"{what}, {unit}{per}"), tuple(series)) for unit, series in lines.items() if series]
     return [Panel(TIME, axis, series, height=height) for axis, series in drawn]
 

@@ -18,7 +18,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series, intervals
 from gtau.report.evidence import RunEvidence
 from gtau.report.gains import VALUE, value_cells
 from gtau.report.page import Column, Kind, Section, Table, Text, joint_label, table_of
-from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, position_unit, torque_unit
+from gtau.robots.parameter import KINDS, TEMPERATURE_TERMS, Parameter, torque_unit
 from gtau.signals.channel import LINK_SIDE
 from gtau.signals.preparation.filters import position_filter
 
@@ -137,7 +137,7 @@ def friction_chart(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Char
             Series("predicted", speed[shown], friction[shown], "predicted", "points", width=2.4),
             Series("measured", speed[shown], measured[shown], "measured", "points", width=0.0),
         )
-        x = Axis(f"speed, {position_unit(result.robot, joint)}/s")
+        x = Axis(f"speed, {result.robot.joint(joint).unit}/s")
         y = Axis(f"friction, {torque_unit(result.robot, joint)}")
         panels.append(Panel(x, y, series, joint_label(joint), height=2))
     return Chart(tuple(panels), columns=2)

@@ -15,7 +15,7 @@ from gtau.report.chart import Axis, Chart, Panel, Series, colour
 from gtau.report.motion import TIME
 from gtau.report.page import Column, Facts, Kind, Page, Section, Table, Text, table_of
 from gtau.robots.geometry import oddities, tool_note
-from gtau.robots.parameter import Parameter, position_unit, unit_of
+from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import DAMPING, PRELOAD, STIFFNESS, Joint, Robot
 
 POSE_DELAY_STD = 0.02  # s; pose delays with a larger standard deviation are not shown
@@ -47,7 +47,7 @@ def robot_document(model: InverseDynamics, base: BaseParameters) -> dict[str, An
                 "actuated": joint.name in robot.motors,
                 "parameters": joint.parameters,
                 "home": home,
-                "unit": position_unit(robot, joint.name),
+                "unit": joint.unit,
                 "limits": asdict(joint.limits),
             }
             for joint, home in zip(robot.joints, model.home.tolist(), strict=False)
@@ -151,13 +151,13 @@ def _joints(model: InverseDynamics) -> Table:
         (Column("kind"), "kind"),
         (Column("role"), role),
         (Column("home", Kind.NUMBER, 4), lambda joint: round(home[robot.joints.index(joint)], 10) + 0.0),
-        (Column("unit"), lambda joint: position_unit(robot, joint.name)),
-        (Column("limits"), lambda joint: _limits(joint, position_unit(robot, joint.name))),
+        (Column("unit"), "unit"),
+        (Column("limits"), _limits),
     )
 
 
-def _limits(joint: Joint, unit: str) -> str:
-    limits = joint.limits
+def _limits(joint: Joint) -> str:
+    limits, unit = joint.limits, joint.unit
     low, high = limits.position or (None, None)
     parts = [] if low is None else [f"{low:.4g} to {high:.4g} {unit}"]
     units = {"velocity": f"{unit}/s", "acceleration": f"{unit}/s2", "effort": "N m" if unit == "rad" else "N"}

@@ -77,7 +77,6 @@ class ParameterKind:
     nonnegative: bool = False  # by physics
     friction: Literal["", "plain", "term", "curve", "shape"] = ""
     dry: bool = False  # acts by the direction of the speed, whatever its size
-    drifts: bool = False  # may differ from run to run
     by_load: bool = False  # grows with the torque that the joint transmits
     slope_of: str = ""  # the kind that changes by it with the temperature
 
@@ -96,8 +95,8 @@ KINDS: Mapping[str, ParameterKind] = {
         ParameterKind(DAMPING, "damping", _VISCOUS, nonnegative=True),
         ParameterKind("width", "before sliding", ("rad", "m"), heading="presliding", friction="shape"),
         ParameterKind("vs", "speed of the bend", ("rad/s", "m/s"), heading="v_s", friction="shape"),
-        ParameterKind("fv", "viscous", _VISCOUS, nonnegative=True, friction="plain", drifts=True),
-        ParameterKind("fs", "Coulomb", _TORQUE, nonnegative=True, friction="plain", dry=True, drifts=True),
+        ParameterKind("fv", "viscous", _VISCOUS, nonnegative=True, friction="plain"),
+        ParameterKind("fs", "Coulomb", _TORQUE, nonnegative=True, friction="plain", dry=True),
         ParameterKind("fb", "beyond sliding, at rest", _TORQUE, friction="curve", dry=True),
         ParameterKind("f3", "cubic in speed", ("N m s3/rad3", "N s3/m3"), latex="f_3", friction="term"),
         ParameterKind(
@@ -126,7 +125,7 @@ SHAPES = kinds_where(lambda kind: kind.friction == "shape")
 FURTHER_FRICTION = kinds_where(lambda kind: kind.friction and kind.friction != "plain")
 """Friction that is not among the standard parameters."""
 DRY = kinds_where(lambda kind: kind.dry)
-DRIFTING = kinds_where(lambda kind: kind.drifts)
+DRIFTING = tuple(TEMPERATURE_TERMS.values())
 """Friction that warm-up changes from run to run, and that the bearing of a torque sensor may have too."""
 BY_LOAD = kinds_where(lambda kind: kind.by_load)
 DISSIPATING = kinds_where(lambda kind: kind.nonnegative and kind.symbol not in INERTIAL)
@@ -138,11 +137,6 @@ def unit_of(kind: str, robot: Robot, joint: str) -> str:
     if any(spring.name == joint for spring in robot.springs):
         return KINDS[kind].units[1]
     return KINDS[kind].units[kind not in INERTIAL and not robot.joint(joint).turns]
-
-
-def position_unit(robot: Robot, joint: str) -> str:
-    """Return the unit of a joint's position, rad or m."""
-    return robot.joint(joint).unit
 
 
 def command_unit(robot: Robot, joint: str, kind: str) -> str:

@@ -80,7 +80,7 @@ class Friction(Keys):
 
 
 class FrictionEntry(Keys):
-    """Shape of a joint's friction, see :class:`gtau.estimation.friction.law.Shape`; rad or m, rad/s or m/s."""
+    """Shape of a joint's friction, see :class:`gtau.estimation.friction.law.FrictionLaw`; rad or m, rad/s or m/s."""
 
     width: Positive | None = None
     speed: Positive | None = None
