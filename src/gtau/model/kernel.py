@@ -36,6 +36,7 @@ def _compiled(*signature: Any) -> Any:
 
 _inlined: Any = njit(inline="always")
 _NUMBERS = types.float64[:, ::1]
+_BOUND = types.Tuple((types.uint32[:, ::1], _NUMBERS, _NUMBERS))
 _SOURCES = types.UniTuple(types.Array(types.float64, 2, "C", readonly=True), SOURCES)
 
 
@@ -94,13 +95,14 @@ def _no_sum(rows, op, to, a, b, count):  # type: ignore[no-untyped-def]  # pragm
         _sine_cosine(rows, to, b, a, count)
 
 
-@_compiled(types.void(types.uint32[:, ::1], _NUMBERS, _NUMBERS, _SOURCES, _NUMBERS, *[types.int64] * 3))
-def evaluate(code, signs, rows, sources, outputs, start, stop, column):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+@_compiled(types.void(_BOUND, _SOURCES, _NUMBERS, *[types.int64] * 3))
+def evaluate(bound, sources, outputs, start, stop, column):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Compute ``outputs``, from a ``column`` on, of the samples ``start`` to ``stop`` of ``sources``.
 
-    The sources, one above the other, are the inputs (inputs, N). For ``code``, ``signs`` and ``rows`` see
-    :class:`gtau.model.program.Program`.
+    The sources, one above the other, are the inputs (inputs, N). For ``bound`` see
+    :meth:`gtau.model.program.Program.bound`.
     """
+    code, signs, rows = bound
     lanes = rows.shape[1]
     for first in range(start, stop, lanes):
         count, row = min(lanes, stop - first), 0
@@ -173,12 +175,12 @@ def recur(sections, rows):  # type: ignore[no-untyped-def]  # pragma: no cover -
 
 
 @_inlined
-def _newton(programs, scale, limits, trial, now, going, good, share, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def _newton(loops, trial, now, going, good, share, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Close the loops from the initial guess ``trial`` on the paths ``going``; ``good`` becomes where that succeeded.
 
     ``now`` is the previous closed configuration, ``share`` becomes the share of the way to a singular pose.
     """
-    _, residual, contraction, reach = limits
+    programs, scale, _, (_, residual, contraction, reach) = loops
     n_c, paths = trial.shape
     nothing = np.empty((0, paths))
     made = np.empty((n_c + 2, paths))  # the configuration after a step, its size, and the condition number or the gap
@@ -195,7 +197,7 @@ def _newton(programs, scale, limits, trial, now, going, good, share, used):  # t
         code, signs, rows, constant, values = programs[2 if last_of_all else min(iteration, 1)]
         for k in range(len(constant)):  # such as the condition number of coupled joints
             made[constant[k]] = values[k]
-        evaluate(code, signs, rows, (trial, nothing, nothing, nothing), made, 0, used, 0)
+        evaluate((code, signs, rows), (trial, nothing, nothing, nothing), made, 0, used, 0)
         if last_of_all:
             break
         busy = False
@@ -220,13 +222,13 @@ def _newton(programs, scale, limits, trial, now, going, good, share, used):  # t
 
 
 @_inlined
-def _go(programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Move ``now`` (n_c, paths) straight to ``target`` (n, paths) on paths ``going``; ``arrived`` becomes which do.
+def _go(loops, now, guess, guessed, target, going, used):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    """Move ``now`` (n_c, paths) straight to ``target`` (n, paths) on paths ``going``; return which arrive (paths,).
 
     On the paths ``guessed`` the configuration there is tried to be ``guess``; where that was in one step,
     ``guessed`` is True afterwards.
     """
-    shortest, _, _, reach = limits
+    _, _, actuated, (shortest, _, _, reach) = loops
     n_c, paths = now.shape
     trial, begin = np.empty((n_c, paths)), np.empty((len(actuated), paths))
     travelled, stride, there, share = np.empty(paths), np.empty(paths), np.empty(paths), np.empty(paths)
@@ -247,7 +249,7 @@ def _go(programs, scale, actuated, limits, now, guess, guessed, target, going, a
             for n in range(used):
                 if moving[n]:  # exact at the ends
                     trial[actuated[j], n] = (1.0 - there[n]) * begin[j, n] + there[n] * target[j, n]
-        _newton(programs, scale, limits, trial, now, moving, closed, share, used)
+        _newton(loops, trial, now, moving, closed, share, used)
         for i in range(n_c):
             for n in range(used):
                 now[i, n] = trial[i, n] if closed[n] else now[i, n]
@@ -263,24 +265,24 @@ def _go(programs, scale, actuated, limits, now, guess, guessed, target, going, a
                 first[n] = False
                 moving[n] = travelled[n] < 1.0 and stride[n] >= shortest
                 busy |= moving[n]
-    for n in range(used):
-        arrived[n] = travelled[n] >= 1.0
+    return travelled >= 1.0
 
 
 @_compiled()
-def follow(programs, scale, actuated, limits, c, q, starts, filled, length):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+def follow(loops, c, q, starts, filled, length):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Fill ``c`` (n_c, N) along ``q`` (n, N) from each of ``starts``: ``length`` samples, or as many as can be reached.
 
-    ``filled`` becomes how many were; the sample after them is where the loops closed last. ``programs``, with rows to
-    work with and their constant outputs, are a step with its condition number, a step, and the gap; ``limits`` are the
-    shortest step, the largest residual, the contraction and the reach; ``scale`` (n_c,) makes entries of c rad or
-    lengths over the characteristic length. The initial guess extrapolates the parabola through the last three samples.
+    ``filled`` becomes how many were; the sample after them is where the loops closed last. ``loops`` are programs (a
+    step with its condition number, a step, and the gap), with rows to work with and their constant outputs; factors
+    (n_c,) that make entries of c rad or lengths over the characteristic length; the rows of c that are q; and the
+    shortest step, the largest residual, the contraction and the reach. The initial guess extrapolates the parabola
+    through the last three samples.
     """
-    n_c, samples, paths = len(c), c.shape[1], programs[0][2].shape[1]
+    n_c, samples, paths = len(c), c.shape[1], loops[0][0][2].shape[1]
     now, guess, target = np.empty((n_c, paths)), np.empty((n_c, paths)), np.empty((len(q), paths))
     past = np.empty((2, n_c, paths))  # the two samples before ``now``
     known = np.empty(paths)  # samples before ``now`` that were led on from in one step each
-    going, guessed, arrived = np.empty(paths, np.bool_), np.empty(paths, np.bool_), np.empty(paths, np.bool_)
+    going, guessed = np.empty(paths, np.bool_), np.empty(paths, np.bool_)
     for first in range(0, len(starts), paths):
         used = min(paths, len(starts) - first)
         for n in range(used):
@@ -301,7 +303,7 @@ def follow(programs, scale, actuated, limits, c, q, starts, filled, length):  # 
                     guess[i, n] = 3.0 * (now[i, n] - past[0, i, n]) + past[1, i, n]
                     past[1, i, n] = past[0, i, n]
                     past[0, i, n] = now[i, n]
-            _go(programs, scale, actuated, limits, now, guess, guessed, target, going, arrived, used)
+            arrived = _go(loops, now, guess, guessed, target, going, used)
             busy = False
             for n in range(used):
                 known[n] = known[n] + 1.0 if guessed[n] else 0.0

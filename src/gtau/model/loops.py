@@ -185,7 +185,7 @@ def _filled(
     filled = np.zeros(starts.size, dtype=np.int64)
 
     def work(first: int, last: int) -> None:
-        kernel.follow(*loops.followed(shortest), c, q, starts[first:last], filled[first:last], length)
+        kernel.follow(loops.followed(shortest), c, q, starts[first:last], filled[first:last], length)
 
     share(work, starts.size, PATHS)
     return filled

@@ -66,7 +66,7 @@ class Program:
 
         sources, samples = self._sources(inputs)
         result = self._results(samples)
-        share(lambda start, stop: evaluate(*self.bound(parameters), sources, result, start, stop, start), samples)
+        share(lambda start, stop: evaluate(self.bound(parameters), sources, result, start, stop, start), samples)
         return result
 
     def fill(self, table: np.ndarray, order: np.ndarray, places: np.ndarray, *inputs: np.ndarray) -> None:
@@ -79,7 +79,7 @@ class Program:
             bound, made = self.bound(), self._results(LANES)  # which stay in the cache
             for first in range(start, stop, LANES):
                 last = min(first + LANES, stop)
-                evaluate(*bound, sources, made, first, last, 0)
+                evaluate(bound, sources, made, first, last, 0)
                 scatter(made, order, places, table, first, last - first)
 
         share(work, samples)
