@@ -81,7 +81,7 @@ def identify(
     stated: LogOptions,
     out: Annotated[Path, option("DIR", "Folder for report.html, model.json and others.")] = Path("result"),
     *,
-    asked: EstimationOptions,
+    estimation: EstimationOptions,
     verbose: Annotated[
         bool, option("", "Print all parameters, the fit of each joint and all notes.", "--verbose", "-v")
     ] = False,
@@ -105,7 +105,7 @@ def identify(
         from gtau.report.identification import full_page, summary_page, write_identification
         from gtau.uses.identify import identify_subject, with_requirements
 
-        options = Options(**vars(asked) | {"accuracy": asked.accuracy / 100})
+        options = Options(**vars(estimation) | {"accuracy": estimation.accuracy / 100})
         result = identify_subject(read(described, None, options, progress), progress)
         validation, unread = read_validation(described, progress)
     result = result.replaced(notes=(*guessed, *result.notes, *unread))

@@ -185,7 +185,7 @@ def export_bodies(bodies: Sequence[PayloadBody], to: str, out: Path) -> list[Exp
 
 
 @dataclass(frozen=True)
-class Draws:
+class DrawOptions:
     """Parameter sets drawn beside the model."""
 
     samples: Annotated[
@@ -215,7 +215,7 @@ def export(
     out: Annotated[Path, option("DIR", "Folder for the files.")] = Path("exported"),
     into: Annotated[Path | None, option("FILE", "URDF or MJCF to copy with the identified parameters.")] = None,
     *,
-    draws: Draws,
+    draws: DrawOptions,
     thresholds: ThresholdOptions,
     json_: Json = False,
 ) -> None:
