@@ -113,6 +113,15 @@ def missing_extra(purpose: str, package: str, extra: str) -> GtauError:
     )
 
 
+@contextmanager
+def needing(purpose: str, package: str, extra: str) -> Iterator[None]:
+    """Refuse what needs a ``package`` that cannot be imported here, see :func:`missing_extra`."""
+    try:
+        yield
+    except ImportError:
+        raise missing_extra(purpose, package, extra) from None
+
+
 def install_command(extra: str) -> str:
     """Name the command that installs an ``extra``, from the package index and in a clone."""
     return f"pip install 'gtau[{extra}]' (in a clone: pip install '.[{extra}]')"

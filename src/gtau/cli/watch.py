@@ -28,7 +28,7 @@ from gtau.cli.logs import check
 from gtau.cli.models import export, payload, validate
 from gtau.cli.robots import excite, robot
 from gtau.documents.files import refuse_as_folder
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 
 if TYPE_CHECKING:
     from gtau.watch.follow import Read
@@ -217,10 +217,8 @@ def mcp(
     folder: Annotated[Path, argument("FOLDER", "Folder to which alone it writes; default: this one.")] = Path(),
 ) -> None:
     """Serve an agent over stdin and stdout, by the Model Context Protocol: its client starts this command."""
-    try:
+    with needing("serving an agent", "mcp", "mcp"):
         from gtau.doors.mcp import serve
-    except ImportError:
-        raise missing_extra("serving an agent", "mcp", "mcp") from None
     if sys.stdin.isatty():
         typer.echo("gtau: the client of an agent starts this command and speaks to it; Ctrl-C ends it.", err=True)
     same = {command.__name__: command for command in (check, identify, validate, export, robot)}

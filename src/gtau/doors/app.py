@@ -10,7 +10,7 @@ from typing import Any
 from urllib.parse import parse_qs
 
 from gtau.doors.command import within
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 
 HOST = "127.0.0.1"
 CLOSED = "This page needs the address that 'gtau app' printed, with its token."
@@ -60,14 +60,12 @@ class Guard:
 
 def serve(folder: Path, port: int, show: bool) -> None:
     """Serve the page of a project until Ctrl-C; raises GtauError."""
-    try:
+    with needing("the page", "nicegui", "app"):
         from nicegui import app, ui
         from starlette.responses import FileResponse, PlainTextResponse
 
         from gtau.doors.page import LARGEST, draw
         from gtau.doors.project import Project
-    except ImportError:
-        raise missing_extra("the page", "nicegui", "app") from None
 
     if not folder.is_dir():
         raise GtauError(f"{folder} is not a folder; make it, or give another one.")

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 from gtau.model.kinematics import Coordinates, frames
 from gtau.model.program import Program, compile_program
 from gtau.robots.robot import GROUND, Pose
@@ -265,8 +265,6 @@ def hull(path: Path, scale: float, pose: Pose) -> Hull:
 
 
 def _coal() -> Any:
-    try:
+    with needing("the convex hull of a mesh", "coal", "collision"):
         import coal
-    except ImportError:
-        raise missing_extra("the convex hull of a mesh", "coal", "collision") from None
     return coal

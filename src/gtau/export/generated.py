@@ -23,7 +23,7 @@ import casadi as ca
 import numpy as np
 
 from gtau.documents.files import suffixes
-from gtau.errors import missing_extra
+from gtau.errors import needing
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.exported import Export, Exported, written
 from gtau.model.loops import CONDITION, CONTRACTION
@@ -99,10 +99,8 @@ def matlab_files(model: Identified) -> dict[str, str]:
 
 def export_fmu(result: IdentifiedModel, out: Path) -> Exported:
     """Write ``NAME.fmu`` into ``out``; raises GtauError if PythonFMU3 is not installed."""
-    try:
+    with needing("an export to FMU", "pythonfmu3", "fmu"):
         from pythonfmu3.builder import FmuBuilder
-    except ImportError:
-        raise missing_extra("an export to FMU", "pythonfmu3", "fmu") from None
     model = identified(result)
     if iskeyword(model.name) or model.name in sys.stdlib_module_names or model.name in IMPORTED_BY_FMU:
         model = replace(model, name=f"robot_{model.name}")

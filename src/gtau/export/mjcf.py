@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gtau.documents.files import identifier
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.consistent import ConsistentModel, consistent_model, differences, friction_comments, term_notes
 from gtau.export.exported import Exported, digits, written, xml_text
@@ -53,10 +53,8 @@ def model_text(
 
 def imported() -> ModuleType:
     """Import the module mujoco; raises GtauError where it is not installed."""
-    try:
+    with needing("an export to MJCF", "mujoco", "mujoco"):
         import mujoco
-    except ImportError:
-        raise missing_extra("an export to MJCF", "mujoco", "mujoco") from None
     return mujoco  # type: ignore[no-any-return, unused-ignore]
 
 

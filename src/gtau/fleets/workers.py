@@ -18,7 +18,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Any
 
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -152,10 +152,8 @@ def dask_workers(
     Leaving cancels the work that is still going on. Raises GtauError where Dask is missing, the scheduler cannot be
     reached, stops or has no workers for some time, or they have another gtau.
     """
-    try:
+    with needing("--dask", "distributed", "dask"):
         from distributed import Client, LocalCluster
-    except ImportError:
-        raise missing_extra("--dask", "distributed", "dask") from None
     logging.getLogger("distributed.client").disabled = True  # what it logs with a traceback, a sentence says
     with ExitStack() as stack:
         if address == "local":

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import Coordinates, PlatformSlots
 from gtau.robots.parameter import BY_LOAD, Parameter, parameter_of, rigid_body
@@ -35,11 +35,8 @@ class MujocoPlant:
     """
 
     def __init__(self, model: InverseDynamics, chi: Mapping[str, float], friction: JointFriction | None = None):
-        try:
+        with needing("the engine 'mujoco' (the engine 'gtau' needs nothing more)", "mujoco", "mujoco"):
             import mujoco  # type: ignore[import-untyped, unused-ignore]
-        except ImportError:
-            engine = "the engine 'mujoco' (the engine 'gtau' needs nothing more)"
-            raise missing_extra(engine, "mujoco", "mujoco") from None
         robot, named = model.robot, f"robot '{model.robot.name}'"
         if robot.couplings:
             raise GtauError(

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gtau.documents.validation import some_of
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 from gtau.robots import placement
 from gtau.robots.readers.xml_document import LARGEST, all_numbers, decimals, line_of, read_xml
 from gtau.robots.robot import Pose, refuse_many
@@ -263,10 +263,8 @@ def compile_mjcf(root: Element, path: Path) -> MjcfFile:
     """Compile the bodies, joints and equalities of an MJCF file whose outermost element is ``root``."""
     elements = included(root, path)
     _check_numbers(elements)
-    try:
+    with needing("reading an MJCF file", "mujoco", "mujoco"):
         import_module("mujoco")
-    except ImportError:
-        raise missing_extra("reading an MJCF file", "mujoco", "mujoco") from None
     refusals = (ValueError, RuntimeError, mujoco.FatalError)
     refuse_deadly(path, DELETED)
     try:

@@ -19,7 +19,7 @@ from typing import Any
 from unittest.mock import patch
 
 from gtau.documents.expressions import OPERATORS as ARITHMETIC
-from gtau.errors import GtauError, missing_extra, short
+from gtau.errors import GtauError, needing, short
 
 LARGEST = 1e30  # of a product: larger ones of whole numbers may take for ever
 
@@ -126,11 +126,9 @@ def evaluated(text: str, names: Mapping[str, Any], functions: Sequence[Any] = ()
 @contextmanager
 def expanded(path: Path, arguments: Mapping[str, Any], folders: Sequence[str | Path]) -> Iterator[Path]:
     """Write the URDF of a xacro file for the context; its packages are above it, in ``folders`` or known to ROS."""
-    try:
+    with needing(f"reading {path} (a xacro file)", "xacrodoc", "xacro"):
         import xacro
         from xacrodoc import packages
-    except ImportError:
-        raise missing_extra(f"reading {path} (a xacro file)", "xacrodoc", "xacro") from None
 
     def find(package: str) -> str:
         try:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.errors import GtauError, missing_extra, quoted
+from gtau.errors import GtauError, needing, quoted
 from gtau.signals.reading.formats import WIDEST, LogTable, common_length, numbers, readable
 from gtau.signals.storage import block_size
 
@@ -151,10 +151,8 @@ def _arrays(values: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, np.nd
 
 def open_hdf5(path: Path, kind: str = "an HDF5 file", between: str = "/") -> LogTable:
     """Find the numeric datasets of a file, of its groups too; their names are joined by ``between``."""
-    try:
+    with needing(f"reading {path} ({kind})", "h5py", "hdf5"):
         import h5py
-    except ImportError:
-        raise missing_extra(f"reading {path} ({kind})", "h5py", "hdf5") from None
 
     visited = list[str]()
     shapes, units = dict[str, Shape](), dict[str, str]()
@@ -216,10 +214,8 @@ def _demonstrations(shapes: Mapping[str, Shape]) -> tuple[dict[str, list[str]], 
 
 def open_tdms(path: Path) -> LogTable:
     """Find the numeric channels of a file of LabVIEW, with a column ``time`` where they are waveforms."""
-    try:
+    with needing(f"reading {path} (a TDMS file)", "nptdms", "tdms"):
         from nptdms import TdmsFile
-    except ImportError:
-        raise missing_extra(f"reading {path} (a TDMS file)", "nptdms", "tdms") from None
 
     with readable(path, "a TDMS file"), TdmsFile.open(path) as file:
         groups = {group.name: group.channels() for group in file.groups()}

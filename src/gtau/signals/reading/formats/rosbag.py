@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gtau.errors import GtauError, missing_extra
+from gtau.errors import GtauError, needing
 from gtau.findings import Finding
 from gtau.signals.reading.formats import ALL, WIDEST, LogTable, common_length, interpolated, readable, reading
 from gtau.signals.storage import block_size, store
@@ -36,11 +36,9 @@ STRING = "std_msgs/msg/String"
 
 
 def _reader(path: Path) -> Any:
-    try:
+    with needing(f"reading {path} (a ROS bag)", "rosbags", "ros"):
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
-    except ImportError:
-        raise missing_extra(f"reading {path} (a ROS bag)", "rosbags", "ros") from None
     with path.open("rb") if path.is_file() else nullcontext(BytesIO()) as file:
         head = file.read(HEAD)
     if head.startswith(MCAP) and not head[len(MCAP) + 12 :].startswith(b"ros2"):
@@ -51,10 +49,8 @@ def _reader(path: Path) -> Any:
 @contextmanager
 def _mcap(path: Path) -> Iterator[Any]:
     """Open an MCAP file of another profile than ROS 2, as AnyReader does; its messages must be in JSON."""
-    try:
+    with needing(f"reading {path} (an MCAP file without ROS)", "mcap", "ros"):
         from mcap.reader import make_reader
-    except ImportError:
-        raise missing_extra(f"reading {path} (an MCAP file without ROS)", "mcap", "ros") from None
     with path.open("rb") as file:
         read = make_reader(file).iter_messages
         try:
