@@ -191,6 +191,24 @@ def test_columns_of_elastic_joints_move_the_links_without_the_rotors(runs: list[
     np.testing.assert_allclose(columns, expected, atol=2e-3 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize("name", ["encoder zeros", "position scales"])
+def test_columns_of_positions_are_slopes_where_passive_joints_reverse(name: str, runs: list[Run]) -> None:
+    """Dry friction of passive joints, which reverses at other instants, is in no slope."""
+    fit = ML.fit(reduce_runs(ROBOT, runs).system())
+    model, every, step = fit.dataset.model, SimpleNamespace(outputs=slice(None)), np.array([1e-7, 0.0])
+    effect = next(effect for effect in EFFECTS if effect.name == name)
+    for run, window in fit.dataset.windows():
+        at, labels = FitWindow(fit, run, window), np.array([""] * len(window))
+        q, qd, qdd = window.q + step, window.qd, window.qdd
+        if name == "position scales":
+            q, qd, qdd = (part * (1 + step) for part in (window.q, window.qd, window.qdd))
+        path = model.near(at.motion.c, q.T.copy(), labels)
+        change = at.torques_along(model.rates(path, qd.T.copy(), qdd.T.copy(), labels), at.values) - at.unmoved
+        unit = 0.01 if name == "position scales" else np.radians(1.0)
+        expected = at.decimated(change[None] * unit / step[0])(every)[..., 0]
+        np.testing.assert_allclose(effect.torques(at)(every)[..., 0], expected, atol=0.05 * np.abs(expected).max())
+
+
 def test_presliding_is_found_and_gains_are_right() -> None:
     shapes = {Parameter("width", joint): 0.01 for joint in JOINTS}
     result = estimate_effects(ML.fit(reduce_runs(friction_logs.robot(), friction_logs.experiment(shapes, {})).system()))

@@ -72,6 +72,14 @@ class FitWindow:
         return self.values * [name.kind in PLAIN_FRICTION and name.body not in driven for name in names]
 
     @property
+    def smooth(self) -> np.ndarray:
+        """Values of the base columns whose torques vary smoothly with positions, all but dry friction, (n_b,).
+
+        Other positions reverse passive joints at other instants, which no slope describes.
+        """
+        return self.values * [name.kind != "fs" for name in self.fit.dataset.base.names]
+
+    @property
     def regressor(self) -> Regressor:
         """Regressor of the base columns."""
         return self.fit.dataset.model.columns(self.fit.dataset.base.standard)

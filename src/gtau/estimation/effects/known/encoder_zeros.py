@@ -15,7 +15,7 @@ SI = {"deg": np.pi / 180, "mm": 1e-3}
 def _torques(at: FitWindow) -> Torques:
     window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
     steps = [STEP * SI[_unit(at.fit, joint)] * joints[place] for joint, place in encoders(at.fit).items()]
-    return at.with_positions(((window.q + step, window.qd, window.qdd) for step in steps), at.values)
+    return at.with_positions(((window.q + step, window.qd, window.qdd) for step in steps), at.smooth)
 
 
 def _unit(fit: Fit, joint: str) -> str:

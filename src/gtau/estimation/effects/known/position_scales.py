@@ -16,7 +16,7 @@ def _torques(at: FitWindow) -> Torques:
     window, joints = at.window, np.eye(len(at.fit.dataset.model.actuated))
     factors = 1 + STEP * PER_CENT * joints[list(encoders(at.fit).values())]
     motions = ((window.q * factor, window.qd * factor, window.qdd * factor) for factor in factors)
-    return at.with_positions(motions, at.values)
+    return at.with_positions(motions, at.smooth)
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
