@@ -129,7 +129,10 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
 def _contradicting(
     effects: Sequence[EstimatedEffect], causes: Sequence[EstimatedEffect]
 ) -> tuple[EstimatedEffect, ...]:
-    """Select the effects that contradict the description, the best first; of physics by its size, its largest joint."""
+    """Select the effects that contradict the description, the best first; of physics by its size, its largest joint.
+
+    What is so large that its columns do not describe it counts where nothing else does: its cause is then a guess.
+    """
     physics: dict[str, EstimatedEffect] = {}
     for effect in effects:
         if effect.effect not in DESCRIPTIONS:
@@ -139,12 +142,12 @@ def _contradicting(
         effect
         for effect in (*causes, *physics.values())
         if effect.description
-        and not effect.beyond
         and effect.likelihood > CONTRADICTED
         and effect.share > (HARMLESS_SHARE if effect.effect in IMITATED else LARGE_SHARE)
         and abs(effect.size) > descriptions.REFUTED_STD * effect.std
     ]
-    return tuple(sorted(against, key=lambda effect: -effect.share))
+    within = [effect for effect in against if not effect.beyond] or against[:1]
+    return tuple(sorted(within, key=lambda effect: -effect.share))
 
 
 def _other_descriptions(

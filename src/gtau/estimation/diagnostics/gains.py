@@ -181,7 +181,8 @@ def explained_share(part: EstimatedEffect) -> str:
     """Say what another description explains, with its size."""
     size = ""
     if part.unit:
-        size = f" ({percent(part.size)} of itself)" if part.unit == RELATIVE else f" ({part.size:z.2g} {part.unit})"
+        size = f"{percent(part.size)} of itself" if part.unit == RELATIVE else f"{part.size:z.2g} {part.unit}"
+        size = f" (roughly {size})" if part.beyond else f" ({size})"
     return f"{part.subject}{size} would explain {percent(part.share, '.0f')} of the residual variance"
 
 
