@@ -1,4 +1,4 @@
-"""Torques that are reversed, and angles that a parallelogram measures from another link, are named."""
+"""Reversed torques, faults of a single run, and angles that a parallelogram measures from another link, are named."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from five_bar_logs import JOINTS, Plant, pair
 from gravity_logs import logged
 
 from gtau.estimation.diagnostics.descriptions import _with_parallelogram
@@ -42,6 +43,25 @@ def test_one_reversed_torque_is_named(joint: str) -> None:
 
 def test_torques_as_they_are_reverse_nothing() -> None:
     assert identify(UR10E, logged(UR10E, UR10E.gravity, False)).accepted
+
+
+FAULTS = {
+    "are -1 times": lambda v: v * [-1.0, 1.0],
+    "are 1000 times": lambda v: v * [1.0, 1000.0],
+    "the other runs do not predict": lambda v: v[:, ::-1],
+}
+
+
+@pytest.mark.parametrize("words", [*FAULTS, ""])
+def test_a_fault_of_one_run_is_told_with_the_run(words: str) -> None:
+    plant = Plant(noise=0.01)
+    runs = [*pair(plant), plant.run("again", 8.0, seed=3), plant.run("odd", 8.0, seed=4)]
+    if words:
+        runs[-1] = replace(runs[-1], command=FAULTS[words](runs[-1].command))
+    result = identify(load_robot("five-bar"), runs)
+    first = result.drive_gains[JOINTS[0]].verdict
+    assert result.accepted == (not words)
+    assert (first.kind == "odd run" and words in str(first) and "in run 'odd' alone" in str(first)) == bool(words)
 
 
 def test_an_angle_of_a_parallelogram_is_named() -> None:

@@ -9,6 +9,7 @@ a linear test points anywhere: the robot is fitted again.
 - With payloads on another body.
 - With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
   contradicts the others. All reversed explain the same, with negative masses.
+- Without one of the runs: where the others agree, it is told what that run's currents are of those they predict.
 - With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
   preceding one, and its motor stands there. Fanuc, ABB and palletisers log ``J2 + J3`` as J3. The motor becomes a joint
   of its own, coupled to both.
@@ -22,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics.verdict import unexplained_shares
+from gtau.estimation.diagnostics.verdict import contradiction, motors, unexplained_shares
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.estimators.estimator import Fit
@@ -30,8 +31,9 @@ from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.factors import SIGNALS
+from gtau.estimation.regression.factors import KNOWN, SIGNAL, SIGNALS
 from gtau.estimation.regression.priors import require_scale
+from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding, listed, to_width
 from gtau.progress import Progress
 from gtau.robots.parameter import Parameter, payload_label
@@ -42,12 +44,13 @@ MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
 LEFT = 0.5  # part of the residual variance, geometric mean of all joints, that is left with another description
 REVERSED_LEFT = 0.7  # and with one torque reversed
 BESIDE_LEFT = 0.9  # the same, with all effects beside both descriptions
+ODD_TRIED, ODD_LEFT = 0.1, 0.1  # share of a joint's signal, and the part of its square that is left without a run
 ALIKE = 1.05  # residual variance over the least of all: below, as likely
 REFUTED_STD = 6.0  # size of another description in standard deviations
 MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
 
 TOOL_BODIES, TOOL_BODY, PAYLOAD_BODY = "tool bodies", "body at the tool", "payload on another body"
-REVERSED_CHANNELS, COLUMNS = "reversed channels", "columns"
+REVERSED_CHANNELS, ODD_RUN, COLUMNS = "reversed channels", "odd run", "columns"
 
 
 def refitted(
@@ -219,6 +222,56 @@ def _at_the_tool(run: str, more: float, half: float, declared: str) -> str:
     if more < 0:
         return f"{sized} less at the tool in run '{run}' than in the others"
     return f"an undeclared body of {sized} at the tool in run '{run}'"
+
+
+def odd_run(fit: Fit, than: EstimatedEffect | None) -> Finding | None:
+    """Find the run without which the others agree, if they do much more ``than`` with another load in it.
+
+    It may have reversed, exchanged or scaled columns of its own. None of fewer than three runs.
+    """
+    dataset, unaltered, tried = fit.dataset, unrefined(fit), dict[int, tuple[float, Fit]]()
+    before = unexplained_shares(unaltered)
+    for k in range(len(dataset.runs) if len(dataset.runs) > 2 else 0):
+        kept = [number for number in range(len(dataset.runs)) if number != k]
+        prepared = PreparedRuns(dataset.prepared[number] for number in kept)
+        rest = replace(dataset, prepared=prepared, factors=tuple(dataset.factors[number] for number in kept))
+        other = refitted(fit, [run.payload for run in rest.runs], rest)
+        if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
+            continue
+        if np.any((before > ODD_TRIED) & (unexplained_shares(other) ** 2 < ODD_LEFT * before**2)):
+            tried[k] = residual_ratio(other, unaltered), other
+    k, (ratio, other) = min(tried.items(), key=lambda entry: entry[1][0], default=(0, (1.0, unaltered)))
+    if ratio >= (1.0 if than is None else LEFT * than.cause.values["remains"]):
+        return None
+    run, after = dataset.runs[k].name, unexplained_shares(other)
+    worst = int(np.argmax(before[: len(fit.gains)]))
+    joint, logged, share = fit.problem.joints[worst], before[worst], after[worst]
+    text = (
+        f"a fault in run '{run}' alone{_differences(fit, other, k)}: without it {100 * share:.2g} % of '{joint}' is "
+        f"unexplained, {100 * logged:.2g} % with it"
+    )
+    advice = f"check the signs, units and order of the columns of run '{run}', and its payload, or leave it out"
+    return contradiction(ODD_RUN, motors(fit), text, advice, size=1 - float(share / logged))
+
+
+def _differences(fit: Fit, other: Fit, run: int) -> str:
+    """Say at which joints the torques of a ``run`` are not what the ``other`` runs predict, and how they differ."""
+    problem, shared = fit.problem, [name for name in fit.problem.parameters if name in other.problem.parameters]
+    theta = np.append(np.zeros(problem.n_theta), 1.0)
+    theta[problem.unknowns.at(shared)] = other.solution.theta[other.problem.unknowns.at(shared)]
+    R = np.concatenate([*problem.blocks[fit.system.block_positions[:, 0] == run]], axis=1)[: len(fit.gains)]
+    expected, logged = R[..., : KNOWN + 1] @ theta / other.gains[:, None], R[..., SIGNAL]
+    factors = np.sum(expected * logged, axis=1) / np.sum(expected**2, axis=1)
+    sizes, apart, rest = (
+        np.linalg.norm(part, axis=1) for part in (logged, logged - expected, logged - factors[:, None] * expected)
+    )
+    scaled = (rest < MISFIT_GIVEN * sizes) & (np.abs(factors - 1) > MISFIT_GIVEN)
+    odd = scaled if scaled.any() else apart > MISFIT_GIVEN * sizes
+    whose = f", whose {fit.kind}s of {listed(np.array(problem.joints)[odd].tolist())}"
+    if scaled.any():
+        times = " and ".join(f"{float(f'{factor:.1g}'):g}" for factor in factors[odd])
+        return f"{whose} are {times} times what the other runs predict"
+    return f"{whose} the other runs do not predict" if odd.any() else ""
 
 
 def reversed_torques(fit: Fit) -> EstimatedEffect | None:

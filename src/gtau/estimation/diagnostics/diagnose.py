@@ -110,12 +110,18 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             effects = estimated_effects(mixed)
             causes = contradictions(mixed)
             contradicting = _contradicting(effects, causes)
-        findings = [*frozen_encoders(fit), *findings]
+        frozen = list(frozen_encoders(fit))
         missing, as_well = (False, False) if middle is None else shows_gravity(middle, lack)
-        tried = _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress)
-        # one that leaves more of the residuals than the user's explains a single joint at most
-        likelier = (other for other in tried if other is not None and other.share > 0)
-        if not findings and (refit := next(likelier, None)):
+        loads = descriptions.other_loads(fit) if misfit or (lacking and not findings) else None
+        odd = descriptions.odd_run(fit, loads) if misfit and not frozen else None
+        findings = [odd] if odd else [*frozen, *findings]  # other columns in all runs do not mend one run
+        contradicting = () if odd else contradicting
+        refit: EstimatedEffect | None = None
+        if not findings:
+            tried = _other_descriptions(fit, misfit, lacking, missing, loads, (*effects, *causes), progress)
+            # one that leaves more of the residuals than the user's explains a single joint at most
+            refit = next((other for other in tried if other is not None and other.share > 0), None)
+        if refit:
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
         elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
             findings += gravity.gravity_not_shown(fit)
@@ -151,14 +157,20 @@ def _contradicting(
 
 
 def _other_descriptions(
-    fit: Fit, misfit: bool, lacking: bool, missing: bool, effects: Sequence[EstimatedEffect], progress: Progress
+    fit: Fit,
+    misfit: bool,
+    lacking: bool,
+    missing: bool,
+    loads: EstimatedEffect | None,
+    effects: Sequence[EstimatedEffect],
+    progress: Progress,
 ) -> Iterator[EstimatedEffect | None]:
-    """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
+    """Fit the data with other descriptions of robot and logs, ``loads`` first; the first that explains them counts.
 
     Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
     """
+    yield loads
     if misfit or lacking:
-        yield descriptions.other_loads(fit)
         yield descriptions.other_body(fit)
     if misfit:
         yield descriptions.reversed_torques(fit)
@@ -179,6 +191,8 @@ def explained_failure(system: System, progress: Progress) -> str:
     """Say what makes the iteration of the gains diverge, if columns of effort or an angle of a parallelogram do."""
     try:
         fit = fit_by(likeliest, system, free_gains=True)
+        if odd := descriptions.odd_run(fit, None):
+            return f"the robot and logs as described give no drive gains; {odd.text}; {odd.advice}."
         if columns := columns_of_effort(middle_rows(fit)):
             joints = listed(joint for finding in columns for joint in finding.joints)
             return f"the iteration of the drive gains did not converge; joint {joints}: {columns[0]}."
