@@ -77,15 +77,25 @@ def test_runs_with_the_same_load_are_not_suspected(tmp_path: Path) -> None:
     assert result.audit is not None
 
 
-def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> tuple[Fit, EstimatedEffect | None]:
+def loaded_runs(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> list[Run]:
     made = Plant(noise=0.01)
-    runs = [
+    return [
         replace(made.run(f"run {k}", 8.0, STEEL if carries else None, seed=k), payload=KNOWN if says else None)
         for k, (carries, says) in enumerate(zip(carried, declared, strict=True))
     ]
-    dataset = reduce_runs(FIVE_BAR, runs)
-    fit = ML.fit(dataset.system(per_run=True))
+
+
+def of_five_bar(carried: tuple[bool, ...], declared: tuple[bool, ...]) -> tuple[Fit, EstimatedEffect | None]:
+    fit = ML.fit(reduce_runs(FIVE_BAR, loaded_runs(carried, declared)).system(per_run=True))
     return fit, other_loads(fit)
+
+
+def test_a_payload_in_another_run_is_named_where_gains_are_noise() -> None:
+    result = identify(FIVE_BAR, loaded_runs((False, False, True, True), (True, False, False, True)))
+    for gain in result.drive_gains.values():
+        assert "an undeclared body of 1.2" in str(gain.verdict)
+        assert "at the tool in run 'run 2'" in str(gain.verdict)
+        assert "less at the tool in run 'run 0' than payload 'steel'" in str(gain.verdict)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -44,7 +45,8 @@ MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
 LEFT = 0.5  # part of the residual variance, geometric mean of all joints, that is left with another description
 REVERSED_LEFT = 0.7  # and with one torque reversed
 BESIDE_LEFT = 0.9  # the same, with all effects beside both descriptions
-ODD_TRIED, ODD_LEFT = 0.1, 0.1  # share of a joint's signal, and the part of its square that is left without a run
+ODD_TRIED = 0.1  # share of a joint's signal that is unexplained, from which runs are left out
+MENDED = 0.1  # part of the squares that is left, at most, where one run or load explains what was unexplained
 ALIKE = 1.05  # residual variance over the least of all: below, as likely
 REFUTED_STD = 6.0  # size of another description in standard deviations
 MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
@@ -189,7 +191,11 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
     carried, other = _one_after_the_other(
         unaltered, loaded, range(len(runs)), max(len(runs) - 1, 1), LEFT, lambda fit, carried: added(fit, carried)[-1]
     )
-    if not carried:
+    if not carried:  # a load declared in another run shows once both are free; gains of the other sign fit others
+        pairs = [pair for pair in combinations(range(len(runs)), 2) if declared[pair[0]] != declared[pair[1]]]
+        exchanged = [(pair, fitted) for pair in pairs if (fitted := loaded(pair)) and fitted.gains.min() > 0]
+        carried, other = min(exchanged, key=lambda pair: residual_ratio(pair[1], unaltered), default=((), unaltered))
+    if not carried or residual_ratio(other, unaltered) > LEFT:
         return None
     problem, more = other.problem, added(other, carried)
     places = problem.unknowns.at(masses(carried))
@@ -238,7 +244,7 @@ def odd_run(fit: Fit, than: EstimatedEffect | None) -> Finding | None:
         other = refitted(fit, [run.payload for run in rest.runs], rest)
         if other is None or not set(other.system.unexcited) <= set(fit.system.unexcited):
             continue
-        if np.any((before > ODD_TRIED) & (unexplained_shares(other) ** 2 < ODD_LEFT * before**2)):
+        if np.any((before > ODD_TRIED) & (unexplained_shares(other) ** 2 < MENDED * before**2)):
             tried[k] = residual_ratio(other, unaltered), other
     k, (ratio, other) = min(tried.items(), key=lambda entry: entry[1][0], default=(0, (1.0, unaltered)))
     if ratio >= (1.0 if than is None else LEFT * than.cause.values["remains"]):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gtau.estimation.diagnostics.descriptions import MISFIT_GIVEN
+from gtau.estimation.diagnostics.descriptions import MENDED, MISFIT_GIVEN
 from gtau.estimation.diagnostics.scale import contradictory_payload
 from gtau.estimation.diagnostics.verdict import (
     IMPOSSIBLE,
@@ -168,7 +168,9 @@ def refuted_descriptions(
             continue
         for joint, gain in judged.items():
             move = part.moves[joint] / 100
-            if abs(move) > accuracy and gain.random_half < 1:  # a gain that is noise refutes nothing
+            # a gain that is noise refutes nothing, unless that comes from the description
+            noisy = gain.random_half >= 1 and part.cause.values.get("remains", 1.0) > MENDED
+            if abs(move) > accuracy and not noisy:
                 turned = ", which reverses its sign" if -MOST_PERCENT / 100 < move < -1 else ""
                 text = f"{explained_share(part)} and move the gain by {{own}}"
                 yield refuted(fit, part, (joint,), text, percent(move, "+.2g") + turned)
