@@ -123,8 +123,23 @@ def friction_comments(model: ConsistentModel) -> list[Any]:
     return [Comment(f" {note.replace('--', '- -')} ") for note in friction_notes(model)]
 
 
+def chosen_bodies(model: ConsistentModel) -> list[str]:
+    """Note the masses that the data leave open, beside those that the robot's file states."""
+    stated, matrix, chosen = model.result.robot.inertias, model.result.base.matrix, []
+    for name, share in zip(model.result.idm.parameter_names, np.diag(np.linalg.pinv(matrix) @ matrix), strict=True):
+        if name.kind == "m" and share < 1 - 1e-6:
+            beside = f" (file {stated[name]:.3g})" if name in stated else ""
+            chosen.append(f"{name.body} {model.values[name]:.3g} kg{beside}")
+    words = (
+        "the data determine only sums of masses, centres of mass and inertias; each body's own are chosen, near equal "
+        f"masses unless priors state others: {', '.join(chosen)}. To stay near the file, identify with "
+        "--prior-inertias 0.3"
+    )
+    return [words] if chosen else []
+
+
 def term_notes(model: ConsistentModel, target: str, expressed: Mapping[str, float], delays: bool = False) -> list[str]:
-    """Note effects that no rigid-body format holds: friction not ``expressed``, and delays unless written elsewhere."""
+    """Note open masses, and what no rigid-body format holds: friction not ``expressed``, delays unless elsewhere."""
     result = model.result
     widths = [(name.body, width) for name, width in result.friction.items() if name.kind == "width"]
     missing = [name for name in (Parameter("f3", joint) for joint in model.cubic) if name not in expressed]
@@ -140,7 +155,7 @@ def term_notes(model: ConsistentModel, target: str, expressed: Mapping[str, floa
         ],
     }
     listed = [f"{note.format(target)}: {', '.join(names)}" for note, names in notes.items() if names]
-    return friction_notes(model) + listed
+    return chosen_bodies(model) + friction_notes(model) + listed
 
 
 def motor_inertias(model: ConsistentModel) -> np.ndarray:

@@ -20,7 +20,7 @@ from gtau.documents.yaml_document import yaml_text
 from gtau.errors import GtauError
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.result import IdentifiedModel, estimates_frame, estimates_table
-from gtau.export.consistent import consistent_model
+from gtau.export.consistent import chosen_bodies, consistent_model
 from gtau.export.exported import Export, Exported, written
 from gtau.export.generated import wrapped
 from gtau.findings import Grade
@@ -282,7 +282,7 @@ def export_orders(result: IdentifiedModel, out: Path) -> Exported:
     for program in ORDERS:
         rows = [{"body": body, **to_order(model.values, body, program)} for body in robot.bodies]
         texts[f"{identifier(robot.name)}_{program}.csv"] = in_csv(pl.DataFrame(rows))
-    notes = [f"{program}: {order.explained}" for program, order in ORDERS.items()]
+    notes = [*chosen_bodies(model), *(f"{program}: {order.explained}" for program, order in ORDERS.items())]
     notes.append("all in the frames of gtau's links: a joint's frame, after its motion")
     if robot.closures:
         notes.append("the tables hold bodies alone: a tree of them is not the robot before its loops are closed")

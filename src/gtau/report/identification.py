@@ -297,7 +297,8 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
     words = (
         f"{len(moved)} of {len(consistency.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
         f"{_growth(*consistency.loss.values())}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
-        "model.json has every standard parameter under 'standard'; values that the data do not determine were chosen."
+        "model.json has every standard parameter under 'standard'; what the data leave open is chosen near equal "
+        "masses, unless priors state others."
     )
     return Section("Physically consistent parameters", listed, Text(words), id="consistency")
 
