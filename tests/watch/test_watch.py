@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.model.home import load_robot
-from gtau.report.watch import alarm_words, state_of, verdict_text
+from gtau.report.watch import alarm_words, state_of, verdict_text, watch_report
 from gtau.result import Result, identify, load
 from gtau.robots.parameter import Parameter
 from gtau.signals.reading.statements import Tolerances
@@ -273,6 +273,14 @@ def test_an_alarm_ends(model: Result, healthy: list[LogStatistics]) -> None:
     assert watch.alarm is not None
     watch.acknowledge("new motor")
     assert watch.alarm is None
+    assert verdict_text(watch).points[0] == "Accepted as reference since log day 100: new motor."
+    (section,) = (section for section in watch_report(watch).sections if section.id == "of-left")
+    (panel,) = (panel for panel in section.items[0].panels if panel.y.label == "drive gain of left, %")
+    days, change = (np.concatenate([getattr(each, axis) for each in panel.series]) for axis in "xy")
+    change = change[np.argsort(days)]  # from the new reference, the days before included
+    assert (len(change), panel.rules[0].label) == (len(healthy) + 3, "new start")
+    np.testing.assert_allclose(change[-3:], 0, atol=1)
+    np.testing.assert_allclose(change[:-3], 10, atol=2)
     add(watch, days_of(model, 110, 3, gain=0.9), 4)
     assert watch.alarm is None  # the new reference
     watch.undo("day 100")
@@ -496,6 +504,14 @@ def test_the_command_says_what_it_works_on(folder: Path, tmp_path: Path, monkeyp
     missing = CliRunner().invoke(app, ["watch", *common, "--reset", "2026-01-01", "--power"])
     assert (missing.exit_code, missing.stdout) == (2, "")
     assert "--power shows what the motion of a finished log can reveal; give one." in missing.stderr
+
+
+def test_the_words_name_the_joint_that_changed(model: Result, healthy: list[LogStatistics]) -> None:
+    """Beside the common factor of two joints, a change of one moves both."""
+    watch = watched(model, [*healthy, *days_of(model, 100, 3, friction=1.2)])
+    assert set(watch.alarm.charts) >= {"friction_left", "friction_right"}
+    _, points = alarm_words(watch.alarm)
+    assert points[0] == "Quantities: friction_right."
 
 
 def test_a_worn_drive_is_replaced(model: Result, healthy: list[LogStatistics]) -> None:

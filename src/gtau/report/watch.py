@@ -34,19 +34,29 @@ DRAWN = 400  # most points in a panel; more are averaged by day
 SPREAD = 1.5  # least height of a panel, as a multiple of the range of nine in ten logs
 
 
+def concerned(alarm: Alarm) -> list[str]:
+    """List the quantities of an alarm at the joints that its causes name, or all where they name none."""
+    joints = {part.joint or "load" for cause in alarm.explanations for part in cause.parts}
+    return [name for name in alarm.charts if name.partition("_")[2] in joints] or [*alarm.charts]
+
+
+def dated(log: str, date: str) -> str:
+    """Write the day of a log, with its name where that is another."""
+    return date[:10] if log == date[:10] else f"{date[:10]} ({log})"
+
+
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
     """Describe the change, its start, and what to do."""
     causes = "; or ".join(map(str, alarm.explanations)) or "no cause fits"
     if len(alarm.explanations) > 1:
         causes += " (these causes cannot be distinguished)"
-    listed, day = ", ".join(alarm.charts[:5]), alarm.date[:10]
+    listed, since = ", ".join(concerned(alarm)[:5]), dated(alarm.since, alarm.date)
     advice = dict.fromkeys(part.advice for cause in alarm.explanations for part in cause.parts)
     to_do = [f"{remedy[0].upper()}{remedy[1:]}." for remedy in advice] or ["Identify again and compare both models."]
     if alarm.kind == "log":
         head = f"Log {alarm.since} is odd by itself and set aside ({listed}): {causes}."
         return head, ("Repeat it; if the next log agrees, both count.", *to_do)
     state = "been out of tolerance" if alarm.kind == "tolerance" else "changed"
-    since = day if alarm.since == day else f"{day} ({alarm.since})"
     return f"The robot has {state} since {since}: {causes}.", (f"Quantities: {listed}.", *to_do, END)
 
 
@@ -67,12 +77,14 @@ def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> st
 
 def verdict_text(watch: Watch) -> Text:
     """State whether the robot has changed since its identification."""
-    settings, points = watch.settings, tuple[str, ...]()
+    settings = watch.settings
     head = "Within tolerance of the model. " if watch.count >= FEWEST_OF_WEEK else ""
     if watch.phase == "baseline":
         head += f"Baseline of {watch.count} of {settings.baseline} healthy logs."
     else:
         head += f"No change since the baseline, {watch.count} logs."
+    done = [event for event in watch.events if event.kind == "acknowledge" and not event.undone]
+    points = tuple(f"Accepted as reference since log {event.subject}: {event.note}." for event in done[-1:])
     if watch.alarm is not None:
         head, points = alarm_words(watch.alarm)
     send = f"{settings.robots} robots send" if settings.robots > 1 else "the robot sends"
@@ -91,7 +103,7 @@ def watch_page(watch: Watch) -> Page:
         f"Watching {watch.model.robot.name}",
         Section("Verdict", verdict_text(watch), id="verdict"),
         Section("Quantities", *_quantities(watch), id="quantities") if begun else None,
-        lead=[f"Last log {watch.status.log} of {watch.status.date}."] if begun else [],
+        lead=[f"Last log: {dated(watch.status.log, watch.status.date)}."] if begun else [],
     )
 
 
@@ -124,7 +136,8 @@ def _quantities(watch: Watch) -> Iterator[Table | Text]:
     yield Text(
         "Changes since the identification, or since they were acknowledged: mean of the last week ± half its 95 % "
         "interval. Beyond tolerance: the total interval is outside. Visible: the smallest sudden change that would be "
-        "found within a week and within a month of such logs, and the smallest that is found however slowly it grows."
+        "found within a week and within a month of such logs, and the smallest that is found however slowly it grows. "
+        "Friction: Coulomb and viscous together, at the mean speed; log: logarithm of the growth, 0.1 for 10 %."
     )
     yield from _hidden(watch)
 
@@ -176,7 +189,7 @@ def watch_report(watch: Watch) -> Page:
     columns = (Column("date"), Column("log", Kind.NAME), Column("event"))
     sections = [Section("Events", Table(columns, sorted(events)), id="events")] if events else []
     panels = defaultdict[str, list[Panel]](list)
-    for k in np.flatnonzero(np.isfinite(view.values).any(axis=0)).tolist():
+    for k in np.flatnonzero(np.isfinite(view.logged).any(axis=0)).tolist():
         panels[view.quantities[k].joint].append(_history(watch, k))
     for joint, shown in panels.items():
         title, chart = f"Joint {joint}" if joint else "Load", Chart(tuple(shown), columns=2)
@@ -185,34 +198,33 @@ def watch_report(watch: Watch) -> Page:
 
 
 def _history(watch: Watch, k: int) -> Panel:
-    """Draw a quantity and its tolerance over dates; outliers do not set the scale."""
+    """Draw the change of a quantity from its reference over dates; outliers do not set the scale."""
     view, alarm = watch.view, watch.alarm
     name, unit, factor = _shown(view.quantities[k])
-    known = np.isfinite(view.values[:, k])
-    days, y = view.logs.days[known], factor * view.values[known, k]
+    known = np.isfinite(view.logged[:, k])
+    days, y = view.logs.days[known], factor * (view.logged[known, k] - view.reference[k])
     if len(days) > DRAWN:
         days, at = np.unique(np.floor(days), return_inverse=True)
         y = np.bincount(at, y) / np.bincount(at)
     ticks = np.unique(np.linspace(np.floor(days.min()), np.floor(days.max()), 4).round())
     part = slice(5, None) if np.ptp(days) < 300 else slice(7)  # month and day, or year and month
     dates = {float(day): str(np.datetime64(int(day), "D"))[part] for day in ticks}
-    middle, tolerance = factor * float(view.reference[k]), factor * float(view.tolerance[k])
-    reach = max(SPREAD * float(np.percentile(np.abs(y - middle), 90)), 1e-9)
-    band = None
-    if np.isfinite(tolerance):
-        band = (middle - tolerance, middle + tolerance)
-        reach = max(reach, 1.3 * tolerance)
-    outside = np.abs(y - middle) > reach
-    drawn = np.clip(y, middle - reach, middle + reach)
+    tolerance, reach = factor * float(view.tolerance[k]), max(SPREAD * float(np.percentile(np.abs(y), 90)), 1e-9)
+    band = (-tolerance, tolerance) if np.isfinite(tolerance) else None
+    reach = max(reach, 1.3 * tolerance) if band else reach
+    outside, drawn = np.abs(y) > reach, np.clip(y, -reach, reach)
     series = [Series("", days[~outside], drawn[~outside], "predicted", "disc")]
     if outside.any():
         series.append(Series("outside the panel", days[outside], drawn[outside], "measured", "diamond"))
-    begun = [view.logs.place(alarm)] if alarm is not None and view.names[k] in alarm.charts else []
+    begun = {view.logs.place(alarm): "alarm"} if alarm is not None and view.names[k] in concerned(alarm) else {}
+    counted = np.isfinite(view.values[:, k])
+    if counted.argmax() > known.argmax():
+        begun[int(counted.argmax())] = "new start"
     return Panel(
         Axis("", names=dates),
-        Axis(f"{name}, {unit}", limits=(middle - reach, middle + reach)),
+        Axis(f"{name}, {unit}", limits=(-reach, reach)),
         tuple(series),
-        rules=tuple(Rule(x=view.logs.days[row], label="alarm") for row in begun),
+        rules=tuple(Rule(x=view.logs.days[row], label=label) for row, label in begun.items()),
         band=band,
         height=1.8,
     )

@@ -39,13 +39,15 @@ class View:
     """The ``logs`` of a history and the quantities to judge.
 
     The quantities have ``values`` and ``std`` (N, m), NaN where not counted, a ``tolerance`` about a ``reference``
-    (m,) and, relative to an identified gain, the standard deviation ``model_std`` of the gain. ``warmings`` are the
-    sizes of earlier changes of all joints that went away: only a larger one raises a new alarm.
+    (m,) and, relative to an identified gain, the standard deviation ``model_std`` of the gain. ``logged`` (N, m) has
+    the values of all logs not forgotten. ``warmings`` are the sizes of earlier changes of all joints that went away:
+    only a larger one raises a new alarm.
     """
 
     settings: WatchSettings
     logs: Logs
     quantities: tuple[Quantity, ...]
+    logged: np.ndarray
     values: np.ndarray
     std: np.ndarray
     tolerance: np.ndarray
@@ -130,6 +132,7 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
     S /= np.where(total > 0, total, np.nan)
     shown = np.isfinite(logs.charts).astype(float) @ (S != 0) > 0
     values = np.where(shown, np.nan_to_num(logs.charts) @ S, np.nan)
+    logged, reference = values.copy(), np.zeros(len(quantities))
     std = np.where(shown, np.nan_to_num(logs.std) @ np.abs(S), np.nan)
     limits = history.settings.tolerances
     accepted = {"m": limits.mass, **limits.model_dump(include={"gain", "friction", "zero", "delay"})}
@@ -138,19 +141,19 @@ def view_of(model: IdentifiedModel, charts: Sequence[Quantity], history: History
     tolerance[vague] = np.inf  # one log does not determine these; errors of the model are larger
     gain_std = {("gain", joint): (gain.rel_std or 0.0) / 100 for joint, gain in model.drive_gains.items()}
     model_std = np.array([gain_std.get((quantity.kind, quantity.joint), 0.0) for quantity in quantities])
-    view = View(history.settings, logs, quantities, values, std, tolerance, np.zeros(len(quantities)), model_std, [])
+    view = View(history.settings, logs, quantities, logged, values, std, tolerance, reference, model_std, [])
     for event in (event for event in history.events if not event.undone):
         if event.kind == "reset" and (logs.dates >= event.subject).any():
             values[logs.dates < event.subject] = np.nan
         elif event.kind == "forget":
-            values[logs.names == event.subject] = np.nan
+            values[logs.names == event.subject] = logged[logs.names == event.subject] = np.nan
         elif event.kind == "repaired":
             values[(logs.ids >= event.details["first"]) & (logs.ids < event.details["inside"])] = np.nan
             view.warmings.extend(event.details.get("warmings", ()))
         elif event.kind == "acknowledge":
             changed = [view.names.index(name) for name in event.details["changed"]]
             values[np.ix_(logs.ids < event.details["first"], changed)] = np.nan
-            view.reference[changed] = [*event.details["changed"].values()]
+            reference[changed] = [*event.details["changed"].values()]
     return view
 
 
