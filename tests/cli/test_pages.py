@@ -160,13 +160,16 @@ def test_what_is_designed_is_simulated_and_identified(tmp_path: Path, monkeypatc
     Path("design.yaml").write_text(design)
     Path("simulation.yaml").write_text(simulation)
     excite, simulate, check, identify = (line.split("#")[0].split()[2:] for line in commands.splitlines())
-    run(*excite, "--starts", "1")
+    run(*excite)
     run(*simulate)
     run(*check)
     found = json.loads(run(*identify, "--json"))
     truth = yaml.safe_load(simulation)["drives"]
-    for gain in found["drive_gains"]:
+    shown = re.findall(r"([\d.]+) ± ([\d.]+) ", page.read_text(encoding="utf-8"))
+    for gain, (value, half) in zip(found["drive_gains"], shown, strict=True):
         assert abs(gain["value"] - truth[gain["joint"]]["gain"]) < 4 * gain["std"]
+        assert gain["value"] == pytest.approx(float(value), abs=gain["std"])
+        assert (gain["interval"][1] - gain["interval"][0]) / 2 == pytest.approx(float(half), rel=0.15)
         assert gain["rel_std"] < 1  # the design foretells 0.5 % and 0.2 %
     for delay in found["delays"]:  # none was put in, and a current is held for one sample
         assert abs(delay["value"] - 0.5 / 500) < 4 * delay["std"]

@@ -88,7 +88,7 @@ def test_the_page_followed_literally(tmp_path: Path, page: str, monkeypatch: pyt
 
 
 def printed_as_shown(output: str, page: str) -> None:
-    """Numbers of lines of the page that the command prints, by the words before them: within 3 %."""
+    """Numbers of lines of the page that the command prints, by the words before them: to 3 % or two last digits."""
     numbers = re.compile(r"-?\d+(?:\.\d+)?")
 
     def words(line: str) -> str:
@@ -99,8 +99,9 @@ def printed_as_shown(output: str, page: str) -> None:
 
     for line in re.findall(r"^    (\S.*\d.*)$", page, re.MULTILINE):
         alike = [values(other) for other in output.splitlines() if words(other) == words(line)]
-        close = [values(line) == pytest.approx(each, rel=0.03, abs=0.011) for each in alike]
-        assert any(close) or not close, (line, alike)
+        rounding = [2.1 * 0.1 ** len(number.partition(".")[2]) for number in numbers.findall(line)]
+        near = [np.abs(np.subtract(values(line), each)) <= np.fmax(0.03 * np.abs(each), rounding) for each in alike]
+        assert any(map(np.all, near)) or not near, (line, alike)
 
 
 def thresholds_as_shown() -> None:
