@@ -15,7 +15,7 @@ from models_to_export import of_equations
 from gtau.estimation.experiment_runs import read_runs
 from gtau.findings import Grade
 from gtau.model.home import load_robot
-from gtau.report.parameters import PAPER
+from gtau.report.parameters import PAPER, corrections
 from gtau.result import Result, identify
 from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.reading.experiment import read_experiment
@@ -296,6 +296,8 @@ def test_the_urdf_of_the_ur10e_is_held_against_its_logs(folder: Path, shared: Pa
     }
     assert audit.links[0].name.startswith("wrist")
     assert audit.links[0].error < 0.5 * audit.stated_error
+    page = (DOCS / "do" / "sim-to-real.md").read_text(encoding="utf-8")
+    assert corrections(audit)[0].partition(" (3")[0] in " ".join(page.split())
     held = identify(folder / "urdf.yaml", prior_inertias=0.3)
     assert held.believable
     for joint, gain in held.drive_gains.items():

@@ -178,7 +178,8 @@ def corrections(audit: InertiaAudit | None) -> list[str]:
     if audit is None or not audit.links:
         return []
     steps = [f"{link.name} ({link.error:.2g} %)" for link in audit.links]
-    return [f"correct in the robot file, in this order (torque error after each step): {', '.join(steps)}"]
+    words = "correct mass, centre of mass and inertia in the robot file, link by link (torque error after each step)"
+    return [f"{words}: {', '.join(steps)}"]
 
 
 def _audit_points(audit: InertiaAudit) -> list[str]:
