@@ -18,6 +18,7 @@ from gtau.errors import GtauError
 from gtau.estimation.compare import EstimatorComparison, MethodRow
 from gtau.findings import Grade
 from gtau.ipython import SHOWN, html, register
+from gtau.report.motion import distances_panels
 from gtau.report.page import number as plain
 from gtau.result import check
 
@@ -126,7 +127,17 @@ def test_figures_in_one_call(result: gtau.Result) -> None:
     assert part.axes[0].get_title(loc="left") == "loaded, 2 to 4 s of 9.998 s: joint right"
     times = part.axes[0].get_lines()[0].get_xdata()
     assert 2.0 <= min(times) < max(times) <= 4.0
-    assert "current reference" not in str([text.get_text() for text in part.legends[0].get_texts()])
+    key = [text.get_text() for text in part.legends[0].get_texts()]
+    assert "current reference" not in key
+    assert "not used: near reversals, gaps, repairs" in key
+    assert "Blue: positive, orange: negative" in plot.correlation().get_supxlabel()
+
+
+def test_distances_of_an_arm_have_one_type() -> None:
+    along = {"time": np.arange(3.0), "type_1": np.full(3, 0.9)}
+    (arm,) = distances_panels([("run", 0.0, along | {"type_2": np.full(3, np.nan)})])
+    (linkage,) = distances_panels([("run", 0.0, along | {"type_2": np.ones(3)})])
+    assert [panel.y.label for panel in (arm, linkage)] == ["type 1 (serial)", "distance"]
 
 
 def test_what_cannot_be_drawn(result: gtau.Result, folder: Path, tmp_path: Path) -> None:

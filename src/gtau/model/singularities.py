@@ -2,8 +2,8 @@
 
 At a singularity of **type 2** (parallel) the passive joints can move although the actuated ones stand still: the
 passive columns G_p of the closures lose rank, and nothing can be identified there. At one of **type 1** (serial) the
-actuated joints can move although the tool stands still: the tool's Jacobian J_t loses rank, as at the border of the
-workspace; the model holds there.
+actuated joints can move although the tool stands still, orientation included: its Jacobian J_t loses rank, as of a
+stretched arm of six joints, not of a planar one of two; the model holds there.
 
 Distances are reciprocal condition numbers, 1 at best and 0 at a singularity: ``k / sqrt(sum(s^2) sum(1 / s^2))`` of k
 singular values s, lengths being counted in characteristic lengths. For type 2 these are the singular values of G_p. For

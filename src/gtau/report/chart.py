@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 MINUS = "\N{MINUS SIGN}"
+NOT_USED = "not used: near reversals, gaps, repairs"
 BUCKETS = 600  # intervals into which a line is divided; the extremes in each are drawn
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 1.6), (5, 1.4, 1, 1.4), (1, 1.3), (8, 2), (3, 1, 1, 1))
 """Dashes of lines in the colours c0, c1, ..., in line widths, so that lines differ in grey print too."""

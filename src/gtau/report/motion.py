@@ -68,7 +68,7 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         (Column("at, s", Kind.NUMBER), "time"),
         (Column("pose, rad or m", wide=True), _pose),
     )
-    words = "Reciprocal condition numbers: 1 at best, 0 at a singular pose."
+    words = "1 at best, 0 at a singular pose; of type 1 motors move and the tool stands still, orientation included."
     return Section("Distance to singular poses", listed, Text(words, style="soft"))
 
 
@@ -89,7 +89,7 @@ def distances_panels(runs: Iterable[tuple[str, float, np.ndarray]]) -> list[Pane
         if len(series) == len(TYPES):  # type 2 magnifies errors
             limit = np.full(len(time), NEAR_SINGULAR)
             series.append(Series(f"near: {NEAR_SINGULAR:g}", time, limit, "bad", width=0.8))
-        axis = Axis("distance", limits=(0.0, 1.05))
+        axis = Axis(series[0].label if len(series) == 1 else "distance", limits=(0.0, 1.05))  # one has no key
         panels += [Panel(TIME, axis, tuple(series), run, height=1.4)] if series else []
     return panels
 

@@ -218,7 +218,8 @@ def correlation_chart(names: tuple[str, ...], matrix: np.ndarray) -> Chart:
     """Draw a correlation matrix, with names if they fit."""
     shown = {float(k): name for k, name in enumerate(names)} if len(names) <= SHOWN else {}
     axis = Axis("" if shown else "number of the estimate", names=shown)
-    return Chart((Panel(axis, axis, matrix=matrix, height=5.2),), "Correlations")
+    caption = "Blue: positive, orange: negative; the fuller, the stronger. L3: payload of run 3; @3: change in run 3."
+    return Chart((Panel(axis, axis, matrix=matrix, height=5.2),), "Correlations", caption=caption)
 
 
 def correlation_section(result: IdentifiedModel) -> Section | None:
@@ -234,8 +235,7 @@ def correlation_section(result: IdentifiedModel) -> Section | None:
     words = (
         f"{len(names)} estimates in the order of model.json: parameters, then drive gains, then delays. "
         f"{len(pairs) or 'No'} pair{'' if len(pairs) == 1 else 's'} with a correlation of {STRONG:g} or more"
-        + (f", the {LISTED} strongest listed. " if len(pairs) > LISTED else ". ")
-        + "Blue: positive, orange: negative; the fuller the colour, the stronger."
+        + (f", the {LISTED} strongest listed." if len(pairs) > LISTED else ".")
     )
     return Section(
         "Correlation",

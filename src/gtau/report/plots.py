@@ -230,7 +230,7 @@ class Plots:
         panels = distances_panels((run.name, float(run.time[0]), distances) for run, distances in along)
         if not panels:
             raise GtauError("a result that was loaded from a file has no distances; identify from the logs again.")
-        return figure_of(Chart(tuple(panels)))
+        return figure_of(Chart(tuple(panels), "Distance to singular poses"))
 
     def _evidence(self, joint: str | None, run: str | Run | None) -> tuple[RunEvidence, Prediction, tuple[str, ...]]:
         joints = self.result.robot.actuated

@@ -10,6 +10,7 @@ from importlib.resources import as_file, files
 from io import BytesIO
 from math import ceil
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Literal
 
 import numpy as np
@@ -22,7 +23,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from gtau.documents.files import write_atomically
 from gtau.errors import GtauError
-from gtau.report.chart import MINUS, Axis, Chart, Panel, Series, Sketch, Word
+from gtau.report.chart import MINUS, NOT_USED, Axis, Chart, Panel, Series, Sketch, Word
 from gtau.report.page import number
 from gtau.report.render.svg import LEVEL, NAMES, SMALLEST, STEPS, size_of_names
 from gtau.report.robot_figure import sketch_of
@@ -89,6 +90,8 @@ def figure_of(chart: Chart) -> Figure:
             handles.update(dict(zip(*axes.get_legend_handles_labels()[::-1], strict=True)))
         if len(handles) > 1:
             figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=min(len(handles), 3))
+        if chart.caption:
+            figure.supxlabel(fill(chart.caption, 100), fontsize="small", color=palette()["soft"])
         figure.align_ylabels()
     return figure
 
@@ -126,7 +129,7 @@ def _draw(axes: Axes, panel: Panel, last: bool = True) -> None:
     if panel.band is not None:
         axes.axhspan(*panel.band, color=palette()["shade"], linewidth=0)
     for start, stop in () if panel.shaded is None else panel.shaded.reshape(-1, 2):
-        axes.axvspan(start, stop, color=palette()["shade"], linewidth=0)
+        axes.axvspan(start, stop, color=palette()["shade"], linewidth=0, label=NOT_USED)
     _draw_rules(axes, panel)
     for series in panel.series:
         _draw_series(axes, series)

@@ -27,7 +27,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from gtau.documents.files import write_atomically
-from gtau.report.chart import MINUS, Chart, Panel, envelope
+from gtau.report.chart import MINUS, NOT_USED, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Facts, Item, Kind, Page, Section, Table, Text
 from gtau.report.render.svg import svg_of, svg_of_robot
 
@@ -92,7 +92,7 @@ def _environment() -> Any:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals.update(numeric=NUMERIC, badges=BADGES)
+    environment.globals.update(numeric=NUMERIC, badges=BADGES, not_used=NOT_USED)
     environment.filters.update(cell=_cell, key=Column.sort_key, sentence=sentence, shown=_shown, words=words)
     environment.tests.update(kind=lambda item, name: type(item).__name__ == name)
     return environment
