@@ -205,6 +205,13 @@ def test_an_svg_draws_a_matrix_spans_and_steps() -> None:
         assert part in svg_of(panel, alone=True)
 
 
+@pytest.mark.parametrize(
+    ("value", "digits", "text"), [(110.3, 2, "110"), (1.5e-7, 2, "1.5e-7"), (203.0, 1, "200"), (123456.0, 2, "1.2e5")]
+)
+def test_numbers_have_an_exponent_only_where_they_are_long(value: float, digits: int, text: str) -> None:
+    assert Column("", Kind.NUMBER, digits).text(value) == text
+
+
 def test_numbers_in_words_keep_their_digits() -> None:
     words = "bandwidth 2.6345 Hz of M L 1"
     panel = Panel(Axis(words), Axis("y"), lines_of(np.arange(5.0)), rules=(Rule(x=2.0, label=words),))

@@ -86,10 +86,10 @@ class Column:
 
 
 def number(value: float, digits: int = 5) -> str:
-    """Format a number with significant digits: 1.5e-7, not 1.5e-07."""
+    """Format a number with significant digits: 1.5e-7, not 1.5e-07, and 110, not 1.1e2."""
     if isinstance(value, (int, np.integer)):
         return str(value)
-    return f"{value:.{digits}g}".replace("e-0", "e-").replace("e+0", "e")
+    return f"{float(f'{value:.{digits}g}'):.{max(digits, 5)}g}".replace("e-0", "e-").replace("e+0", "e")
 
 
 @dataclass(frozen=True)

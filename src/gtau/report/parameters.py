@@ -164,7 +164,7 @@ def inertias_section(audit: InertiaAudit | None) -> Section | None:
         ranked,
         (Column("base parameter", Kind.NAME), "name"),
         (Column("link"), "link"),
-        (Column("in the file", Kind.NUMBER, 4), "stated"),
+        (Column("in the file", Kind.NUMBER, 4), lambda entry: entry.stated and round(entry.stated, 12)),
         (Column("95 % interval", Kind.INTERVAL), "interval"),
         (Column("unit"), "unit"),
         (Column("z", Kind.NUMBER, decimals=1), "z"),
@@ -231,7 +231,7 @@ def correlation_section(result: IdentifiedModel) -> Section | None:
     strongest = np.argsort(upper, axis=None)[::-1]
     pairs = [np.unravel_index(k, upper.shape) for k in strongest if upper.flat[k] >= STRONG]
     rows = [(names[i], names[j], float(matrix[i, j])) for i, j in pairs[:LISTED]]
-    columns = (Column("estimate", Kind.NAME), Column("and", Kind.NAME), Column("correlation", Kind.NUMBER, 3))
+    columns = (Column("estimate", Kind.NAME), Column("and", Kind.NAME), Column("correlation", Kind.NUMBER, decimals=3))
     words = (
         f"{len(names)} estimates in the order of model.json: parameters, then drive gains, then delays. "
         f"{len(pairs) or 'No'} pair{'' if len(pairs) == 1 else 's'} with a correlation of {STRONG:g} or more"
