@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from gtau.uses.external_torques import TorquesAlongLog
 
 REVERSALS = (
-    "Raw: against the measured torque, at all samples. In band: both torques behind the low-pass filter of the "
-    "identification. Without reversals: as used for gains and inertia, because friction changes its sign at reversals; "
-    '"all samples" includes reversals.'
+    "Raw: against the measured torque. In band: both behind the low-pass filter of the identification, with reversals. "
+    "Without reversals: as used for gains and inertia, because friction changes its sign at reversals."
 )
 BANDS = (
     "Against the raw torque at all samples; each band starts where the previous one ends. Near 100 % the model does "
