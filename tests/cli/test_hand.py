@@ -169,7 +169,7 @@ def test_the_summary_says_a_cause_once(result: gtau.Result) -> None:
         for k, (joint, gain) in enumerate(result.drive_gains.items(), 4)
     }
     said = " ".join(result.replaced(drive_gains=gains).summary(verbose=False).split())
-    cause = "the data cannot exclude a torque constant of 'left' that falls, or alike; log more"
+    cause = "the data cannot exclude a torque constant of 'left' that falls, and similarly for others; log more"
     assert f"joint left, joint right: {cause}" in said
     assert "the 95 % interval is" not in said
 

@@ -114,7 +114,9 @@ def _finite(value: float) -> float | None:
 def design_summary(outlook: Outlook) -> Page:
     """Show on one screen what to expect of a design, the limits it comes nearest to, and what it takes for granted."""
     expected, uncertain = outlook.forecast, len(outlook.weak)
-    nearest = [f"{usage.what}: {100 * usage.excess:.0f} % of {usage.allowed}" for usage in outlook.usages[:NEAREST]]
+    nearest = [
+        f"{usage.what}: {100 * usage.excess:.0f} % of the limit, {usage.allowed}" for usage in outlook.usages[:NEAREST]
+    ]
     guards = tuple(guard.partition("; ")[0] for guard in outlook.task.guards)
     verdict = _verdict(outlook)
     points = [f"{uncertain} of {len(expected.parameters)} parameters are not determined (above 30 %)"] * bool(uncertain)

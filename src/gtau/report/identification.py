@@ -90,7 +90,7 @@ def summary_page(result: IdentifiedModel) -> Page:
 def _in_short(reason: Finding) -> str:
     """Write why gains are not good on one line: joints, cause and remedy; the table holds the intervals."""
     first, *others = [part.partition(", because ")[2] or part for part in reason.what.split("; ")]
-    alike = ", or alike" if set(others) - {first} else ""
+    alike = ", and similarly for others" if set(others) - {first} else ""
     return f"{', '.join(map(joint_label, reason.joints))}: {first}{alike}; {reason.advice}"
 
 
@@ -296,9 +296,8 @@ def _consistency_section(consistency: Consistency | None) -> Section | None:
     joint = max(consistency.loss, key=lambda name: consistency.loss[name])
     words = (
         f"{len(moved)} of {len(consistency.moves)} moved by {MOVED:g} standard deviations or more; torque residuals "
-        f"{_growth(*consistency.loss.values())}; at the worst joint, {joint}, they {_growth(consistency.loss[joint])}. "
-        "model.json has every standard parameter under 'standard'; what the data leave open is chosen near equal "
-        "masses, unless priors state others."
+        f"{_growth(*consistency.loss.values())} ({consistency.loss[joint]:z.1f} % at the worst joint, {joint}). "
+        "model.json has every standard parameter under 'standard'; open masses are chosen near equal without priors."
     )
     return Section("Physically consistent parameters", listed, Text(words), id="consistency")
 
