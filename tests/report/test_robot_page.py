@@ -236,6 +236,15 @@ def test_words_of_the_picture_have_nine_pixels_on_a_telephone() -> None:
     assert 350 / sketch.size[0] * smallest > 9
 
 
+def test_the_last_link_is_drawn_to_its_centre_of_mass() -> None:
+    robot = load_robot("ur10e")
+    bare, last = dict(scene_of(robot).lines), robot.tool
+    stated = (("m_" + last, 2.0), ("mz_" + last, 0.2))
+    line = dict(scene_of(replace(robot, file=replace(robot.file, inertias=stated))).lines)[last]
+    assert last not in bare
+    assert np.linalg.norm(line[1] - line[0]) == pytest.approx(0.1)
+
+
 def test_picture_explains_only_what_it_shows() -> None:
     assert "link" not in texts(load_robot("emps"))  # a carriage on a rail
 

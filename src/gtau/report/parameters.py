@@ -103,10 +103,11 @@ def friction_section(result: IdentifiedModel, runs: Sequence[RunEvidence] = ()) 
     def evidence(curve: FrictionCurve) -> str:
         return ", ".join(f"{term} ({t:.1f} standard errors)" for term, t in curve.evidence.items())
 
+    law = [kind for kind in LAW if any(value(kind.symbol, curve) for curve in result.curves.values())]
     listed = table_of(
         result.curves.values(),
         (Column("joint"), lambda curve: joint_label(curve.joint)),
-        *((Column(kind.heading or kind.symbol, Kind.SPREAD), partial(value, kind.symbol)) for kind in LAW),
+        *((Column(kind.heading or kind.symbol, Kind.SPREAD), partial(value, kind.symbol)) for kind in law),
         (Column("shown by", wide=True), evidence),
         (Column("error, %", Kind.NUMBER, decimals=1), "error"),
         (Column("plain law, %", Kind.NUMBER, decimals=1), "plain_error"),

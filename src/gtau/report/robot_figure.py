@@ -13,6 +13,7 @@ from gtau.model.home import close_home
 from gtau.model.kinematics import Coordinates, poses
 from gtau.report.chart import Shape, Sketch, Word
 from gtau.robots.geometry import Frame, attached
+from gtau.robots.parameter import rigid_body
 from gtau.robots.robot import GROUND, Joint, Robot
 
 INK, BLUE, RED, GREEN, ORANGE, SKY, GREY = "c3", "c0", "c1", "c2", "c4", "c5", "c7"
@@ -350,7 +351,7 @@ def normal_of(joints: Sequence[Joint], frames: Mapping[str, Frame]) -> np.ndarra
 
 
 def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> list[tuple[str, np.ndarray]]:
-    """List bodies and the lines (2, 3) of their links, from each joint to the next."""
+    """List bodies and the lines (2, 3) of their links, from each joint to the next; the last to its centre of mass."""
     lines = []
     for joint in joints:
         foot = foot_of(joint, frames)
@@ -362,6 +363,9 @@ def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> l
     for end in robot.ends:
         if end.body not in platforms | {GROUND}:
             lines.append((end.body, np.array([frames[end.body][1], attached(end, frames)[1]])))
+    (R, p), drawn = frames[robot.tool], platforms.union(body for body, _ in lines)
+    if robot.inertias.get(f"m_{robot.tool}") and robot.tool not in drawn:
+        lines.append((robot.tool, np.array([p, p + R @ rigid_body(robot.inertias, robot.tool).center])))
     return [(body, line) for body, line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6]
 
 
