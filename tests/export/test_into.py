@@ -105,7 +105,7 @@ def test_a_urdf_keeps_all_but_inertias_and_friction(tmp_path: Path, rng: np.rand
     assert one == other
     assert any("flange" in note for note in exported.notes)
     masses = [result.consistency.standard[f"m_{joint}"] for joint in robot.actuated]
-    listed = "shoulder {:.3g} kg (file 3), elbow {:.3g} kg (file 0.5). To stay near".format(*masses)
+    listed = "near the file's: shoulder {:.3g} kg (file 3), elbow {:.3g} kg (file 0.5)".format(*masses)
     assert any(listed in note and "--prior-inertias 0.3" in note for note in exported.notes)
     model = pin.buildModelFromUrdf(str(exported.files[0]))
     data, idm = model.createData(), result.idm

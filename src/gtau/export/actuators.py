@@ -76,9 +76,8 @@ class Actuator:
     """Motor and joint, SI units at the joint.
 
     ``gain`` and ``delay`` lead from the command to the torque; ``electrical`` are known if voltages were logged;
-    ``chosen`` are parameters of the exported bodies by kind
-    (ia, fv, fs, f3, off). ``armature`` is None where it is not identifiable apart from the inertia of links: it is part
-    of the base parameter ``regrouped``.
+    ``chosen`` are parameters of the exported bodies by kind (ia, fv, fs, f3, off). ``armature`` is None where it is not
+    identifiable apart from the inertia of links: it is part of the base parameter ``regrouped``.
     """
 
     joint: str

@@ -132,8 +132,7 @@ def chosen_bodies(model: ConsistentModel) -> list[str]:
             chosen.append(f"{name.body} {model.values[name]:.3g} kg{beside}")
     words = (
         "the data determine only sums of masses, centres of mass and inertias; each body's own are chosen, near equal "
-        f"masses unless priors state others: {', '.join(chosen)}. To stay near the file, identify with "
-        "--prior-inertias 0.3"
+        f"masses or, identified with --prior-inertias 0.3, near the file's: {', '.join(chosen)}"
     )
     return [words] if chosen else []
 

@@ -180,8 +180,7 @@ def _parameters(result: IdentifiedModel, label: Mapping[str, str]) -> str:
     """Tabulate drive gains and essential parameters with relative standard deviations, as in the paper's Table 3."""
     index = {name: in_latex_index(number) for name, number in label.items()}
     lines = [_line(rf"g_{{\tau\,{index[joint]}}}", gain) for joint, gain in result.drive_gains.items()]
-    for name, estimate in {**result.essential, **result.friction}.items():
-        lines.append(_line(symbol(name, label), estimate))
+    lines += [_line(symbol(name, label), value) for name, value in {**result.essential, **result.friction}.items()]
     for payload in result.payloads:
         if "m" in payload.parameters:
             lines.append(_line(rf"m_{{{index[payload.name]}}}", payload.parameters["m"]))

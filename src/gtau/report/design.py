@@ -28,6 +28,7 @@ DIGITS = 9
 MOST = 1000  # per cent; larger standard deviations of assumed values are not printed
 NEAREST = 3  # limits on the short page
 CUT_SHORT = "the search was cut short; a longer search may find a better motion"
+NEXT = "Next: play and log the motion with each payload, and identify (gtau identify LOG...)"
 NBSP = "\N{NO-BREAK SPACE}"
 
 
@@ -114,24 +115,18 @@ def _finite(value: float) -> float | None:
 def design_summary(outlook: Outlook) -> Page:
     """Show on one screen what to expect of a design, the limits it comes nearest to, and what it takes for granted."""
     expected, uncertain = outlook.forecast, len(outlook.weak)
-    nearest = [
-        f"{usage.what}: {100 * usage.excess:.0f} % of the limit, {usage.allowed}" for usage in outlook.usages[:NEAREST]
-    ]
+    nearest = [f"{use.what}: {100 * use.excess:.0f} % of the limit, {use.allowed}" for use in outlook.usages[:NEAREST]]
     guards = tuple(guard.partition("; ")[0] for guard in outlook.task.guards)
-    verdict = _verdict(outlook)
     points = [f"{uncertain} of {len(expected.parameters)} parameters are not determined (above 30 %)"] * bool(uncertain)
     points += [CUT_SHORT] * outlook.design.cut_short
     return Page(
         f"Exciting motion for {outlook.robot.name}",
-        Section("", replace(verdict, points=tuple(points))),
+        Section("", replace(_verdict(outlook), points=tuple(points))),
         Section("Drive gains to expect", _expected_table(outlook, expected.gains, "gains" in outlook.assumed)),
         Section("Nearest to its limits", Text("", tuple(nearest))),
         _masses(outlook),
         Section("Checked under these assumptions", Text("", guards)) if guards else None,
-        Section("", Text("All parameters, limits and assumptions: --verbose, or report.html.")),
-        Section(
-            "", Text("", ("Next: play and log the motion with each payload, and identify (gtau identify LOG...)",))
-        ),
+        Section("", Text("All parameters, limits and assumptions: --verbose, or report.html.", (NEXT,))),
     )
 
 
@@ -142,10 +137,8 @@ def design_page(outlook: Outlook) -> Page:
     loads = ", ".join(f"payload '{load.name}'" if load else "no payload" for load in task.payloads)
     gains = _expected_table(outlook, expected.gains, "gains" in outlook.assumed)
     parameters = _expected_table(outlook, expected.parameters, assumed, name="parameter-table")
-    hidden = None
-    if any(_meaningless(value, assumed) for value in expected.parameters):
-        words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
-        hidden = Text(words, style="soft")
+    words = f"-: the value is zero, or assumed and its standard deviation exceeds {MOST} %"
+    hidden = Text(words, style="soft") if any(_meaningless(value, assumed) for value in expected.parameters) else None
     facts = {
         "period": f"{task.series.period:.4g} s",
         "repetitions": task.repetitions,

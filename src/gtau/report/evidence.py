@@ -24,7 +24,7 @@ from gtau.uses.prediction import Prediction, predict, torque_errors
 from gtau.uses.weigh import undeclared_load
 
 APART = 4  # most findings of one kind on different logs that are listed one by one
-PER_CENT = {"accuracy": 100.0, "reduction_loss": 1.0}  # factors of statistics that are shares
+SHARES = {"accuracy": "accuracy, relative", "reduction_loss": "reduction loss, %"}  # names of statistics
 LONGEST = 300_000  # samples; of longer runs only the beginning is predicted
 
 
@@ -170,10 +170,7 @@ def settings_of(result: IdentifiedModel) -> dict[str, str]:
         "position filter of predictions": ", ".join(map(_low_pass, preparation.prediction_cutoffs)) or low_pass,
         "decimation": decimation,
         "rows masked below": f"{100 * preparation.speed_fraction:g} % of the rms speed",
-        **{
-            name.replace("_", " "): f"{PER_CENT[name] * value:.4g} %" if name in PER_CENT else f"{value:.4g}"
-            for name, value in result.statistics.items()
-        },
+        **{SHARES.get(name, name.replace("_", " ")): f"{value:.4g}" for name, value in result.statistics.items()},
     }
 
 

@@ -82,8 +82,7 @@ def summary_page(result: IdentifiedModel) -> Page:
         Section("", Text(f"Physically consistent parameters: torque residuals {cost}.")) if cost else None,
         Section("What to do", Text("", tuple(doubts[:MOST]))) if doubts else None,
         Section(f"Assumed; correct it in {', '.join(files)}", Text("", tuple(assumed))) if guesses else None,
-        Section("", Text(f"{more} parameters, fits and notes: --verbose, or report.html.")),
-        Section("", Text("", tuple(next_steps(result)[:1]))),
+        Section("", Text(f"{more} parameters, fits and notes: --verbose, or report.html.", (*next_steps(result)[:1],))),
     )
 
 

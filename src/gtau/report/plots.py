@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 GAINS: Accepted = ("gains by joint, such as {'left': 2.4}", (Mapping,))
-FIGURES = "a result, a prediction, a run or a robot"  # of what plot() draws
 SECTIONS = ("verdict", "notes", "logs", "joints")  # sections of a check in a notebook
 
 
@@ -86,7 +85,7 @@ def plot(shown: IdentifiedModel | Prediction | Run | Robot) -> Figure:
             return figure_of(_run_chart(shown))
         case Robot():
             return robot_figure(shown)
-    raise GtauError(f"a {type(shown).__name__} has no figure; give {FIGURES}.")
+    raise GtauError(f"a {type(shown).__name__} has no figure; give a result, a prediction, a run or a robot.")
 
 
 def _prediction_chart(prediction: Prediction) -> Chart:

@@ -193,6 +193,7 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
     if std < POSE_DELAY_STD:
         points.append(f"the poses lag {1e3 * delay:.1f} ± {1.96e3 * std:.1g} ms behind the positions")
     runs = dict.fromkeys(residual.run for residual in test.residuals if residual.time.size)
+    more = len(test.tried) - LISTED
     return Section(
         "Logged pose and geometry",
         Text(str(test.note), tuple(points), STYLES[test.outcome]),  # type: ignore[arg-type]
@@ -201,9 +202,7 @@ def geometry_section(test: GeometryTest | None) -> Section | None:
         Section(
             "Constants one at a time, sorted by the share of the residual variance they explain",
             _constants(test),
-            Text(f"{len(test.tried) - LISTED} more explain less; model.json and --json list them.")
-            if len(test.tried) > LISTED
-            else None,
+            Text(f"{more} more explain less; model.json and --json list them.") if more > 0 else None,
             Text(f"Not identifiable by this pose: {', '.join(test.unseen)}.") if test.unseen else None,
             folded=False,
         ),

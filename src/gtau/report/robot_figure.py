@@ -364,7 +364,7 @@ def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> l
         if end.body not in platforms | {GROUND}:
             lines.append((end.body, np.array([frames[end.body][1], attached(end, frames)[1]])))
     (R, p), drawn = frames[robot.tool], platforms.union(body for body, _ in lines)
-    if robot.inertias.get(f"m_{robot.tool}") and robot.tool not in drawn:
+    if robot.tool not in drawn:
         lines.append((robot.tool, np.array([p, p + R @ rigid_body(robot.inertias, robot.tool).center])))
     return [(body, line) for body, line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6]
 

@@ -150,11 +150,7 @@ def torques_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> Sec
         units = [torque_unit(result.robot, joint) for joint in run.prediction.joints]
         chart = torques_chart(run.prediction, units, run.run.kind, run.time, run.errors)
         parts.append(Section(title, cut if run.cut else None, chart, folded=run is not unfolded))
-    words = (
-        "A small residual says nothing about the gains, which scale measured and predicted torque alike. In the shaded "
-        "intervals friction changes its sign or samples are missing; the identification of gains and inertia excludes "
-        "them."
-    )
+    words = "A small residual says nothing about the gains, which scale measured and predicted torque alike."
     judged = [run for run in runs if not run.used and run.errors] or runs
     return Section(
         "Torques",

@@ -76,8 +76,7 @@ def headline(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> str:
         percents(values)
         for values in zip(*((error.relative_raw, error.relative_all, error.relative) for error in errors), strict=True)
     )
-    rates = {run.run.rate for run in runs}
-    band = max(result.preparation.at(rate).decimator.cutoff(rate) for rate in rates)  # Hz, of the low-pass
+    band = max(result.preparation.at(run.run.rate).decimator.cutoff(run.run.rate) for run in runs)  # Hz
     return (
         f"The predicted torques differ from the raw measured ones by {raw}, most at {worst.joint}; in the band of the "
         f"identification (below {band:.3g} Hz) by {in_band}, leaving out reversals by {away}."

@@ -40,23 +40,19 @@ def concerned(alarm: Alarm) -> list[str]:
     return [name for name in alarm.charts if name.partition("_")[2] in joints] or [*alarm.charts]
 
 
-def dated(log: str, date: str) -> str:
-    """Write the day of a log, with its name where that is another."""
-    return date[:10] if log == date[:10] else f"{date[:10]} ({log})"
-
-
 def alarm_words(alarm: Alarm) -> tuple[str, tuple[str, ...]]:
     """Describe the change, its start, and what to do."""
     causes = "; or ".join(map(str, alarm.explanations)) or "no cause fits"
     if len(alarm.explanations) > 1:
         causes += " (these causes cannot be distinguished)"
-    listed, since = ", ".join(concerned(alarm)[:5]), dated(alarm.since, alarm.date)
+    listed, day = ", ".join(concerned(alarm)[:5]), alarm.date[:10]
     advice = dict.fromkeys(part.advice for cause in alarm.explanations for part in cause.parts)
     to_do = [f"{remedy[0].upper()}{remedy[1:]}." for remedy in advice] or ["Identify again and compare both models."]
     if alarm.kind == "log":
         head = f"Log {alarm.since} is odd by itself and set aside ({listed}): {causes}."
         return head, ("Repeat it; if the next log agrees, both count.", *to_do)
     state = "been out of tolerance" if alarm.kind == "tolerance" else "changed"
+    since = day if alarm.since == day else f"{day} ({alarm.since})"
     return f"The robot has {state} since {since}: {causes}.", (f"Quantities: {listed}.", *to_do, END)
 
 
@@ -103,7 +99,7 @@ def watch_page(watch: Watch) -> Page:
         f"Watching {watch.model.robot.name}",
         Section("Verdict", verdict_text(watch), id="verdict"),
         Section("Quantities", *_quantities(watch), id="quantities") if begun else None,
-        lead=[f"Last log: {dated(watch.status.log, watch.status.date)}."] if begun else [],
+        lead=[f"Last log: {' of '.join(dict.fromkeys((watch.status.log, watch.status.date)))}."] if begun else [],
     )
 
 
@@ -209,9 +205,9 @@ def _history(watch: Watch, k: int) -> Panel:
     ticks = np.unique(np.linspace(np.floor(days.min()), np.floor(days.max()), 4).round())
     part = slice(5, None) if np.ptp(days) < 300 else slice(7)  # month and day, or year and month
     dates = {float(day): str(np.datetime64(int(day), "D"))[part] for day in ticks}
-    tolerance, reach = factor * float(view.tolerance[k]), max(SPREAD * float(np.percentile(np.abs(y), 90)), 1e-9)
+    tolerance = factor * float(view.tolerance[k])
     band = (-tolerance, tolerance) if np.isfinite(tolerance) else None
-    reach = max(reach, 1.3 * tolerance) if band else reach
+    reach = max(SPREAD * float(np.percentile(np.abs(y), 90)), 1.3 * tolerance if band else 1e-9)
     outside, drawn = np.abs(y) > reach, np.clip(y, -reach, reach)
     series = [Series("", days[~outside], drawn[~outside], "predicted", "disc")]
     if outside.any():
