@@ -94,8 +94,9 @@ def test_positions_in_another_unit(kind: str) -> None:
         checked(5.0, 1e-3)
 
 
-def test_metres_and_radians_declared_as_mm_and_deg(folder: Path) -> None:
-    text = EXPERIMENT.replace("runs:", "units: {position: deg}\nruns:", 1)
+@pytest.mark.parametrize("unit", ["deg", "degree"])
+def test_metres_and_radians_declared_as_mm_and_deg(folder: Path, unit: str) -> None:
+    text = EXPERIMENT.replace("runs:", f"units: {{position: {unit}}}\nruns:", 1)
     (folder / "deg.yaml").write_text(text)
     with pytest.raises(GtauError, match=r"look like rad declared as deg; write rad under units\.position") as refused:
         identify(folder / "deg.yaml")
