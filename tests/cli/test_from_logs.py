@@ -479,11 +479,12 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     refused = CliRunner().invoke(app, ["identify", "empty.csv", "loaded.csv", *stated, "--position", "dd_*"])
     assert refused.exit_code == 2
     assert "--position is 'dd_*', but no column matches" in refused.stderr
-    refused = CliRunner().invoke(app, ["init", "empty.csv", "--robot", "five-bar"])
+    refused = CliRunner().invoke(app, ["init", "empty.csv", "--robot", "five-bar", "--payload", "empty.csv=0.4"])
     assert "no columns of positions are recognised" in refused.stderr
     assert refused.stderr.endswith("; experiment.yaml is written with all but these columns.\n")
     skeleton = Path("experiment.yaml").read_text()
-    assert "  position: {left: COLUMN, right: COLUMN}\n" in skeleton
+    assert "  position: {left: COLUMN, right: COLUMN}  # CHECK: write the columns" in skeleton
+    assert "  - log: empty.csv\n    payload: {name: load_400g, mass: 0.4}\n" in skeleton
     for old, new in (
         ("left: COLUMN", "left: enc_J1"),
         ("right: COLUMN", "right: enc_J2"),

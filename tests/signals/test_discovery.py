@@ -522,6 +522,17 @@ def test_joints_are_matched_by_number_where_no_name_fits(header: str, tmp_path: 
     assert "joints" in discover([tmp_path / "a.csv"]).open or "enc" in header
 
 
+@pytest.mark.parametrize("header", ["t,right,left,i_right,i_left", "t,right,left,right_current,left_current"])
+def test_columns_that_are_named_as_the_joints_are_positions(header: str, tmp_path: Path) -> None:
+    """Revolutions are no positions of joints where a file is named ``rev``."""
+    names = header.split(",")
+    log = save(tmp_path / "empty_rev.csv", header, TIME, Q[:, ::-1], V[:, ::-1])
+    draft = discover([log], load_robot("five-bar"), "five-bar")
+    assert draft.signals.position == {"left": "left", "right": "right"}
+    assert draft.signals.current == {"left": names[4], "right": names[3]}
+    assert "right ... left taken for positions" in draft.open["joints"]
+
+
 def test_numbers_in_names_of_a_bag_order_them(tmp_path: Path) -> None:
     """Drivers may list joints by the alphabet; no name is of the robot."""
     columns = [f"/joint_states/arm_j{k}/{field}" for field in ("position", "effort") for k in (2, 1)]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -120,8 +120,9 @@ def init(
     robot = stated.robot
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
-    with skeleton_if_unrecognised(logs, robot, out):
-        draft = draft_logs(logs, robot, base_choice(base), stated.stated())
+    known = stated.stated()
+    with skeleton_if_unrecognised(logs, robot, known.masses, out):
+        draft = draft_logs(logs, robot, base_choice(base), known)
     write_draft(draft, out)
     open_ = [QUESTIONS[key] for key in draft.open]
     if not json_:
@@ -210,9 +211,9 @@ def experiment_of(
     robots: AbstractContextManager[str | None] = nullcontext(stated.robot)
     if model is not None:
         robots = robots if stated.robot else _beside(file, model.robot)
-    with robots as robot, skeleton_if_unrecognised(sources, robot, file):
-        kind: Any = None if model is None else model.kind
-        draft = drafted(sources, robot, stated.stated(kind), weigh, None if model is None else model.recording)
+    known = stated.stated(None if model is None else model.kind)  # type: ignore[arg-type]
+    with robots as robot, skeleton_if_unrecognised(sources, robot, known.masses, file):
+        draft = drafted(sources, robot, known, weigh, None if model is None else model.recording)
         write_draft(draft, file)
     held = (
         f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""
@@ -238,7 +239,9 @@ def _beside(file: Path, robot: Robot) -> Iterator[str]:
 
 
 @contextmanager
-def skeleton_if_unrecognised(logs: list[Path], robot: str | None, file: Path) -> Iterator[None]:
+def skeleton_if_unrecognised(
+    logs: list[Path], robot: str | None, masses: Mapping[str, float], file: Path
+) -> Iterator[None]:
     """Write an experiment file without columns where none are recognised, and say so in the refusal."""
     from gtau.signals.reading.discovery import NoColumns
 
@@ -247,7 +250,7 @@ def skeleton_if_unrecognised(logs: list[Path], robot: str | None, file: Path) ->
     except NoColumns as refusal:
         from gtau.signals.reading.drafting import write_skeleton
 
-        write_skeleton(logs, robot, folder_of(file.parent) / file.name)
+        write_skeleton(logs, robot, masses, folder_of(file.parent) / file.name)
         written = f"{file} is written with all but these columns"
         raise GtauError(f"{refusal.sentence.rstrip('.')}; {written}.", source=refusal.source) from None
 

@@ -64,7 +64,7 @@ SIDE_BY_SIDE = re.compile(  # words of languages that write them so: the longest
     "|".join(sorted((word for word in NO_UNIT if not word.isascii()), key=len, reverse=True))
 )
 ALIKE = 0.85  # of letters in two names of a joint: elbo and elbow 0.89, ellbow 0.91; fl_hip and fr_hip 0.80
-BARE = re.compile(r"(joint|axis|axe|achse|eje|asse|jnt|j|a)[_ .]?#", re.IGNORECASE)  # a joint and no signal
+BARE = re.compile(r"((joint|axis|axe|achse|eje|asse|jnt|j|a)[_ .]?)?#", re.IGNORECASE)  # a joint and no signal
 AROUND = re.compile(r"#[_ ]joint(?![A-Za-z])|(?<![A-Za-z])joint[_ ]#", re.IGNORECASE)
 
 
@@ -82,6 +82,11 @@ class ColumnName:
     kind: str | None
     reference: bool
     unit: str | None
+
+    def names_joint(self, joints: Sequence[str]) -> bool:
+        """Return whether it names a joint and no signal: one of the ``joints`` or, after ``axis`` or alike, any."""
+        bare = self.kind is None and BARE.fullmatch(self.stem) is not None
+        return bare and (self.stem != "#" or self.label in joints)
 
 
 def split_name(name: str, joints: Sequence[str], unit: str | None) -> tuple[str, str, WrittenUnit | None]:

@@ -18,7 +18,8 @@ from gtau.findings import Finding, Grade, counted
 from gtau.model.home import load_robot
 from gtau.robots.robot import Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS
-from gtau.signals.reading.columns import PRESETS
+from gtau.signals.reading.column_names import parse_column_name
+from gtau.signals.reading.columns import PRESETS, Signals
 from gtau.signals.reading.discovery import FLOATING, QUESTIONS, Draft, Reasons, Unused, discover
 from gtau.signals.reading.experiment import Recording
 from gtau.signals.reading.formats import listed
@@ -69,14 +70,19 @@ def draft_logs(logs: Sequence[Path], robot: str | None = None, base: Any = None,
     return with_masses(draft, _by_log(draft, stated.masses))
 
 
-def draft_as(recording: Recording, logs: Sequence[Path], robot: str, masses: Mapping[str, float]) -> Draft:
+def draft_as(
+    recording: Recording,
+    logs: Sequence[Path],
+    robot: str | None,
+    masses: Mapping[str, float],
+    reason: str = "as in the logs of the model",
+) -> Draft:
     """Draft an experiment from logs of a known recorder."""
-    reason = "as in the logs of the model"
     draft = Draft(
         logs=tuple((log,) for log in logs),
         signals=recording.signals,
         units=recording.units.model_dump(mode="json", exclude_defaults=True),
-        robot={"file": robot},
+        robot={} if robot is None else {"file": robot},
         payloads={log: read for log in logs if (read := masses_in_name(log.name))},
         reasons=Reasons(reason, reason, reason),
         open={},
@@ -149,22 +155,17 @@ def alternatives(masses: Sequence[float]) -> str:
     return " or ".join(f"{mass:g}" for mass in masses)
 
 
-def write_skeleton(logs: Sequence[Path], robot: str | None, file: Path) -> None:
+def write_skeleton(logs: Sequence[Path], robot: str | None, masses: Mapping[str, float], file: Path) -> None:
     """Write an experiment file for logs whose columns are not recognised, with all but the names of these."""
-    joints = ("JOINT",) if robot is None else load_robot(robot).motors
-    columns = _flow(dict.fromkeys(joints, "COLUMN"))
-    lines = [
-        "# Drafted by gtau: write the columns in place of COLUMN, then run gtau check.",
-        f"robot: {_flow(_entry_of(robot, file.parent) if robot else 'NAME-OR-FILE')}",
-        "signals:",
-        "  time: COLUMN  # or {rate: HZ}",
-        f"  position: {columns}",
-        f"  current: {columns}  # or torque:",
-        f"# The columns of {logs[0].name}: {', '.join(find_columns(logs[0]).columns)}",
-        "runs:",
-        *(f"  - log: {_flow(_relative(log, file.parent))}  # payload: {{name: steel, mass: 1.2}}" for log in logs),
-    ]
-    _write({file: _sealed("\n".join(map(printable, lines)) + "\n")}, file)
+    blank = dict.fromkeys(("JOINT",) if robot is None else load_robot(robot).motors, "COLUMN")
+    names = [name for name in find_columns(logs[0]).columns if name]
+    time = next((name for name in names if parse_column_name(name).kind == "time"), "COLUMN")
+    recording = Recording(signals=Signals.model_construct(time=time, position=blank, current=blank))
+    draft = draft_as(recording, logs, robot, masses, "write the columns in place of COLUMN")
+    reasons = replace(draft.reasons, time="or {rate: HZ}", unit="assumed")
+    open_ = dict.fromkeys([*["robot"] * (robot is None), "joints", "kind"], "")
+    unused = Unused(others=tuple(name for name in names if name != time))
+    write_draft(replace(draft, reasons=reasons, open=open_, unused=unused), file)
 
 
 def write_draft(draft: Draft, file: Path) -> None:

@@ -114,11 +114,8 @@ class LogContents:
         ]
         kind = parse_column_name(path.stem).kind
         kind_of_file = kind if kind in ("position", "current", "torque") else None
-        if not kind_of_file and all(name.kind != "position" for name in names):
-            bare = [name.kind is None and column_names.BARE.fullmatch(name.stem) for name in names]
-            names = [
-                replace(name, kind="position") if is_bare else name for name, is_bare in zip(names, bare, strict=True)
-            ]
+        if kind_of_file in (None, "position") and all(name.kind != "position" for name in names):
+            names = [replace(name, kind="position") if name.names_joint(joints) else name for name in names]
         groups = column_names.grouped(names)
         is_matrix = [(group.kind, group.stem[-3:]) for group in groups] == [(None, "[#]")] and not kind_of_file
         if table.numbered or is_matrix:  # one array whose name says nothing of its columns
