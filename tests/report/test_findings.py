@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from gtau.findings import Finding
-from gtau.report.evidence import APART, same_in_several
+from gtau.report.evidence import APART, findings_section, same_in_several
 from gtau.signals.reading.formats import repair
 
 ADVICE = "log in the controller's own cycle"
@@ -47,3 +47,9 @@ def test_equal_notes_list_their_logs() -> None:
     notes = [replace(note, text="the same") for note in interpolated(6)]
     (merged,) = same_in_several(notes)
     assert merged.source == ", ".join(f"log {k}" for k in range(6))
+
+
+def test_without_notes_only_the_logs_are_said_to_be_in_order() -> None:
+    """A verdict may stand above, of findings that are not listed again."""
+    (said,) = findings_section(()).items
+    assert said.words == "Nothing in the logs was repaired or left out."

@@ -30,7 +30,7 @@ LONGEST = 300_000  # samples; of longer runs only the beginning is predicted
 
 def findings_section(notes: Sequence[Finding]) -> Section:
     """List findings, the worst first."""
-    nothing = Text("Nothing was repaired, left out or flagged.")
+    nothing = Text("Nothing in the logs was repaired or left out.")
     return Section("Findings", findings_table(notes) if notes else nothing, id="notes")
 
 
