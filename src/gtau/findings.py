@@ -241,7 +241,7 @@ def write_limits(joint: str) -> str:
 def clock_advice(rate: float | None) -> str:
     """Advise what to correct where a run has a wrong time: its ``rate`` (Hz) if that is stated, or the time stamps."""
     if rate is not None:
-        return f"correct the sampling rate, 'rate: {rate:g}' under signals.time"
+        return f"correct the sampling rate under signals.time, where 'rate: {rate:g}' is wrong"
     return "correct the unit of the time (units: {time: ...})"
 
 

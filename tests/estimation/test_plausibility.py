@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from five_bar_logs import EXPERIMENT, STEEL, Plant, write_log
 
 from gtau.errors import GtauError
+from gtau.estimation.effects.known.gravity import clock_words
 from gtau.estimation.regression.plausibility import within_limits
 from gtau.findings import Grade
 from gtau.model.home import load_robot
@@ -46,7 +48,17 @@ def test_a_wrong_rate_is_named(folder: Path, factor: float, high: bool) -> None:
         assert gain.verdict.outcome.value == "contradictory"
         assert gain.verdict.finding.kind == "description refuted"
         assert f"a sampling rate that is too {'high' if high else 'low'}" in gain.verdict.why
-        assert f"'rate: {factor * _rate(folder):g}'" in gain.verdict.advice
+        assert f"'rate: {factor * _rate(folder):g}' is wrong (rather" in gain.verdict.advice
+        true = float(gain.verdict.advice.partition("(rather ")[2].partition(")")[0])
+        assert true == pytest.approx(_rate(folder), rel=0.03)
+
+
+def test_of_time_stamps_lengths_are_doubted_first() -> None:
+    """No unit of time is 5 % off; lengths that are 10 % too large look the same."""
+    _, run = _one_joint("revolute")
+    what, advice = clock_words(SimpleNamespace(dataset=SimpleNamespace(runs=[run])), 1.1**0.5)  # type: ignore[arg-type]
+    assert what.startswith("lengths throughout the robot that are too large by 10 %, or a sampling rate that is too")
+    assert advice.startswith("check the lengths")
 
 
 @pytest.mark.slow

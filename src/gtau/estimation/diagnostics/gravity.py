@@ -81,7 +81,7 @@ def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None
     factor, other = float(np.exp(found.x)), slowed(np.exp(found.x))
     if other is None or 1 - residual_ratio(other, unaltered) < EXPLAINED:
         return None
-    text, advice = clock_words(fit, factor - 1, f" by {percent(abs(factor - 1), '.2g')}")
+    text, advice = clock_words(fit, factor)
     cause = Finding(OTHER_CLOCK, values={"factor": factor}, text=text, advice=advice)
     # large effects of many kinds together imitate it too, but this one number leaves a tenth of the residuals
     return described_otherwise(GRAVITY.name, cause, other, unaltered, beside=False)

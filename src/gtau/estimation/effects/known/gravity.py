@@ -11,7 +11,7 @@ import numpy as np
 from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
-from gtau.findings import clock_advice
+from gtau.findings import clock_advice, percent
 
 TILT, STRENGTH = 1.0, 0.2  # degrees (experience); per cent: local gravity differs by 0.26 % from the standard at most
 STEEPEST = 12.0  # degrees: a Sawyer tilted by 4.0 degrees is found as 3.87 +- 0.18
@@ -52,15 +52,20 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     if column.about == "strength":
         what = "a different magnitude of gravity"
         if abs(size) > EARTH:
-            return clock_words(fit, size)
+            return clock_words(fit, max(1 - size / 100, 0.1) ** -0.5)
     return what, action
 
 
-def clock_words(fit: Fit, too_fast: float, by: str = "") -> Words:
-    """Say that a clock is too fast, or too slow where ``too_fast`` is negative, and ``by`` how much if known."""
-    fast = f"high{by}, as accelerations are too large" if too_fast > 0 else f"low{by}, as accelerations are too small"
-    what = f"a sampling rate that is too {fast} against gravity (or wrong lengths throughout the robot)"
-    return what, f"{clock_advice(stated_rate(fit.dataset.runs[0]))}; then check the robot's lengths"
+def clock_words(fit: Fit, factor: float) -> Words:
+    """Say that time runs a ``factor`` too fast, or that the lengths are too large by its square: they look alike."""
+    high, large = ("high", "large") if factor > 1 else ("low", "small")
+    off, off_squared = (percent(abs(ratio - 1)) for ratio in (factor, factor**2))
+    clock = f"a sampling rate that is too {high} by {off}"
+    lengths = f"lengths throughout the robot that are too {large} by {off_squared}"
+    against = f"as accelerations are too {large} against gravity"
+    if (rate := stated_rate(fit.dataset.runs[0])) is None:
+        return f"{lengths}, or {clock}, {against}", "check the lengths in the robot file; then the log's time"
+    return f"{clock}, or {lengths}, {against}", f"{clock_advice(rate)} (rather {rate / factor:.3g}); then the lengths"
 
 
 EFFECT = Effect("gravity", _torques, _columns, _say, shared=True, description=True)
