@@ -508,6 +508,9 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     (weighed,) = json.loads(invoke("payload", "other.csv", "again.csv", "--payload", "again.csv=0"))["payloads"]
     mass = next(entry for kind, entry in weighed["parameters"].items() if kind == "m")
     assert mass["value"] == pytest.approx(1.2, rel=0.01)
+    Path("other_1200g.csv").write_bytes(Path("other.csv").read_bytes())
+    (named,) = json.loads(invoke("payload", "other_1200g.csv"))["payloads"]  # a name states none that is weighed
+    assert named["name"] == "other_1200g"
     errors = json.loads(invoke("validate", "again.csv"))
     assert [run["log"] for run in errors["runs"]] == ["again"]
     used = json.loads(invoke("use", "again.csv"))

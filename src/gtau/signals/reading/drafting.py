@@ -145,8 +145,8 @@ def with_masses(draft: Draft, masses: Mapping[Path, float]) -> Draft:
 
 
 def to_weigh(draft: Draft) -> Draft:
-    """Return the draft with an unknown payload, of mass NaN, for every log without a mass by option or name."""
-    unknown = (run[0] for run in draft.logs if run[0] not in draft.stated.union(draft.payloads))
+    """Return the draft with an unknown payload, of mass NaN, for every log without a mass by option."""
+    unknown = (run[0] for run in draft.logs if run[0] not in draft.stated)
     return replace(draft, payloads={**draft.payloads, **dict.fromkeys(unknown, (nan,))})
 
 
