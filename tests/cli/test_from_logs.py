@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 from bags import TOPIC, write_bag
-from five_bar_logs import STEEL, Plant
+from five_bar_logs import STEEL, Plant, write_log
 from models_to_export import model_of
 from typer.testing import CliRunner
 
@@ -22,11 +23,11 @@ from gtau.estimation.results.model_file import load as load_model
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.signals.channel import SENSOR
-from gtau.signals.reading.drafting import Stated, draft_logs, guesses, with_sensors, write_draft
+from gtau.signals.reading.drafting import Stated, draft_logs, draft_text, guesses, with_sensors, write_draft
 from gtau.signals.reading.experiment import read_experiment
 from gtau.signals.reading.logs import is_log_folder
 from gtau.signals.run import Run, read_run
-from gtau.uses.identify import read_log
+from gtau.uses.identify import drafted, read_log
 
 LINK = """<link name="{0}"><inertial><origin xyz="{2} 0.01 0.02"/><mass value="{1}"/>
 <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
@@ -511,6 +512,14 @@ def test_a_model_reads_further_logs_of_its_recorder(tmp_path: Path, monkeypatch:
     Path("other_1200g.csv").write_bytes(Path("other.csv").read_bytes())
     (named,) = json.loads(invoke("payload", "other_1200g.csv"))["payloads"]  # a name states none that is weighed
     assert named["name"] == "other_1200g"
+    steel = model.replaced(payloads=tuple(replace(payload, name="steel") for payload in model.payloads))
+    draft = drafted([Path("other_1200g.csv")], "five-bar", Stated(), model=steel)
+    assert "payload: {name: steel, mass: 1.2}" in draft_text(draft, tmp_path)
+    said = " ".join(map(str, guesses(draft, Path())))
+    assert "taken for those of the same mass: other_1200g.csv 'steel'" in said
+    write_log(Path("lab.csv"), Plant().run("lab", seed=5))
+    refused = CliRunner().invoke(app, ["validate", "result/model.json", "lab.csv"])
+    assert "the log lacks the columns A, bb_1, bb_2, cc_x, cc_y of the model's logs" in refused.stderr
     errors = json.loads(invoke("validate", "again.csv"))
     assert [run["log"] for run in errors["runs"]] == ["again"]
     used = json.loads(invoke("use", "again.csv"))

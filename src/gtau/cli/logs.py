@@ -213,7 +213,7 @@ def experiment_of(
         robots = robots if stated.robot else _beside(file, model.robot)
     known = stated.stated(None if model is None else model.kind)  # type: ignore[arg-type]
     with robots as robot, skeleton_if_unrecognised(sources, robot, known.masses, file):
-        draft = drafted(sources, robot, known, weigh, None if model is None else model.recording)
+        draft = drafted(sources, robot, known, weigh, model)
         write_draft(draft, file)
     held = (
         f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""

@@ -26,11 +26,13 @@ from gtau.signals.reading.drafting import (
     draft_as,
     draft_logs,
     draft_text,
+    drafted_name,
     guesses,
     to_weigh,
     with_sensors,
 )
 from gtau.signals.reading.experiment import Experiment, Recording, read_experiment
+from gtau.signals.reading.formats import listed
 from gtau.signals.reading.logs import find_columns
 from gtau.signals.reading.samples import WHOLE, Part
 from gtau.signals.reading.statements import Payload
@@ -181,18 +183,26 @@ ARGUMENTS = {
 
 
 def drafted(
-    logs: Sequence[Path], robot: str | None, stated: Stated, weigh: bool = False, recording: Recording | None = None
+    logs: Sequence[Path], robot: str | None, stated: Stated, weigh: bool = False, model: IdentifiedModel | None = None
 ) -> Draft:
     """Draft an experiment from logs, those without a stated payload without one, or with ``weigh`` an unknown one.
 
-    Logs with the columns of a ``recording`` are read as it says. Raises GtauError where an answer is needed.
+    Logs for a ``model`` have the columns of its logs, unless others are stated or named as its joints, and its payloads
+    where these have the masses. Raises GtauError where an answer is needed.
     """
-    plain = recording and not (stated.columns or stated.preset) and stated.kind in (None, recording.signals.kind)
-    if recording and robot and plain and _has_columns(logs[0], recording):
-        draft = draft_as(recording, logs, robot, stated.masses)
-    else:
-        draft = draft_logs(logs, robot, stated=stated)
+    known = model.recording if model and not (stated.columns or stated.preset) else None
+    recording = known if known and stated.kind in (None, known.signals.kind) else None
+    lacking = _lacking(logs[0], recording) if recording else []
+    read = draft_as(recording, logs, robot, stated.masses) if recording and not lacking else None
+    draft = read or draft_logs(logs, robot, stated=stated)
+    if lacking and "joints" in draft.open:
+        raise GtauError(
+            f"the log lacks the columns {listed(lacking)} of the model's logs; give a log of that robot, or name its "
+            "columns (--position COLUMNS, --current COLUMNS, --time COLUMN).",
+            source=logs[0],
+        )
     draft = to_weigh(draft) if weigh else with_sensors(draft)
+    draft = replace(draft, names={} if model is None else _names(model))
     if "file" not in draft.robot:
         raise GtauError(
             f"{logs[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
@@ -212,9 +222,17 @@ def drafted(
     return draft
 
 
-def _has_columns(log: Path, recording: Recording) -> bool:
-    signals = recording.signals
-    return {*signals.time_columns, *signals.position.values(), *signals.measured} <= {*find_columns(log).columns}
+def _lacking(log: Path, recording: Recording) -> list[str]:
+    """List the columns of a recording that a log lacks."""
+    signals, columns = recording.signals, find_columns(log).columns
+    needed = (*signals.time_columns, *signals.position.values(), *signals.measured)
+    return [name for name in needed if name not in columns]
+
+
+def _names(model: IdentifiedModel) -> dict[str, str]:
+    """Name the payloads of a model by the names that drafts make of their masses, if one alone has such a mass."""
+    made = {name: drafted_name(model.payload(name).get("m", 0.0)) for name in {load.name for load in model.payloads}}
+    return {draft: name for name, draft in made.items() if name != draft and [*made.values()].count(draft) == 1}
 
 
 @takes(logs=NAMES, robot=PATH, payload=MASSES, preset=TEXT, columns=MAPPING, kind=TEXT)

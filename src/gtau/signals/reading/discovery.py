@@ -82,7 +82,8 @@ class Draft:
     """Drafted experiment file, with one file or two of each run; ``robot`` has no ``file`` where it is unknown.
 
     ``payloads`` are masses (kg) by log: several where the name of the file has several readings, NaN where the payload
-    is to be weighed; the logs ``stated`` have masses by option. ``open`` are the points to confirm, keys of
+    is to be weighed; the logs ``stated`` have masses by option; ``names`` of payloads that are known, by the names that
+    drafts give them. ``open`` are the points to confirm, keys of
     ``QUESTIONS``, each with what is assumed. ``urdf`` is the robot's file from a bag.
     """
 
@@ -95,6 +96,7 @@ class Draft:
     open: Mapping[str, str]
     unused: Unused
     stated: frozenset[Path] = frozenset()
+    names: Mapping[str, str] = field(default_factory=dict)
     urdf: str | None = None
 
 

@@ -150,6 +150,11 @@ def to_weigh(draft: Draft) -> Draft:
     return replace(draft, payloads={**draft.payloads, **dict.fromkeys(unknown, (nan,))})
 
 
+def drafted_name(mass: float) -> str:
+    """Return the name that a draft gives to a payload, kg."""
+    return f"load_{1000 * mass:.0f}g"
+
+
 def alternatives(masses: Sequence[float]) -> str:
     """Write alternative masses, kg."""
     return " or ".join(f"{mass:g}" for mass in masses)
@@ -265,7 +270,7 @@ def _payload(draft: Draft, log: Path) -> list[str]:
     if log not in draft.payloads:
         return []
     mass, *more = draft.payloads[log]
-    entry = {"name": f"load_{1000 * mass:.0f}g", "mass": mass}
+    entry: dict[str, Any] = {"name": draft.names.get(drafted_name(mass), drafted_name(mass)), "mass": mass}
     doubt = f"{CHECK}kg, from the file name"
     if more:
         entry = {"name": "load", "mass": alternatives(draft.payloads[log])}
@@ -330,9 +335,14 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         notes.append((f"payload masses come from the file names: {', '.join(loads)}", state))
     if empty := [log.name for log in named if log not in draft.payloads]:
         notes.append((f"no payload is assumed for {', '.join(empty)}, without a mass in the name", state))
-    stated = {log: draft.payloads.get(log, (0.0,))[0] for log in draft.stated}
-    other = {log: read for log in stated if (read := masses_in_name(log.name)) and not _rounded(stated[log], read)}
-    if off := [f"{log.name} {stated[log]:g} kg, not {alternatives(read)}" for log, read in other.items()]:
+    masses = {run[0]: draft.payloads.get(run[0], (0.0,))[0] for run in draft.logs}
+    taken = {log: draft.names.get(drafted_name(mass)) for log, mass in masses.items()}
+    if known := [f"{log.name} '{name}'" for log, name in taken.items() if name]:
+        notes.append((f"payloads of the model are taken for those of the same mass: {', '.join(known)}", ""))
+    other = {
+        log: read for log in draft.stated if (read := masses_in_name(log.name)) and not _rounded(masses[log], read)
+    }
+    if off := [f"{log.name} {masses[log]:g} kg, not {alternatives(read)}" for log, read in other.items()]:
         notes.append((f"payload masses are taken as stated, against the file names: {', '.join(off)}", ""))
     for log, *_ in draft.logs:
         if episodes := find_columns(log).episodes:
