@@ -42,6 +42,14 @@ def test_doubtful_sizes_are_worth_mending(
     assert note.subject == subject or kind in ("current too large", "current too small")
 
 
+def test_milliamperes_are_stated_of_the_joints_that_have_them(run: Run) -> None:
+    advice = [next(doubtful_currents([replace(run, command=run.command * x)])).advice for x in ([1e3, 1e3], [1e3, 1])]
+    assert [text.partition(";")[0] for text in advice] == [
+        "if it is in mA, write units: {current: mA}",
+        "if it is in mA, write units: {current: {left: mA}}",
+    ]
+
+
 @pytest.mark.parametrize(
     ("mass", "kinds"), [(STEEL["m"], []), (1e3 * STEEL["m"], ["effort limit", "current too small"])]
 )

@@ -123,11 +123,16 @@ def test_the_current_of_one_joint_in_another_unit_contradicts_alone(tmp_path: Pa
     assert {result.drive_gains[joint].verdict.outcome for joint in ("j1", "j2", "j4")} == {Grade.GOOD}
 
 
+def test_two_joints_in_different_units_are_one_finding(parallel: list[Run]) -> None:
+    assert first_line(identify(FIVE_BAR, scaled(parallel, [1.0, 1e2]))).count("differ by a factor of") == 1
+
+
 def test_a_reversed_current_contradicts_unless_its_prior_gain_is_negative(parallel: list[Run]) -> None:
     turned = scaled(parallel, [1.0, -1.0])
     result = identify(FIVE_BAR, turned)
     assert kinds(result) == {"right": "negative gain"}
-    assert "negative gain" in first_line(result)
+    assert "negative gain: positive current drives 'right' backwards" in first_line(result)
+    assert "('-COLUMN')" in result.drive_gains["right"].verdict.advice
     assert result.drive_gains["left"].verdict.outcome == Grade.GOOD
     intended = {"left": GAINS[0], "right": -GAINS[1]}
     assert identify(FIVE_BAR, turned, prior_gains=intended).accepted

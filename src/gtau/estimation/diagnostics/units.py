@@ -92,7 +92,9 @@ def doubtful_currents(runs: Sequence[Run], base: Collection[str] = ()) -> Iterat
     most, largest = driven[-1]
     if large := tuple(joint for rms, joint in driven if rms > LARGEST_CURRENT):
         text = f"the current of joint '{largest}' is {most:.4g} A rms, more than drives of robots take"
-        advice = "if it is in mA, write units: {current: mA}; otherwise state 'prior_gains'"
+        alike = [joint for rms, joint in driven if rms * CURRENTS_APART > most]
+        unit = "mA" if len(alike) == len(driven) else f"{{{', '.join(f'{joint}: mA' for joint in alike)}}}"
+        advice = f"if it is in mA, write units: {{current: {unit}}}; otherwise state 'prior_gains'"
         yield contradiction(LARGE_CURRENT, large, text, advice, largest, shown_as="unit")
     if most < SMALLEST_CURRENT:
         text = f"the largest current, of joint '{largest}', is {most:.2g} A rms, less than drives of robots take"
@@ -191,7 +193,8 @@ def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, fl
         prior = priors.get(joint)
         ratio = abs(gain / prior) if prior else 1.0
         if not 1 / PRIOR_FACTOR <= ratio <= PRIOR_FACTOR:
-            text = f"the gain is {ratio:.4g} times its prior of {prior:.4g} {gain_unit(robot, joint, kind)}"
+            unit = gain_unit(robot, joint, kind)
+            text = f"the gain of '{joint}' is {ratio:.4g} times its prior of {prior:.4g} {unit}"
             check = "the payload's mass (kg), the unit of the currents, and 'prior_gains'"
             if 1 / PRIOR_FACTOR < ratio / 1000 < PRIOR_FACTOR:
                 check = "the payload's mass (g entered as kg?) and the unit of the currents (A declared as mA?)"
@@ -199,7 +202,7 @@ def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, fl
                 check = "the unit of the currents (mA declared as A?) and the payload's mass in kg"
             yield contradiction(PRIOR_GAIN, (joint,), text, f"check {check}", shown_as="model")
         elif joint in known and prior is None and not least <= abs(gain) <= most:
-            text = f"the true torque is {abs(gain):.4g} times the logged one"
+            text = f"the true torque of '{joint}' is {abs(gain):.4g} times the logged one"
             advice = "check the unit of the torques (N m, N mm?) and the payload's mass (kg), or state 'prior_gains'"
             yield contradiction(PRIOR_GAIN, (joint,), text, advice, shown_as="model")
         if joint in known and gain * (prior or 1.0) < 0:
@@ -207,8 +210,8 @@ def _unlike_priors(fit: Fit, known: Mapping[str, float], priors: Mapping[str, fl
             meant = "the drive does turn against its joint, state a negative prior gain"
             if prior is not None:
                 meant = "that is intended, reverse the prior gain"
-            text = f"{sign} gain: positive {kind} drives the joint {driven}"
-            advice = f"reverse the sign of its {kind} or position column; or if {meant}"
+            text = f"{sign} gain: positive {kind} drives '{joint}' {driven}"
+            advice = f"reverse the sign of its {kind} or position column ('-COLUMN'); or if {meant}"
             yield contradiction(NEGATIVE_GAIN, (joint,), text, advice, shown_as="model")
 
 
@@ -226,17 +229,17 @@ def _gains_apart(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
             # the fewer of the two groups, or both
             few = gains[:k] if 2 * k < len(gains) else gains[k:] if 2 * k > len(gains) else gains
             for gain, joint in few:
-                peer, gain_of_peer = (above, larger) if gain <= smaller else (below, smaller)
-                ratio = max(gain / gain_of_peer, gain_of_peer / gain)
+                pair = sorted([(gain, joint), (larger, above) if gain <= smaller else (smaller, below)])
+                (least, low), (most, high) = pair
                 text = (
-                    f"the gains of '{joint}', {gain:.3g} {unit}, and '{peer}', {gain_of_peer:.3g} {unit}, differ by a "
-                    f"factor of {ratio:.2g}, which is implausible for motors and gears of one robot"
+                    f"the gains of '{low}', {least:.3g} {unit}, and '{high}', {most:.3g} {unit}, differ by a factor of "
+                    f"{most / least:.0f}, which is implausible for motors and gears of one robot"
                 )
                 advice = (
                     f"check that the {kind} columns of these joints are in the same unit, and convert those that are "
                     "not; if the motors do differ, state 'prior_gains'"
                 )
-                yield contradiction(FAR_APART, (joint,), text, advice, peer, shown_as="model")
+                yield contradiction(FAR_APART, (joint,), text, advice, high if joint == low else low, shown_as="model")
 
 
 def _voltages(fit: Fit, known: Mapping[str, float]) -> Iterator[Finding]:
