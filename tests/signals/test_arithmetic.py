@@ -62,7 +62,7 @@ def test_a_column_of_that_name_comes_first(tmp_path: Path) -> None:
     ("text", "sentence"),
     [
         ("J3 + J4", "there is no column 'J4'; the columns are ms, J2, J3, pos, tau 2, tau.3"),
-        ("J3 - `tau 4`", "there is no column 'tau 4'; did you mean 'tau 2'"),
+        ("J3 - `tau 4`", "there is no column 'tau 4'; did you mean 'tau.3'"),
         ("J3 ^ 2", r"because of '\^'; a column"),
         ("sin(J3)", r"in 'sin\(J3\)' only numbers, columns, \+ - \* / and parentheses are read; a column"),
         ("J3 ** 2", "only numbers, columns"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from gtau.errors import GtauError
+from gtau.signals.reading.logs import read_log
 from gtau.signals.run import Run, read_run
 
 SIGNALS = {"time": "t", "position": {"a": "qa", "b": "qb"}, "current": {"a": "va", "b": "vb"}}
@@ -312,6 +313,12 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
     ("only a header, torn", lambda x: [], HEADER[:-4], "there is no column 'va'"),
     ("empty", lambda x: [], "\n", "is empty or begins with an empty line"),
 ]
+
+
+def test_no_column_is_taken_for_one_that_is_used_already(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "log.csv", np.zeros((9, 2)), delimiter=",", header="t,shoulder_current", comments="")
+    with pytest.raises(GtauError, match="no column 'elbow_current'; the columns are"):
+        read_log(tmp_path / "log.csv", ["shoulder_current", "elbow_current"])
 
 
 @pytest.mark.parametrize(("change", "header", "sentence"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])

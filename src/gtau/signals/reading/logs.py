@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -91,7 +91,7 @@ def is_rosbag(path: Path) -> bool:
     return path.suffix.lower() in BAGS or (path / "metadata.yaml").is_file()
 
 
-def _refuse_missing(names: Iterable[str], table: LogTable) -> None:
+def _refuse_missing(names: Collection[str], table: LogTable) -> None:
     path, columns = table.path, table.columns
     if not columns:
         raise GtauError(
@@ -110,7 +110,7 @@ def _refuse_missing(names: Iterable[str], table: LogTable) -> None:
                 f"1 to {len(columns)}.",
                 source=path,
             )
-        hint = meant(name, columns)
+        hint = meant(name, [column for column in columns if column not in names])
         the = f"{hint} The" if hint else "the"
         raise GtauError(f"there is no column '{name}'; {the} columns are {listed(columns, 40)}.", source=path)
 
