@@ -350,8 +350,9 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     (
         "tab",
         "robot: r\njoints:\n\tj: 1\n",
-        ", line 3: this is not valid YAML: a value that begins with a special character must be quoted",
+        ", line 3: this is not valid YAML: a tab stands where only spaces may; indent with spaces.",
     ),
+    ("indentation", "robot: r\n  name: a\n", ", line 2: this is not valid YAML: a key stands deeper than"),
     ("control characters", "robot: r\x01\n", " holds control characters; save it as plain text."),
     ("not UTF-8", b"robot: r\nsource: caf\xe9\n", ", line 2: the text is not UTF-8; save the file in that encoding."),
     ("huge", "#" * (1 << 20) + "\n", " is larger than 1 MiB;"),

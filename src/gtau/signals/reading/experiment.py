@@ -111,7 +111,7 @@ def _no_file(path: Path) -> str:
     if path.is_symlink():
         return f"'{path}' is a link to '{path.readlink()}', which does not exist; correct the link or the path"
     if path.exists():
-        return f"'{path}' {NO_FILE}; give the path of a file"
+        return f"'{path}' {'is a folder, not a file' if path.is_dir() else NO_FILE}; give the path of a file"
     names = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
     hint = meant(path.name, names, "paths are relative to the file that names them")
     return f"there is no file '{path}'; {hint}"
