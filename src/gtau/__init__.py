@@ -18,11 +18,15 @@ _CALLS = dict.fromkeys(("load_urdf", "buildModelFromUrdf"), "gtau.load_robot('ar
 
 
 def __getattr__(name: str) -> object:
-    if name in _CALLS:
-        from gtau.errors import OtherSpelling
+    try:
+        return _first_used(name)
+    except AttributeError:
+        from gtau.errors import OtherSpelling, meant
 
-        raise OtherSpelling(f"gtau has no '{name}'; did you mean {_CALLS[name]}?")
-    return _first_used(name)
+        hint = f"did you mean {_CALLS[name]}?" if name in _CALLS else meant(name, __all__)
+        if not hint or name in __all__:
+            raise
+        raise OtherSpelling(f"gtau has no '{name}'; {hint}") from None
 
 
 if (_ipython := sys.modules.get("IPython")) and (_shell := _ipython.get_ipython()):

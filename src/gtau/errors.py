@@ -84,10 +84,12 @@ def spelled(**calls: str) -> Callable[[Class], Class]:
 
     def decorate(owner: Class) -> Class:
         def refuse(self: Any, name: str) -> Any:
-            if name in calls:
+            names = () if name in dir(self) or name.startswith("_") else dir(self)  # the error of a property is its own
+            hint = f"did you mean {calls[name]}?" if name in calls else meant(name, names, cutoff=0.75)
+            if hint:
                 kind = f"{'an' if owner.__name__[0] in 'AEIOU' else 'a'} {owner.__name__}"
-                raise OtherSpelling(f"{kind} has no '{name}'; did you mean {calls[name]}?")
-            return object.__getattribute__(self, name)  # for its own error, also that of a property
+                raise OtherSpelling(f"{kind} has no '{name}'; {hint}")
+            return object.__getattribute__(self, name)  # for its own error
 
         owner.__getattr__ = refuse  # type: ignore[attr-defined]
         return owner

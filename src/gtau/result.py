@@ -23,7 +23,7 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identified, identify as uses
-from gtau.uses.identify import draft
+from gtau.uses.identify import draft, words_of_python
 from gtau.uses.prediction import Prediction, predict, torques, validate
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ OF_ALL = {"progress": FUNCTION, "prior_inertias": NUMBER, "robot": PATH, "payloa
     **dict.fromkeys(("crba", "mass_matrix"), "result.inertia(q)"),
     gravload="result.gravity(q)",
     joints="result.robot.actuated",
+    verdict="result.drive_gains[joint].verdict",
+    **dict.fromkeys(("to_dict", "to_json", "to_dataframe", "df"), "result.to_frame() or result.save(path)"),
 )
 class Result(IdentifiedModel):
     """An identified model, with what is done with it: predict, validate, plot, report, save."""
@@ -216,6 +218,7 @@ def load(path: str | Path) -> Result:
 
 
 @takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, **OF_ALL)
+@words_of_python()
 def identify(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
@@ -306,6 +309,7 @@ class ExperimentCheck(check_logs.CheckedExperiment):
 
 
 @takes(method=TEXT, **OF_ALL)
+@words_of_python()
 def check(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
@@ -340,6 +344,7 @@ def check(
 
 
 @takes(**OF_ALL)
+@words_of_python()
 def compare(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,

@@ -41,6 +41,8 @@ def test_the_package_shows_its_names_and_nothing_else() -> None:
         assert getattr(gtau, name).__doc__, name
     with pytest.raises(AttributeError, match="No gtau attribute nonsense"):
         gtau.nonsense  # noqa: B018
+    with pytest.raises(AttributeError, match="gtau has no 'identfy'; did you mean 'identify'"):
+        gtau.identfy  # noqa: B018
     loaded = "import sys, gtau; print(sorted({'casadi', 'numpy', 'polars', 'numba'} & set(sys.modules)))"
     environment = {"PYTHONPATH": str(ROOT / "src")}
     assert subprocess.check_output([sys.executable, "-c", loaded], env=environment, text=True) == "[]\n"
@@ -70,6 +72,11 @@ def test_a_name_that_is_not_there_is_answered_with_those_that_are(result: gtau.R
         model.torques(*np.zeros((3, 1, 3)), {"m_p": 1.0})
     with pytest.raises(gtau.GtauError, match="robot 'orthoglide' has no joint '99'; choose from 11, "):
         model.robot.joint("99")
+    for other, meant in (("drive_gain", "'drive_gains'"), ("to_dict", "result.to_frame()")):
+        with pytest.raises(AttributeError, match=re.escape(f"a Result has no '{other}'; did you mean {meant}")):
+            getattr(result, other)
+    with pytest.raises(gtau.GtauError, match=r"\(payload=\{'LOG': KG\} with logs\), .*, or use method='wls' with"):
+        gtau.identify(gtau.load_robot("five-bar"), [Plant().run("free")])
     with pytest.raises(gtau.GtauError, match="write 'all' or 'inertial'"):
         gtau.InverseDynamics(gtau.load_robot("five-bar"), "some")
 

@@ -176,6 +176,12 @@ def test_load_robot_refuses(name: str, sentence: str) -> None:
     assert sentence in str(refused.value)
 
 
+def test_a_file_beside_is_suggested(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").touch()
+    with pytest.raises(GtauError, match=r"no robot is called .* [(]did you mean .*arm\.urdf'[?][)]"):
+        load_robot(tmp_path / "arm.udrf")
+
+
 # The robot file
 
 

@@ -165,8 +165,8 @@ def suited(result: IdentifiedModel, run: Run) -> Run:
     """Order the columns of a run as the model's joints; raises GtauError if it has other commands."""
     if not isinstance(run, Run):
         raise GtauError(
-            f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), which knows "
-            "its columns."
+            f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), with "
+            "result.recording.signals if its columns are as in the model's logs."
         )
     run = run.ordered(result.idm.actuated)
     if run.kind != result.kind:

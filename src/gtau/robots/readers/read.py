@@ -149,7 +149,8 @@ def _read(source: str | Path, written: RobotSource) -> Robot:
             raise GtauError(f"{path} ends in none of {ENDINGS}; give it the ending of its format.")
     if (described := _described(str(source))) is not None:
         return _read(described, written)
-    hint = meant(str(source), catalog_names())
+    files = map(str, path.parent.glob("*") if path.suffix else ())
+    hint = meant(str(source), [*catalog_names(), *files])
     raise GtauError(
         f"no robot is called '{source}'{hint and f' ({hint})'}; choose from the catalog ({', '.join(catalog_names())}) "
         f"or give the path of a file that ends in {ENDINGS}."
