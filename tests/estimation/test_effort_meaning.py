@@ -106,7 +106,9 @@ def test_a_five_bar_without_gravity_is_asked_whether_it_is_balanced() -> None:
 
 def test_torques_of_motors_are_named_by_their_scale_and_by_limits_of_effort() -> None:
     robot = five_bar().robot
-    assert named(identify(robot, torques(60.0, loaded=True))) == {"torques of the motors"}
+    result = identify(robot, torques(60.0, loaded=True))
+    assert named(result) == {"torques of the motors"}
+    assert "by their size they are motor-side" in " ".join(result.summary().split()).partition("The arm reports")[0]
     peaks = np.abs(torques()[0].command).max(axis=0)
     arm = limited(robot, (float(100 * peaks[0]), float(120 * peaks[1])))
     assert named(identify(arm, torques())) == {"torques of the motors"}

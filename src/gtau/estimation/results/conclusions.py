@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import yaml
 
-from gtau.estimation.diagnostics.log_checks import SMOOTHED
+from gtau.estimation.diagnostics.log_checks import MOTOR_SIDE, SMOOTHED
 from gtau.estimation.diagnostics.verdict import APART, LONGER
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
@@ -160,7 +160,8 @@ def _against(result: IdentifiedModel) -> Iterator[str]:
     for name, verdict in _stated(result):
         if verdict.outcome == Grade.CONTRADICTORY:
             yield f"{name[0].upper()}{name[1:]} contradicts the data: {verdict.why}."
-    yield from (f"{note.what[0].upper()}{note.what[1:]}." for note in result.notes if note.kind == SMOOTHED)
+    notes = [note.what for note in result.notes if note.kind in (SMOOTHED, MOTOR_SIDE)]
+    yield from (f"{what[0].upper()}{what[1:]}." for what in notes)
     if failed := missed(result):
         yield f"Requirement missed: {'; '.join(failed)}."
 
