@@ -42,7 +42,7 @@ SMALL = 4e-3  # of the stall current, below which a bridge loses less than its d
 def described(file: Path, joints: list[str], payload: str | None) -> tuple[mujoco.MjSpec, dict]:
     """Read mujoco.yaml and its MJCF file; end the program where they lack a joint or the payload, or are wrong."""
     if not file.is_file():
-        sys.exit(f"{file} describes the robot and does not exist; name another with --robot.")
+        sys.exit(f"{file} describes the simulated robot and does not exist; write it (see --help), or give --robot.")
     try:
         truth = yaml.safe_load(file.read_text())
         spec = mujoco.MjSpec.from_file(str(file.parent / truth["model"]))

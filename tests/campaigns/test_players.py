@@ -239,6 +239,8 @@ def test_what_the_file_of_a_robot_in_mujoco_lacks_is_named(tmp_path: Path, old: 
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(SystemExit, match=says):
         play_mujoco.described(path, ["left", "right"], "payload")
+    with pytest.raises(SystemExit, match=r"does not exist; write it [(]see --help[)], or"):
+        play_mujoco.described(tmp_path / "none.yaml", ["left", "right"], "payload")
 
 
 def test_the_controller_in_mujoco_has_the_same_inertia_at_an_end_of_travel(tmp_path: Path) -> None:
