@@ -24,6 +24,9 @@ from gtau.signals.reading.statements import masses_in_name
         ("loaded_1.200,5g.csv", (0.2005, 1.2005)),
         ("１．２kg.csv", (1.2,)),
         ("loaded_1,5kg.csv", (1.5,)),
+        ("loaded1_1.5kg.csv", (1.5,)),  # log 1
+        ("load1-1p5kg.csv", (1.5,)),
+        ("load_1.1.5kg.csv", (1.5, 5.0)),
         ("load_1p5kg.csv", (1.5,)),
         ("load_1,500g.csv", (1.5,)),  # no payload has 1.5 g
         ("run_003_5 Kg.csv", (5.0,)),  # no decimal number begins with 003
@@ -70,6 +73,7 @@ def test_a_name_with_two_readings_is_asked_about(tmp_path: Path, monkeypatch: py
     robot = ["--robot", "five-bar"]
     shown = CliRunner().invoke(app, ["init", str(log), *robot]).output
     assert shown.split("marked CHECK:")[1].strip().startswith("- write the payload masses")
+    assert "confirm the payload masses" not in shown
     assert "mass: 1.5 or 5}  # CHECK: write one of them" in Path("experiment.yaml").read_text()
     assert "'1.5 or 5' is not a number" in CliRunner().invoke(app, ["check", "experiment.yaml"]).output
     refused = CliRunner().invoke(app, ["check", str(log), *robot])

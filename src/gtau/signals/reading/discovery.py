@@ -185,10 +185,10 @@ def _open_points(draft: Draft, by_name: bool) -> dict[str, str]:
         for key, by_joint in units.items()
     ]
     computed = ": they are a straight line of the currents, from which they may be computed" * unused.computed
-    several = any(len(masses) > 1 for masses in draft.payloads.values())
+    readings = {len(masses) for masses in draft.payloads.values()}
     points = {
-        "masses": (several, ""),
-        "mass": (draft.payloads, ""),
+        "masses": (readings - {1}, ""),
+        "mass": (1 in readings, ""),
         "robot": ("file" not in draft.robot, ""),
         "unmatched": (unused.moving and "joints" in draft.robot, ""),
         "counts": (not all(known), f"the log gives counts, shares or unknown units ({', '.join(written)})"),

@@ -363,7 +363,7 @@ def _readings(match: re.Match[str]) -> list[float]:
         texts.append(integer + last)  # thousands of grams
     if before[-3:-2] in ([","], ["."]) and len(integer) == 3:
         texts.append(f"{before[-4]}{integer}.{last}")  # 1.200,5
-    if separator not in DECIMAL or len(before) > 2:
+    if separator not in DECIMAL or (len(before) > 2 and before[-3] in DECIMAL):
         texts.append(last)
     if match["point"] and not integer:
         texts.append(f"0.{last}")
