@@ -154,7 +154,7 @@ def test_frames_that_are_refused(tmp_path: Path, frame: str, sentence: str) -> N
     (tmp_path / "two.urdf").write_text(URDF)
     with pytest.raises(GtauError, match=sentence):
         frame_on("elbow", frame, tmp_path / "two.urdf")
-    with pytest.raises(GtauError, match=r"only a URDF has"):
+    with pytest.raises(GtauError, match=r"only a URDF has; name the URDF [(]--robot, or --experiment"):
         frame_on("elbow", "tool0", "ur10e")
 
 

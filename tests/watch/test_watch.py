@@ -452,6 +452,8 @@ def test_the_command(folder: Path, tmp_path: Path) -> None:
     empty.write_text("")
     for words in (("--reset", "2026-01-01"), ("--forget", "x"), ("--forget", "x", str(logs[0]))):
         assert "SN1 holds no history to act on; give the folder of a watched robot by --out." in call(*words).stderr
+    none = CliRunner().invoke(app, ["watch", str(tmp_path)])
+    assert "holds a history; give the folder above those given as --out." in none.stderr
     assert "the model knows no payload 'gold'" in call(str(logs[0]), "--carries", "gold").stderr
     assert not (tmp_path / "fleet").exists()
     first = call(*map(str, [*logs[5::-1], empty]), "--json", "--baseline", "4")  # in any order

@@ -100,7 +100,7 @@ PayloadFrame = Annotated[
 ]
 Controller = Annotated[str | None, option("CONTROLLER", f"Also write for a controller: {CONTROLLERS}.")]
 WeighingFolder = Annotated[
-    Path | None, option("DIR", "Folder for report.html and files of --to. Default: payload with --to, else no files.")
+    Path | None, option("DIR", "Folder for report.html and files of --to. Default: payload with --to, else no report.")
 ]
 
 

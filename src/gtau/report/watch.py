@@ -240,7 +240,7 @@ def fleet_lines(folder: Path) -> list[dict[str, str]]:
         line |= {"state": state_of(alarm, events, count >= settings.baseline), "what": what}
         lines.append({**line, "since": alarm.date[:10] if alarm else "", "last log": last[:10]})
     if not lines:
-        raise GtauError(f"no folder in {folder} holds a history; give a folder of folders given as --out.")
+        raise GtauError(f"no folder in {folder} holds a history; give the folder above those given as --out.")
     return sorted(lines, key=lambda line: (STATES.index(line["state"]), line["since"]))
 
 

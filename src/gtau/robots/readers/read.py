@@ -241,8 +241,8 @@ def links_on(body: str, file: str | Path) -> list[str]:
 def _link(body: str, link: str, file: str | Path | None) -> Placement:
     if file is None or Path(file).suffix.lower() != ".urdf":
         raise GtauError(
-            f"frame '{link}' is the name of a link, which only a URDF has; give the URDF, or the frame as 'x y z roll "
-            f"pitch yaw' (m, rad) from the frame of '{body}'."
+            f"frame '{link}' is the name of a link, which only a URDF has; name the URDF (--robot, or --experiment of "
+            f"gtau use), or write the frame as 'x y z roll pitch yaw' (m, rad) from the frame of '{body}'."
         )
     from gtau.robots.readers.urdf_tree import read_urdf_tree
 
