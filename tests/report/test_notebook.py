@@ -58,6 +58,7 @@ def test_results_show_themselves(result: gtau.Result, folder: Path) -> None:
     prediction = Frame(html(result.predict(result.data[0]))).page
     assert prediction.count('class="chart"') == 4  # torques and residuals
     assert "uPlot=" in prediction
+    assert """new Intl.NumberFormat(_?"en-US":"en-US")""" in prediction  # whatever the browser's language is called
     assert "9.9" in Frame(html(check(folder / "experiment.yaml"))).page  # s of every log
     payload = Frame(html(result.payloads[0])).page
     assert "Payload &#39;steel&#39;" in payload

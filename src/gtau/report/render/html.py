@@ -50,7 +50,8 @@ def html(page: Page, embedded: bool = False) -> str:
     """Render a page as HTML; an ``embedded`` page goes into a frame of a notebook."""
     arrays = arrays_for(page.sections)
     live = next(live_charts(page.sections), None) is not None
-    scripts = [asset("uPlot.iife.min.js")] if live else []
+    # numbers as in the text: a browser may also name a language that is none, such as en-US@posix
+    scripts = [asset("uPlot.iife.min.js").replace("k.language", '"en-US"')] if live else []
     scripts += [asset("report.js")] if live or not embedded else []
     scripts += [FIT] if embedded else []
     digests = (b64encode(sha256(script.encode()).digest()).decode() for script in scripts)
