@@ -134,7 +134,7 @@ LOGS = [
     ),
     Case(
         "decimal commas between commas",
-        "line 2 has 10 columns where the header in line 1 has 5",
+        "line 2 has 10 columns where the header in line 1 has 5, as where decimal commas stand between commas",
         lines(lambda x: [x[0], *(row.replace(".", ",") for row in x[1:])]),
     ),
     Case("backwards", "so time does not advance; give the time column", lines(lambda x: [x[0], *x[:0:-1]])),
@@ -156,7 +156,7 @@ LOGS = [
         "free.csv: there is no column 't'; the columns are temps écoulé, q1, q2, v1, v2.",
         {"free.csv": lambda text: text.replace("t,", "temps \xe9coul\xe9,").encode("latin-1")},
     ),
-    Case("UTF-16", "free.csv is text in UTF-16; save it as UTF-8", {"free.csv": lambda text: text.encode("utf-16")}),
+    Case("UTF-16", "free.csv: the log is text in UTF-16; save", {"free.csv": lambda text: text.encode("utf-16")}),
     Case(
         "no Parquet",
         "is not a readable Parquet file",

@@ -55,9 +55,13 @@ def open_text(path: Path) -> LogTable:
     if "\ufffd" in "".join(fields[row if header is None else header]):
         raise GtauError(f"{path} is not a text file; give a log as CSV or as .parquet.")
     if header is not None and any(fields[row][len(fields[header]) :]):
+        twice = separator == "," and width == 2 * len(fields[header])
+        advice = "write decimal points" if twice else "correct the line (a header must name every column)"
+        decimal = ", as where decimal commas stand between commas" * twice
         raise GtauError(
-            f"{path}, line {row + 1} has {width} columns where the header in line {header + 1} has "
-            f"{len(fields[header])}; correct the line (a header must name every column)."
+            f"line {row + 1} has {width} columns where the header in line {header + 1} has {len(fields[header])}"
+            f"{decimal}; {advice}.",
+            source=path,
         )
 
     titles = [k for k in range(begin if header is None else header, begin) if len(fields[k]) == width]
@@ -127,7 +131,7 @@ def _first_lines(path: Path) -> tuple[list[bytes], int]:
     with _opened(path) as (file, _):
         head = file.read(1 << 12)
         if head.startswith((b"\xff\xfe", b"\xfe\xff")) and head.count(0) > 0.3 * len(head):
-            raise GtauError(f"{path} is text in UTF-16; save it as UTF-8 (in Excel: 'CSV UTF-8').")
+            raise GtauError("the log is text in UTF-16; save it as UTF-8 (in Excel: 'CSV UTF-8').", source=path)
         if head.count(b"\r") > ROWS_ALIKE and b"\n" not in head:
             raise GtauError(
                 f"{path} ends its lines with carriage returns alone; save it with line feeds ('Unix' or 'PC')."
