@@ -209,7 +209,8 @@ def test_from_an_empty_page_to_a_weighed_payload(project, chromium, tutorial):
     hand.sees("2 driven joints")
     hand.drop(1, *(tutorial / log for log in LOGS))
     hand.press("button", "Draft")
-    hand.sees("Check the logs")
+    hand.press("button", "Check the logs")
+    hand.sees("The logs were checked, without findings.")
     hand.press("button", "Identify")
     hand.sees("Weigh it")
     gains = json.loads((project.folder / "result" / "model.json").read_text())["drive_gains"]

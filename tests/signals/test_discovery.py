@@ -260,7 +260,7 @@ def test_the_drafted_file_identifies(tmp_path: Path, monkeypatch: pytest.MonkeyP
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     assert "Then: gtau check e.yaml" in done.output
-    assert "CHECK: kg, from the file name" in (tmp_path / "e.yaml").read_text()
+    assert "CHECK: kg, from the name " in (tmp_path / "e.yaml").read_text()
     gains = {joint: gain.value for joint, gain in identify("e.yaml").drive_gains.items()}
     assert gains == pytest.approx(dict(zip(("left", "right"), GAINS, strict=True)), rel=0.01)
     again = CliRunner().invoke(app, command)

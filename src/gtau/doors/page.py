@@ -190,7 +190,9 @@ class Cards:
             others = [finding for finding in findings if not any(about(finding, entry) for entry in project.runs())]
             self.show_findings(others)
             self.button("Check the logs", lambda: self.command("check", project.file.name, "--out", "check"))
-            refusal_of(project.answers.get("check"))
+            refusal_of(checked := project.answers.get("check"))
+            if checked is not None and not (checked.refusal or findings):
+                ui.label("The logs were checked, without findings.").classes("text-positive")
 
     def edit(self, change: Callable[[Any], None], field: Any, *event: Any) -> None:
         """Write the value of a field to the experiment file."""

@@ -271,7 +271,7 @@ def _payload(draft: Draft, log: Path) -> list[str]:
         return []
     mass, *more = draft.payloads[log]
     entry: dict[str, Any] = {"name": draft.names.get(drafted_name(mass), drafted_name(mass)), "mass": mass}
-    doubt = f"{CHECK}kg, from the file name"
+    doubt = f"{CHECK}kg, from the name {log.name}"
     if more:
         entry = {"name": "load", "mass": alternatives(draft.payloads[log])}
         doubt = f"{CHECK}write one of them, kg; without a payload remove this line"
