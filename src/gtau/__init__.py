@@ -18,15 +18,12 @@ _CALLS = dict.fromkeys(("load_urdf", "buildModelFromUrdf"), "gtau.load_robot('ar
 
 
 def __getattr__(name: str) -> object:
-    try:
-        return _first_used(name)
-    except AttributeError:
+    if name not in __all__:
         from gtau.errors import OtherSpelling, meant
 
-        hint = f"did you mean {_CALLS[name]}?" if name in _CALLS else meant(name, __all__)
-        if not hint or name in __all__:
-            raise
-        raise OtherSpelling(f"gtau has no '{name}'; {hint}") from None
+        if hint := f"did you mean {_CALLS[name]}?" if name in _CALLS else meant(name, __all__):
+            raise OtherSpelling(f"gtau has no '{name}'; {hint}")
+    return _first_used(name)
 
 
 if (_ipython := sys.modules.get("IPython")) and (_shell := _ipython.get_ipython()):

@@ -23,7 +23,7 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.reading.statements import Payload, Prior, as_payload
 from gtau.signals.run import Run
 from gtau.uses import identified, identify as uses
-from gtau.uses.identify import draft, words_of_python
+from gtau.uses.identify import draft
 from gtau.uses.prediction import Prediction, predict, torques, validate
 
 if TYPE_CHECKING:
@@ -218,7 +218,6 @@ def load(path: str | Path) -> Result:
 
 
 @takes(method=TEXT, ratio=NUMBER, as_paper=TRUTH, consistent=TRUTH, accuracy=NUMBER, **OF_ALL)
-@words_of_python()
 def identify(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
@@ -309,7 +308,6 @@ class ExperimentCheck(check_logs.CheckedExperiment):
 
 
 @takes(method=TEXT, **OF_ALL)
-@words_of_python()
 def check(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,
@@ -344,7 +342,6 @@ def check(
 
 
 @takes(**OF_ALL)
-@words_of_python()
 def compare(
     source: str | Path | Experiment | Robot | Sequence[str | Path],
     runs: Sequence[Run] | None = None,

@@ -75,8 +75,6 @@ def test_a_name_that_is_not_there_is_answered_with_those_that_are(result: gtau.R
     for other, meant in (("drive_gain", "'drive_gains'"), ("to_dict", "result.to_frame()")):
         with pytest.raises(AttributeError, match=re.escape(f"a Result has no '{other}'; did you mean {meant}")):
             getattr(result, other)
-    with pytest.raises(gtau.GtauError, match=r"\(payload=\{'LOG': KG\} with logs\), .*, or use method='wls' with"):
-        gtau.identify(gtau.load_robot("five-bar"), [Plant().run("free")])
     with pytest.raises(gtau.GtauError, match="write 'all' or 'inertial'"):
         gtau.InverseDynamics(gtau.load_robot("five-bar"), "some")
 

@@ -356,7 +356,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     (
         "tab",
         "robot: r\njoints:\n\tj: 1\n",
-        ", line 3: this is not valid YAML: a tab stands where only spaces may; indent with spaces.",
+        ", line 3: this is not valid YAML: a tab or a special character begins it; indent with spaces,",
     ),
     ("indentation", "robot: r\n  name: a\n", ", line 2: this is not valid YAML: a key stands deeper than"),
     ("control characters", "robot: r\x01\n", " holds control characters; save it as plain text."),
@@ -438,7 +438,7 @@ BAD_FILES: list[tuple[str, str | bytes, str]] = [
     (
         "joint is text",
         good(JOINT, "revolute"),
-        ", line 4, joints.j: write 'key: value' lines under it, not 'revolute'.",
+        ", line 4, joints.j: write 'key: value' lines under it, not 'revolute'; its keys are ",
     ),
     ("joints is a list", "robot: r\njoints: [j]\n", ", line 2, joints: write 'key: value' lines under it, not a list."),
     ("name is a list", good("robot: r", "robot: [r]"), ", line 1, robot: write a single value, not a list."),

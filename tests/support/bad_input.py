@@ -134,7 +134,7 @@ LOGS = [
     ),
     Case(
         "decimal commas between commas",
-        "line 2 has 10 columns where the header in line 1 has 5, as where decimal commas stand between commas",
+        "line 2 has 10 columns where the header in line 1 has 5; correct the line (a header must name every column,",
         lines(lambda x: [x[0], *(row.replace(".", ",") for row in x[1:])]),
     ),
     Case("backwards", "so time does not advance; give the time column", lines(lambda x: [x[0], *x[:0:-1]])),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -121,7 +121,7 @@ def init(
     if base is not None and robot is None:
         raise GtauError("--base places a robot; also give --robot ROBOT.")
     known = stated.stated()
-    with skeleton_if_unrecognised(logs, robot, known.masses, out):
+    with skeleton_if_unrecognised(logs, robot, known, out):
         draft = draft_logs(logs, robot, base_choice(base), known)
     write_draft(draft, out)
     open_ = [QUESTIONS[key] for key in draft.open]
@@ -212,12 +212,10 @@ def experiment_of(
     if model is not None:
         robots = robots if stated.robot else _beside(file, model.robot)
     known = stated.stated(None if model is None else model.kind)  # type: ignore[arg-type]
-    with robots as robot, skeleton_if_unrecognised(sources, robot, known.masses, file):
+    with robots as robot, skeleton_if_unrecognised(sources, robot, known, file):
         draft = drafted(sources, robot, known, weigh, model)
         write_draft(draft, file)
-    held = (
-        f", whose columns {', '.join(draft.unused.moving)} move and are not used" if "unmatched" in draft.open else ""
-    )
+    held = f", whose columns {', '.join(draft.unused.moving)} move and are not used" * ("unmatched" in draft.open)
     typer.echo(tidy(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}{held}."), err=True)
     return file, guesses(draft, file)
 
@@ -239,9 +237,7 @@ def _beside(file: Path, robot: Robot) -> Iterator[str]:
 
 
 @contextmanager
-def skeleton_if_unrecognised(
-    logs: list[Path], robot: str | None, masses: Mapping[str, float], file: Path
-) -> Iterator[None]:
+def skeleton_if_unrecognised(logs: list[Path], robot: str | None, known: Stated, file: Path) -> Iterator[None]:
     """Write an experiment file without columns where none are recognised, and say so in the refusal."""
     from gtau.signals.reading.discovery import NoColumns
 
@@ -250,7 +246,7 @@ def skeleton_if_unrecognised(
     except NoColumns as refusal:
         from gtau.signals.reading.drafting import write_skeleton
 
-        write_skeleton(logs, robot, masses, folder_of(file.parent) / file.name)
+        write_skeleton(logs, robot, known.masses, folder_of(file.parent) / file.name)
         written = f"{file} is written with all but these columns"
         raise GtauError(f"{refusal.sentence.rstrip('.')}; {written}.", source=refusal.source) from None
 

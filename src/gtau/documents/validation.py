@@ -77,7 +77,8 @@ def validate(model_class: type[Model], document: Document, context: Any = None) 
         case "missing", _:
             keys, problem = _missing(location, errors, document.data)
         case _:
-            problem = _sentence(error)
+            choices = _fields(model_class, keys) if error["type"] == "model_type" else set()
+            problem = _sentence(error) + f"; its keys are {', '.join(sorted(choices))}" * bool(choices)
     raise document.error(keys, problem)
 
 

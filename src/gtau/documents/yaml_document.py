@@ -69,8 +69,6 @@ class Document:
             mark = error.problem_mark or error.context_mark
             line = f", line {mark.line + 1}" if mark else ""
             reported = " ".join(filter(None, (error.context, error.problem)))
-            if mark and text[mark.index :].startswith("\t"):  # libyaml does not say so
-                reported = TAB
             known = (sentence for part, sentence in SYNTAX if part in reported)
             problem = next(known, f"{reported}; correct the line")
             raise GtauError(f"{self.path}{line}: this is not valid YAML: {problem}.") from None
@@ -147,10 +145,8 @@ def read_yaml(path: str | Path) -> Document:
     return Document(path, text)
 
 
-TAB = "found character '\\t'"
 SYNTAX = (
-    (TAB, "a tab stands where only spaces may; indent with spaces"),
-    ("that cannot start any token", "a value that begins with a special character must be quoted; write it in '...'"),
+    ("that cannot start any token", "a tab or a special character begins it; indent with spaces, or quote a value"),
     ("mapping values are not allowed", "a key stands deeper than the one above, or a value has ':'; align or quote it"),
     ("could not find expected ':'", "a line has no 'key: value'; add the colon, or indent it as the lines above"),
     ("expected ',' or", "a bracket or brace is not closed, or a comma is missing; add it"),

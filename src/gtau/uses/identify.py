@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -177,20 +176,10 @@ DRAFTED = Path("the draft")
 ARGUMENTS = {
     r"--(position|current|torque|time)\b": r"gtau.draft(..., columns={'\1': ...})",
     r"--kind (\w+)": r"gtau.draft(..., kind='\1')",
-    r"--method (\w+)": r"method='\1'",
     r"--payload (\S.*?)=([\d.]+|KG)": r"payload={'\1': \2}",
     r"--(\w+) ([A-Z]+)\b": r"\1='\2'",
     r"--(\w+)": r"\1=",
-}  # by the options that sentences name
-
-
-@contextmanager
-def words_of_python() -> Iterator[None]:
-    """Name arguments in Python in place of options of the command line in the sentences of errors."""
-    try:
-        yield
-    except GtauError as error:
-        raise type(error)(in_python(error.sentence), error.source) from None
+}  # by the options that sentences on drafts name
 
 
 def drafted(
@@ -247,7 +236,6 @@ def _names(model: IdentifiedModel) -> dict[str, str]:
 
 
 @takes(logs=NAMES, robot=PATH, payload=MASSES, preset=TEXT, columns=MAPPING, kind=TEXT)
-@words_of_python()
 def draft(
     logs: Sequence[str | Path],
     robot: str | Path | None = None,
@@ -302,7 +290,10 @@ def draft(
             raise GtauError(f"'columns' has the key '{signal}'; choose from {', '.join(KINDS)}.")
     paths = [Path(log) for log in logs]
     name = None if robot is None else str(robot)
-    made = drafted(paths, name, Stated(payload or {}, kind, preset, columns))  # type: ignore[arg-type]
+    try:
+        made = drafted(paths, name, Stated(payload or {}, kind, preset, columns))  # type: ignore[arg-type]
+    except GtauError as error:
+        raise type(error)(in_python(error.sentence), error.source) from None
     if made.urdf is not None:
         raise GtauError(f"{paths[0]} holds its robot, which is written beside a draft; run 'gtau init {paths[0]} ...'.")
     text = draft_text(made, HERE)

@@ -151,10 +151,6 @@ def _method(name: str) -> str:
     return name
 
 
-def _recording(recording: Recording) -> dict[str, Any]:
-    return recording.model_dump(mode="json", exclude_defaults=True)
-
-
 def _statistics(figures: dict[str, float]) -> dict[str, float]:
     if "lack_of_fit" not in figures:
         raise ValueError("'lack_of_fit' is missing")
@@ -168,6 +164,7 @@ _Joint = Annotated[
 _ByName = Annotated[tuple[_Estimate, ...], AfterValidator(_by_name)]
 _ByParameter = Annotated[_ByName, AfterValidator(_by_parameter)]
 _TorqueError = Annotated[TorqueError, _with("relative", "relative_all", "relative_raw")]
+_Recording = Annotated[Recording, PlainSerializer(lambda kept: kept.model_dump(mode="json", exclude_defaults=True))]
 NoteEntry = Annotated[Finding, _entry(read_note), PlainSerializer(note_document)]
 
 
@@ -274,7 +271,7 @@ class ModelDocument(_Group):
     requirements: tuple[Annotated[Requirement, _with("met")], ...] = ()
     effects: tuple[Annotated[EstimatedEffect, PlainSerializer(_effect)], ...]
     singularities: tuple[NearestPose, ...]
-    recording: Annotated[Recording, PlainSerializer(_recording)] | None = None
+    recording: _Recording | None = None
     temperatures: ReferenceTemperatures | None = None
     geometry: Annotated[GeometryTest, _entry(from_document), PlainSerializer(geometry_document)] | None = None
     audit: Annotated[InertiaAudit, _with("stated_error", "identified_error")] | None = None

@@ -85,8 +85,7 @@ class ColumnName:
 
     def names_joint(self, joints: Sequence[str]) -> bool:
         """Return whether it names a joint and no signal: one of the ``joints`` or, after ``axis`` or alike, any."""
-        bare = self.kind is None and BARE.fullmatch(self.stem) is not None
-        return bare and (self.stem != "#" or self.label in joints)
+        return self.kind is None and bool(BARE.fullmatch(self.stem)) and (self.stem != "#" or self.label in joints)
 
 
 def split_name(name: str, joints: Sequence[str], unit: str | None) -> tuple[str, str, WrittenUnit | None]:

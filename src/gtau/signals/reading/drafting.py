@@ -70,14 +70,9 @@ def draft_logs(logs: Sequence[Path], robot: str | None = None, base: Any = None,
     return with_masses(draft, _by_log(draft, stated.masses))
 
 
-def draft_as(
-    recording: Recording,
-    logs: Sequence[Path],
-    robot: str | None,
-    masses: Mapping[str, float],
-    reason: str = "as in the logs of the model",
-) -> Draft:
+def draft_as(recording: Recording, logs: Sequence[Path], robot: str | None, masses: Mapping[str, float]) -> Draft:
     """Draft an experiment from logs of a known recorder."""
+    reason = "as in the logs of the model"
     draft = Draft(
         logs=tuple((log,) for log in logs),
         signals=recording.signals,
@@ -166,8 +161,8 @@ def write_skeleton(logs: Sequence[Path], robot: str | None, masses: Mapping[str,
     names = [name for name in find_columns(logs[0]).columns if name]
     time = next((name for name in names if parse_column_name(name).kind == "time"), "COLUMN")
     recording = Recording(signals=Signals.model_construct(time=time, position=blank, current=blank))
-    draft = draft_as(recording, logs, robot, masses, "write the columns in place of COLUMN")
-    reasons = replace(draft.reasons, time="or {rate: HZ}", unit="assumed")
+    draft = draft_as(recording, logs, robot, masses)
+    reasons = Reasons("or {rate: HZ}", "write the columns in place of COLUMN", "assumed")
     open_ = dict.fromkeys([*["robot"] * (robot is None), "joints", "kind"], "")
     unused = Unused(others=tuple(name for name in names if name != time))
     write_draft(replace(draft, reasons=reasons, open=open_, unused=unused), file)
@@ -339,10 +334,9 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     taken = {log: draft.names.get(drafted_name(mass)) for log, mass in masses.items()}
     if known := [f"{log.name} '{name}'" for log, name in taken.items() if name]:
         notes.append((f"payloads of the model are taken for those of the same mass: {', '.join(known)}", ""))
-    other = {
-        log: read for log in draft.stated if (read := masses_in_name(log.name)) and not _rounded(masses[log], read)
-    }
-    if off := [f"{log.name} {masses[log]:g} kg, not {alternatives(read)}" for log, read in other.items()]:
+    read = {log: masses_in_name(log.name) for log in draft.stated}  # names round by up to 5 %
+    other = [log for log in read if read[log] and not any(isclose(masses[log], x, rel_tol=0.05) for x in read[log])]
+    if off := [f"{log.name} {masses[log]:g} kg, not {alternatives(read[log])}" for log in other]:
         notes.append((f"payload masses are taken as stated, against the file names: {', '.join(off)}", ""))
     for log, *_ in draft.logs:
         if episodes := find_columns(log).episodes:
@@ -359,11 +353,6 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     return tuple(
         Finding(DRAFT, text=text, advice=advice, grade=Grade.INFORMATION, source=str(file)) for text, advice in notes
     )
-
-
-def _rounded(mass: float, named: Sequence[float]) -> bool:
-    """Return whether a file name may state a mass, rounded to 5 %."""
-    return any(isclose(mass, read, rel_tol=0.05) for read in named)
 
 
 def _entry_of(robot: str, folder: Path) -> str:

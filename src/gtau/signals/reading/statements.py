@@ -98,16 +98,8 @@ def as_payload(payload: Payload | Mapping[str, Any] | str | float | None) -> Pay
     return None if payload is None else read_group(Payload, "payload", payload)
 
 
-def _carried(load: Any) -> Any:
-    """Read "payload: none", null or {} as None."""
-    if load in ("none", "null", {}):
-        return None
-    if isinstance(load, str):
-        raise ValueError(f"write a payload as '{{name: steel, mass: 1.5}}' (kg), or none, not '{load}'")
-    return load
-
-
-CarriedPayload = Annotated[Payload | None, BeforeValidator(_carried)]
+# None where a file says "payload: none", null or {}
+CarriedPayload = Annotated[Payload | None, BeforeValidator(lambda load: None if load in ("none", "null", {}) else load)]
 
 
 class Prior(Keys):

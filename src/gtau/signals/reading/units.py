@@ -99,10 +99,7 @@ def _registry() -> Any:
 
 
 def _checked(kind: Kind, quantity: str = "", shares: bool = False) -> AfterValidator:
-    """Make the validator of units of a kind and, for positions, of a ``quantity``; ``shares`` may be allowed.
-
-    A common unit gets its name in ``COMMON``, as checks compare units by name.
-    """
+    """Make the validator of units of a kind and, for positions, of a ``quantity``; ``shares`` may be allowed."""
 
     def checked(text: str) -> str:
         if shares and text in SHARES:
@@ -110,6 +107,7 @@ def _checked(kind: Kind, quantity: str = "", shares: bool = False) -> AfterValid
         measures, factor = _measured(text, kind)
         if quantity and measures != quantity:
             raise ValueError(f"'{text}' is not a unit of {quantity}; write {' or '.join(COMMON[quantity])}")
+        # by its name in COMMON, as checks compare names
         return next((unit for unit, size in COMMON[measures].items() if math.isclose(size, factor)), text)
 
     return AfterValidator(checked)

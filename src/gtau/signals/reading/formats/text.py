@@ -55,12 +55,9 @@ def open_text(path: Path) -> LogTable:
     if "\ufffd" in "".join(fields[row if header is None else header]):
         raise GtauError(f"{path} is not a text file; give a log as CSV or as .parquet.")
     if header is not None and any(fields[row][len(fields[header]) :]):
-        twice = separator == "," and width == 2 * len(fields[header])
-        advice = "write decimal points" if twice else "correct the line (a header must name every column)"
-        decimal = ", as where decimal commas stand between commas" * twice
         raise GtauError(
-            f"line {row + 1} has {width} columns where the header in line {header + 1} has {len(fields[header])}"
-            f"{decimal}; {advice}.",
+            f"line {row + 1} has {width} columns where the header in line {header + 1} has {len(fields[header])}; "
+            "correct the line (a header must name every column, and a decimal comma between commas makes two of one).",
             source=path,
         )
 
