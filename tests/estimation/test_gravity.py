@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -109,6 +110,19 @@ def test_gravity_is_not_missing_where_the_logs_contradict_it() -> None:
     without = found(robot, logged(robot, (0.0, 0.0, 0.0), currents=True), missing=True)
     assert without is not None
     assert without.cause.values["remains"] < 0.1
+
+
+@pytest.mark.parametrize("degrees", [10.0, 17.0, 30.0])
+def test_a_zero_of_the_first_joint_is_told_beside_the_tilt_that_it_equals(degrees: float) -> None:
+    """Within the range of linear columns and beyond it, no gain is good."""
+    robot = replace(scara(), gravity=(0.0, -G, 0.0))  # its first two axes are level
+    offset = np.radians(degrees) * np.array([1.0, 0.0, 0.0])
+    runs = [replace(run, position=run.position + offset) for run in logged(robot, robot.gravity, currents=True)]
+    result = identify(robot, runs)
+    assert not result.accepted
+    said = str(result.drive_gains["2"].verdict)
+    assert re.search(rf"{-degrees:.0f}(\.\d)? deg", said) or f"({degrees:.0f} deg)" in said
+    assert "in the zero of encoder '1'" in said
 
 
 def test_a_direction_between_the_axes() -> None:

@@ -26,7 +26,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import contradiction, motors, unexplained_shares
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.effects.estimate import estimate_effects
+from gtau.estimation.effects.estimate import contradictions, estimate_effects
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
@@ -92,9 +92,12 @@ def explained_joints(fit: Fit, other: Fit) -> tuple[str, ...]:
 
 
 def noise_beside_effects(fit: Fit) -> np.ndarray:
-    """Return the standard deviations of what all effects together leave of each channel, (c,); raises GtauError."""
+    """Return the standard deviations of what all effects together leave of each channel, (c,); raises GtauError.
+
+    A description beyond the range of its columns explains nothing.
+    """
     result = estimate_effects(fit)
-    if result is None:
+    if result is None or any(effect.beyond for effect in contradictions(result)):
         return fit.solution.sigma
     return result.rows.fit.solution.sigma * [noise.std for noise in result.mixed.model.noise]
 

@@ -185,6 +185,7 @@ def explained_share(part: EstimatedEffect) -> str:
     if part.unit:
         size = f"{percent(part.size)} of itself" if part.unit == RELATIVE else f"{part.size:z.2g} {part.unit}"
         size = f" (roughly {size})" if part.beyond else f" ({size})"
+    size += part.cause.values.get("as_likely", "")
     return f"{part.subject}{size} would explain {percent(part.share, '.0f')} of the residual variance"
 
 
@@ -205,8 +206,7 @@ def small_refutations(better: Effects, judged: Judged, accuracy: float) -> Itera
                 "description refuted, gains unmoved",
                 causes=(part.cause.kind,),
                 size=move / least,
-                text=f"{part.subject} would explain {percent(part.share, '.0f')} of the residual variance and move no "
-                f"gain by more than {percent(move)}",
+                text=f"{explained_share(part)} and move no gain by more than {percent(move)}",
                 advice=part.cause.advice,
                 shown_as="model",
             )

@@ -25,6 +25,7 @@ from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.findings import Finding, Grade, percent
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import BY_LOAD
+from gtau.robots.robot import Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REFUTED_SHARE = 0.05  # share of the residual variance that another gravity explains
@@ -163,7 +164,8 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
     values = {"gravity": gravity, "also": also, "left": unexplained}
     if any(gravity):
         along = " or ".join(map(_direction, [gravity, *also]))
-        text = f"gravity along {along} of the {'world' if floating else 'base'}{rest}"
+        zero = "" if floating or also else _zero_of_first_joint(unaltered.dataset.robot, np.array(gravity))
+        text = f"gravity along {along} of the {'world' if floating else 'base'}{zero}{rest}"
         advice = gravity_advice(gravity, floating)
         cause = Finding(OTHER_GRAVITY, tuple(unexplained), values=values, text=text, advice=advice)
     else:
@@ -172,12 +174,27 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
     return described_otherwise(GRAVITY.name, cause, other, unaltered)
 
 
+def _zero_of_first_joint(robot: Robot, gravity: np.ndarray) -> str:
+    """Say by which zero of the joint at the base, if by any, the robot moves as with another gravity."""
+    first, declared = robot.joints[0], np.array(robot.gravity)
+    axis = np.array(first.placement.rotation) @ np.array(first.axis)
+    turn = np.cross(gravity, declared)
+    if (
+        first.name not in robot.motors
+        or not first.turns
+        or np.linalg.norm(np.cross(turn, axis)) > 0.05 * abs(turn @ axis)
+    ):
+        return ""
+    angle = np.sign(turn @ axis) * _degrees(gravity, declared)
+    return f", or as likely an error of {angle:.3g} deg in the zero of encoder '{first.name}'"
+
+
 def gravity_advice(gravity: Sequence[float], floating: bool) -> str:
     """Advise what to write in the robot file, or beside its name, for a robot with this gravity."""
     how = "how the world axes lie" if floating else "how the base is mounted"
     written = ", ".join(f"{round(component, 3) + 0.0:.4g}" for component in gravity)
     x, y, z = gravity
-    roll = atan2(-y, -z) if round(hypot(y, z), 3) else 0.0
+    roll = (atan2(-y, -z) if round(hypot(y, z), 3) else 0.0) + 0.0
     rpy = f"{roll:.4g}, {asin(x / hypot(x, y, z)) + 0.0:.4g}, 0"
     turned = f"or 'base: {{rpy: [{rpy}]}}' beside its 'file' in the experiment file"
     if floating:

@@ -147,6 +147,8 @@ def estimate_effects(fit: Fit) -> Mixed | None:
         if not NONLINEAR < float(np.max(np.abs(gains / before - 1))) < FAR:
             break
         solution = finish(fit.system.problem, values, weights_of(fit), fit.free_gains)
+        # weighted as before: without the effects beside them, the values moved leave larger residuals
+        solution = replace(solution, sigma=fit.solution.sigma)
         again = effects_beside(replace(fit, solution=solution), mixed.mixed)
         mixed = again and replace(again, fit=fit)
     return mixed
@@ -267,7 +269,8 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
             other, other_column = listed[alike[0]][:2]
             other_size = float(remaining[alike[0]] / curvature[alike[0]] * other_column.plausible)
             also, _ = other.say(result.rows.fit, other_column, other_size)
-            cause = replace(cause, text=f"{cause.text}, or as likely {also}")
+            said = f", or as likely {also} ({other_size:z.2g} {other_column.unit})"
+            cause = replace(cause, values={"as_likely": said})
         likelihood, beyond = float(gains[best]), abs(size) > column.largest
         effects.append(
             EstimatedEffect(effect.name, cause, size, std, column.unit, likelihood, share, moves, True, beyond)
