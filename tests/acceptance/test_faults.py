@@ -135,7 +135,7 @@ FAULTS: dict[str, tuple[Fault, Grade, set[str]]] = {
     "a sign flipped in one run": (
         lambda runs: (ROBOT, only(runs, 0, lambda run: command(run, [0, 1, 2], (1, -1, 1)))),
         Grade.CONTRADICTORY,
-        {"unexplained current"},
+        {"odd run"},
     ),
     "all signs flipped": (
         lambda runs: (ROBOT, [command(run, [0, 1, 2], (-1, -1, -1)) for run in runs]),
