@@ -9,7 +9,7 @@ a linear test points anywhere: the robot is fitted again.
 - With payloads on another body.
 - With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
   contradicts the others. All reversed explain the same, with negative masses.
-- Without one of the runs: where the others agree, it is told what that run's currents are of those they predict.
+- Without one of the runs: where the others agree, they predict its currents, which may have another sign or unit.
 - With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
   preceding one, and its motor stands there. Fanuc, ABB and palletisers log ``J2 + J3`` as J3. The motor becomes a joint
   of its own, coupled to both.

@@ -179,11 +179,8 @@ def _zero_of_first_joint(robot: Robot, gravity: np.ndarray) -> str:
     first, declared = robot.joints[0], np.array(robot.gravity)
     axis = np.array(first.placement.rotation) @ np.array(first.axis)
     turn = np.cross(gravity, declared)
-    if (
-        first.name not in robot.motors
-        or not first.turns
-        or np.linalg.norm(np.cross(turn, axis)) > 0.05 * abs(turn @ axis)
-    ):
+    level = np.isclose(abs(turn @ axis), np.linalg.norm(turn), rtol=1e-3)
+    if first.name not in robot.motors or not first.turns or not level:
         return ""
     angle = np.sign(turn @ axis) * _degrees(gravity, declared)
     return f", or as likely an error of {angle:.3g} deg in the zero of encoder '{first.name}'"
