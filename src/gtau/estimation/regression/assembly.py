@@ -177,11 +177,6 @@ def _own_block(base: BaseParameters, names: tuple[Parameter, ...]) -> ColumnBloc
     return ColumnBlock(names, columns)
 
 
-def unknown_names(blocks: Sequence[ColumnBlock]) -> tuple[Parameter, ...]:
-    """List the unknown parameters of the effects, the theta of the problem."""
-    return tuple(name for block in blocks for name in block.names if name not in block.stated)
-
-
 def column_map(
     blocks: Sequence[ColumnBlock], run: int, channel: Channel, above: np.ndarray | float = 0.0
 ) -> np.ndarray:
@@ -248,8 +243,6 @@ def temperatures_of(prepared: PreparedRuns) -> Temperatures | None:
     return Temperatures(by_joint, tuple(differences), logged[0].unit, tuple(prepared))
 
 
-RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
-ROUNDING = 1e-12  # of the size of a body's parameter: less is rounding of the file's frames
 FEWEST_ROWS = 50  # of a joint, in all runs together
 
 
@@ -289,7 +282,7 @@ def assemble_problem(
     if not filled.all():
         along, rows, clusters = along[filled], rows[filled], clusters[filled]
     return Problem(
-        unknown_names(effects),
+        tuple(name for effect in effects for name in effect.names if name not in effect.stated),
         tuple(channels),
         along,
         rows,

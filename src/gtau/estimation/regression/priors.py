@@ -153,8 +153,22 @@ def known_equations(
     free of the latter. ``parameters`` are theta, the base parameters first; bounds are not used here. Raises GtauError
     where a prior names no parameter.
     """
-    standard_rows = _standard_equations(base, standard, len(parameters), priors)
-    return np.vstack([standard_rows, theta_equations(base, standard, parameters, priors)])
+    named = theta_equations(base, standard, parameters, priors)
+    stated = {name: prior for name, prior in priors.items() if name in standard and prior.value is not None}
+    known = np.array([name in stated for name in standard])
+    if not known.any():
+        return named
+    values = np.array([stated[name].value for name in standard if name in stated], dtype=float)
+    spread = np.array([stated[name].std for name in standard if name in stated], dtype=float)
+    U = base.matrix[:, ~known & base.matrix.any(axis=0)]
+    vectors, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
+    P = vectors[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
+    S = P @ base.matrix[:, known]  # P chi = S x of the known x
+    L = np.linalg.cholesky((S * spread) @ (S * spread).T) if len(P) else np.zeros((0, 0))
+    rows = np.zeros((len(P), named.shape[1]))
+    rows[:, : base.count] = np.linalg.solve(L, P)
+    rows[:, -1] = np.linalg.solve(L, S @ values)
+    return np.vstack([rows, named])
 
 
 def theta_equations(
@@ -174,27 +188,6 @@ def theta_equations(
             row[-1] = prior.value / prior.std
             rows.append(row)
     return np.reshape(rows, (-1, len(parameters) + 1))
-
-
-def _standard_equations(
-    base: BaseParameters, standard: Sequence[str], n_theta: int, priors: Mapping[str, Prior]
-) -> np.ndarray:
-    stated = {name: prior for name, prior in priors.items() if name in standard and prior.value is not None}
-    known = np.array([name in stated for name in standard])
-    if not known.any():
-        return np.zeros((0, n_theta + 1))
-    values = np.array([stated[name].value for name in standard if name in stated], dtype=float)
-    spread = np.array([stated[name].std for name in standard if name in stated], dtype=float)
-    lengths = np.linalg.norm(base.matrix, axis=0)
-    U = base.matrix[:, ~known & (lengths > 0)]
-    vectors, sizes, _ = np.linalg.svd(U / np.linalg.norm(U, axis=0))
-    P = vectors[:, int(np.count_nonzero(sizes > RANK * sizes.max(initial=0.0))) :].T  # P U = 0
-    S = P @ base.matrix[:, known]  # P chi = S x of the known x
-    L = np.linalg.cholesky((S * spread) @ (S * spread).T) if len(P) else np.zeros((0, 0))
-    rows = np.zeros((len(P), n_theta + 1))
-    rows[:, : base.count] = np.linalg.solve(L, P)
-    rows[:, -1] = np.linalg.solve(L, S @ values)
-    return rows
 
 
 def require_scale(

@@ -51,12 +51,6 @@ def column(kind: str, at: Sliding) -> Any:
     return FORMULAS[kind](at)
 
 
-def term_columns(speed: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Evaluate the columns (terms, n, N) of ``TERMS`` for joints that slide under the torques ``effort`` (n, N)."""
-    at = Sliding(speed, np.sign(speed), np.abs(effort))
-    return np.stack([FORMULAS[kind](at) for kind in TERMS])
-
-
 SHORT = 16384  # samples of a run that is prepared once: longer ones would fill the memory
 ALL_SAMPLES = 4096  # of a block that is not decimated
 FAST_SAMPLES = 1024  # of a block, before decimation: enough to amortise Python, and few enough to stay in the cache
@@ -122,7 +116,8 @@ def stream_rows(
         effort = currents[0, : len(qd)]
         if load is not None:
             effort = regressor.torques(entries, load, len(idm.actuated)) - external[0]
-        terms = term_columns(qd, effort)
+        sliding = Sliding(qd, np.sign(qd), np.abs(effort))
+        terms = np.stack([FORMULAS[kind](sliding) for kind in TERMS])
         yield Rows(
             window.time[kept],
             decimator.keep(window.usable, outputs).T,
@@ -241,7 +236,8 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
     the states (w, N).
     """
     step = np.sign(np.diff(q))
-    turns = np.flatnonzero(step[1:] * step[:-1] < 0) + 1 if step.all() else _turns(step)
+    moved = np.flatnonzero(step)  # at rest a path keeps the direction of its last step
+    turns = moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]
     edges = np.concatenate([[0], turns, [len(q) - 1]])
     states = np.empty((len(edges), len(widths)))
     states[0] = start
@@ -251,9 +247,3 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
     stretch = np.searchsorted(turns, np.arange(len(q)), side="right")
     way = (q - q[edges[stretch]]) / widths[:, None]
     return np.clip(states[stretch].T + way, -1.0, 1.0)
-
-
-def _turns(step: np.ndarray) -> np.ndarray:
-    """Find the reversals of a path that may rest: at rest it keeps the direction of its last step."""
-    moved = np.flatnonzero(step)
-    return moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]

@@ -62,13 +62,49 @@ class PreparedRuns(tuple[PreparedRun, ...]):
 
     @cached_property
     def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Place of each run among those that repeat its motion; see :func:`find_places`."""
-        return find_places(self)
+        """Group of each run among those that repeat its motion, (R,), and the group's begin and end, (R, 2).
+
+        These are the instants (s), by the clock of the run, at which the first run of the group begins to move and the
+        last one ends. Runs belong together where the rms difference of their positions after a shift in time, over the
+        rms of the motion, is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with
+        the first of every group. Runs in memory, which are synthetic, form groups of one.
+        """
+        numbers, spans = np.arange(len(self)), np.zeros((len(self), 2))
+        if not all(isinstance(run, PreparedRun) for run in self):
+            return numbers, spans
+        step, paths = _paths(self)
+        groups = list[list[tuple[int, float]]]()
+        for k, other in enumerate(self):
+            for members in groups:
+                one = members[0][0]
+                lag = _lag(paths[one], paths[k], self[one].moves | other.moves)
+                if lag is not None:
+                    members.append((k, float(other.time[0] - self[one].time[0] - lag * step)))
+                    break
+            else:
+                groups.append([(k, 0.0)])
+        for number, members in enumerate(groups):
+            # an instant t of the first run is t + shift by the clock of another
+            runs, shifts = (np.array(part) for part in zip(*members, strict=True))
+            ends = np.array([self[k].time[[0, -1]] for k in runs]) - shifts[:, None]
+            numbers[runs] = number
+            spans[runs] = np.array([ends[:, 0].min(), ends[:, 1].max()]) + shifts[:, None]
+        return numbers, spans
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, ...]:
-        """Edges of the blocks of each run, as shares of its samples, (BLOCKS + 1,)."""
-        return aligned_edges(self, *self.places)
+        """Edges of the blocks of each run, as shares (BLOCKS + 1,); at the same positions where motions repeat."""
+        cut, (groups, spans) = [], self.places
+        for run, group, (begin, _) in zip(self, groups, spans, strict=True):
+            members = np.flatnonzero(groups == group).tolist()
+            longest = max(members, key=lambda k: len(self[k]) / self[k].run.rate)
+            edges = block_edges(self[longest])
+            if self[longest] is not run:
+                time = self[longest].time
+                since = time[0] + edges[1:-1] * (time[-1] - time[0]) - spans[longest, 0]
+                edges[1:-1] = np.clip((begin + since - run.time[0]) / (run.time[-1] - run.time[0]), 0.0, 1.0)
+            cut.append(edges)
+        return tuple(cut)
 
     @cached_property
     def _windows(self) -> dict[int, Windows]:
@@ -79,52 +115,6 @@ class PreparedRuns(tuple[PreparedRun, ...]):
         if pieces not in self._windows:
             self._windows[pieces] = central_windows(self, pieces)
         return self._windows[pieces]
-
-
-def aligned_edges(prepared: Sequence[PreparedRun], groups: np.ndarray, spans: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Cut runs into blocks at shares (BLOCKS + 1,), at the same positions those that repeat a motion."""
-    cut = []
-    for run, group, (begin, _) in zip(prepared, groups, spans, strict=True):
-        members = np.flatnonzero(groups == group).tolist()
-        longest = max(members, key=lambda k: len(prepared[k]) / prepared[k].run.rate)
-        edges = block_edges(prepared[longest])
-        if prepared[longest] is not run:
-            time = prepared[longest].time
-            since = time[0] + edges[1:-1] * (time[-1] - time[0]) - spans[longest, 0]
-            edges[1:-1] = np.clip((begin + since - run.time[0]) / (run.time[-1] - run.time[0]), 0.0, 1.0)
-        cut.append(edges)
-    return tuple(cut)
-
-
-def find_places(prepared: Sequence[PreparedRun]) -> tuple[np.ndarray, np.ndarray]:
-    """Group the runs by their motions: the number of the group of each, (R,), and its begin and end, (R, 2).
-
-    They are the instants (s), by the clock of the run, at which the first run of the group begins to move and the last
-    one ends. Runs belong together where the rms difference of their positions after a shift in time, over the rms of
-    the motion, is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with the first
-    of every group. Runs in memory, which are synthetic, form groups of one.
-    """
-    numbers, spans = np.arange(len(prepared)), np.zeros((len(prepared), 2))
-    if not all(isinstance(run, PreparedRun) for run in prepared):
-        return numbers, spans
-    step, paths = _paths(prepared)
-    groups = list[list[tuple[int, float]]]()
-    for k, other in enumerate(prepared):
-        for members in groups:
-            one = members[0][0]
-            lag = _lag(paths[one], paths[k], prepared[one].moves | other.moves)
-            if lag is not None:
-                members.append((k, float(other.time[0] - prepared[one].time[0] - lag * step)))
-                break
-        else:
-            groups.append([(k, 0.0)])
-    for number, members in enumerate(groups):
-        # an instant t of the first run is t + shift by the clock of another
-        runs, shifts = (np.array(part) for part in zip(*members, strict=True))
-        ends = np.array([prepared[k].time[[0, -1]] for k in runs]) - shifts[:, None]
-        numbers[runs] = number
-        spans[runs] = np.array([ends[:, 0].min(), ends[:, 1].max()]) + shifts[:, None]
-    return numbers, spans
 
 
 def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
