@@ -148,7 +148,8 @@ def check(
     subject = replace(subject, runs=used)
     with _noted(notes):
         require_inputs(subject)
-    notes += _doubts(robot, used)
+    notes += [*doubtful_commands(used, robot), *smoothed_commands(used), *doubtful_currents(used, robot.base)]
+    notes += [*doubtful_gravity(robot), *doubtful_payloads(robot, (run.payload for run in used))]
     preparation = preparation_of(Equations(model, sensors_of(robot, used)), used)
     checked = []
     distances = cache(lambda: singular_distances(model))  # made once, where a run is so far without a fault
@@ -228,15 +229,6 @@ def few_rows(logs: Sequence[LogCheck]) -> Iterator[Finding]:
             advice = "add runs in which it moves, or longer ones"
             text = f"joint '{joint}' has {rows} usable rows in all runs together, away from its reversals and gaps"
             yield Finding("usable rows", (joint,), text=text, advice=advice, grade=Grade.ERROR)
-
-
-def _doubts(robot: Robot, runs: Sequence[Run]) -> Iterator[Finding]:
-    """Find what looks wrong in the logs of some runs, or in what is said of them."""
-    yield from doubtful_commands(runs, robot)
-    yield from smoothed_commands(runs)
-    yield from doubtful_currents(runs, robot.base)
-    yield from doubtful_gravity(robot)
-    yield from doubtful_payloads(robot, (run.payload for run in runs))
 
 
 def _together(subject: Subject, preparation: Preparation, progress: Progress) -> list[Finding]:

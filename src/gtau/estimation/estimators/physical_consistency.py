@@ -12,7 +12,7 @@ Unidentifiable directions are taken close to a plausible robot: solid links of e
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -246,10 +246,6 @@ def natural_size(name: Parameter, robot: Robot, mass: float, length: float, chan
     return mass * STANDARD_GRAVITY * (length if turns else 1.0)
 
 
-Errors = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Gives the residuals (c, p) of blocks at estimates."""
-
-
 @dataclass(frozen=True)
 class Move:
     """Shift of a number by consistency: its value without and with it, and the shift in its standard deviations."""
@@ -310,11 +306,13 @@ def consistent(fit: Fit, plain: Solution, std: np.ndarray, priors: Mapping[str, 
     values = free
     for _ in range(STEPS):
         weights = problem.weights(squares(values))
-        linear = _linear(errors, triangles, values, problem, weights, free_gains)
+        _, J = weighted(triangles, values, problem, free_gains, weights)
+        e = (errors(triangles, values) * weights[:, None]).reshape(-1)
+        theta = values[: problem.n_theta]
+        linear = np.column_stack([J, J[:, : len(theta)] @ theta - e])  # in theta, and in steps of 1/g and the delays
         volts = np.column_stack([J_known, -errors_of_known(problem, values)])[len(problem.known) :]
-        stated = np.vstack([priors_stated, volts])
-        x, rest = _programme(triangle(linear, stated), unknowns)
-        step = np.concatenate([unknowns.S @ x - values[: problem.n_theta], rest])
+        x, rest = _programme(triangle(linear, priors_stated, volts), unknowns)
+        step = np.concatenate([unknowns.S @ x - theta, rest])
         values = moved(values, step, channels)
         _, J = weighted(triangles, values, problem, free_gains, weights)
         if np.linalg.norm(J @ step) < CONVERGED * np.sqrt(step.size):
@@ -353,16 +351,6 @@ def _moves(fit: Fit, values: np.ndarray, std: np.ndarray) -> tuple[Move, ...]:
             value = float(consistent[name])
             moves.append(Move(name, free, value, abs(value - free) / float(std[k])))
     return tuple(sorted(moves, key=lambda move: -move.deviations))
-
-
-def _linear(
-    errors: Errors, blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray, free_gains: bool
-) -> np.ndarray:
-    """Build rows ``[J_theta J_rest | y]`` (., size + 1), linear in theta and in steps of 1/g and the delays."""
-    _, J = weighted(blocks, values, problem, free_gains, weights)
-    e = (errors(blocks, values) * weights[:, None]).reshape(-1)
-    theta = values[: problem.n_theta]
-    return np.column_stack([J, J[:, : len(theta)] @ theta - e])
 
 
 def _programme(R: np.ndarray, unknowns: StandardUnknowns) -> tuple[np.ndarray, np.ndarray]:

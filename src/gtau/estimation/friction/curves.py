@@ -165,7 +165,7 @@ def _between_values(group: FrictionGroup, shaped: FrictionFit, A: np.ndarray) ->
     for k, (s, term) in enumerate(shaped.names):
         if term in BETWEEN:
             tried = group.joints[s].tried(term)
-            between = place(shaped.structures[s].value(term), tried) % 1 > 0
+            between = place(getattr(shaped.structures[s], term), tried) % 1 > 0
             std = BETWEEN[term] if between else np.log(tried[1] / tried[0]) / np.sqrt(12)
             others = np.arange(len(A)) != k
             change = np.ones(len(A))
@@ -198,7 +198,7 @@ def group_estimates(
             else:
                 made[Parameter(kind, joint.name)] = x.get((s, kind), 0.0), {(s, kind): 1.0}
         for term, shape in SHAPE_OF.items():
-            if (value := structure.value(term)) is not None:
+            if (value := getattr(structure, term)) is not None:
                 made[Parameter(shape, joint.name)] = value, {(s, term): value}  # its logarithm is estimated
     T = np.zeros((len(made), len(shaped.names)))
     for row, (_, factors) in zip(T, made.values(), strict=True):

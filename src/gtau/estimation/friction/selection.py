@@ -40,10 +40,6 @@ class Structure:
     temperature: bool = False
     gradual: bool = False
 
-    def value(self, term: str) -> Any:
-        """Return the value of a term."""
-        return getattr(self, term)
-
     def changed(self, term: str, value: Any) -> Structure:
         """Return the structure with another value of a term."""
         return replace(self, **{term: value})
@@ -227,7 +223,7 @@ def choose(group: FrictionGroup) -> tuple[FrictionFit, FrictionFit, dict[tuple[i
 def _needed(group: FrictionGroup, candidate: FrictionFit, evidence: dict[tuple[int, str], float]) -> FrictionFit:
     """Leave out the terms that made up for a width or a speed that is finer now, and their evidence."""
     for s, term in tuple(evidence):
-        bare = candidate.structures[s].changed(term, Structure().value(term))
+        bare = candidate.structures[s].changed(term, getattr(Structure(), term))
         without = fit(group, _changed(candidate, s, bare))
         if without.errors.sum() <= candidate.errors.sum():
             candidate = without
@@ -276,7 +272,7 @@ def _changed(candidate: FrictionFit, s: int, structure: Structure) -> tuple[Stru
 def _refined(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     """Choose widths and speeds again, given the terms added since."""
     for s, term in ((s, term) for s in range(len(group.joints)) for term in SHAPE_OF):
-        if candidate.structures[s].value(term) is not None:
+        if getattr(candidate.structures[s], term) is not None:
             candidate = min([candidate, *_with(group, candidate, s, term)], key=lambda fit: float(fit.errors.sum()))
     return candidate
 
@@ -309,12 +305,12 @@ def with_shapes(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
     names, columns = list(candidate.names), [candidate.M]
     for s, structure in enumerate(candidate.structures):
         for term in SHAPE_OF:
-            if structure.value(term) is None:
+            if getattr(structure, term) is None:
                 continue
             tried = group.joints[s].tried(term)
             ends = [_moved(structure, term, tried, step) for step in (-TILT, TILT)]
             low, high = (_columns_with(group, candidate, s, end) @ candidate.x for end in ends)
-            slope = (high - low) / np.log(ends[1].value(term) / ends[0].value(term))
+            slope = (high - low) / np.log(getattr(ends[1], term) / getattr(ends[0], term))
             if slope.any():
                 names.append((s, term))
                 columns.append(slope[:, None])
@@ -325,7 +321,7 @@ def with_shapes(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
 
 def _moved(structure: Structure, term: str, tried: np.ndarray, step: float) -> Structure:
     """Move a width or speed by ``step`` ways to the next that is tried, by one at most, and within those tried."""
-    moved = structure.value(term) * (tried[1] / tried[0]) ** np.clip(step, -1.0, 1.0)
+    moved = getattr(structure, term) * (tried[1] / tried[0]) ** np.clip(step, -1.0, 1.0)
     return structure.changed(term, float(np.clip(moved, tried[0], tried[-1])))
 
 

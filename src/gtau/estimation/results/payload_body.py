@@ -121,34 +121,32 @@ class PayloadEstimate:
         GtauError
             Where there is no such frame, or the payload was not weighed.
         """
-        return _payload_body(self, frame, file)
-
-
-def _payload_body(payload: PayloadEstimate, frame: str | Pose, file: str | Path | None) -> PayloadBody:
-    if (weighed := payload.weighed) is None:
-        raise GtauError(f"payload '{payload.name}' was not weighed here; take it from gtau.weigh.")
-    called, placement = frame_on(weighed.body, frame, file)
-    body = partial(PayloadBody, payload.name, payload.run, called, named=bool(frame))
-    R, p = placement.rotation, placement.position
-    (seen,), (mass,), (std_of_mass,) = _seen(weighed, np.eye(10)[9:])
-    if not seen or mass < SEEN * std_of_mass:
-        return body({key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}, None)
-    chi = _consistent(weighed, float(mass))
-    values = quantities(chi, R, p)
-    J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
-    seen_of, _, stds = _seen(weighed, J)
-    rigid = rigid_of(values)
-    moment = max(compact_moment(values[0]), NARROW * np.trace(rigid.inertia) / 3)
-    widest = np.repeat([np.inf, weighed.reach, moment], [1, 3, 6])  # wider intervals say nothing
-    estimates = {}
-    for k, (key, unit) in enumerate(zip(QUANTITIES, UNITS, strict=True)):
-        std = float(stds[k]) or None
-        estimate = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
-        shown = seen_of[k] and (estimate.half_interval() or 0.0) <= widest[k]
-        estimates[key] = estimate if shown else replace(estimate, value=None, std=None)
-    if (weight := payload.parameters.get("m")) is not None:  # which the sum itself gives, with its own freedom
-        estimates["m"] = replace(estimates["m"], freedom=weight.freedom)
-    return body(estimates, rigid)
+        if (weighed := self.weighed) is None:
+            raise GtauError(f"payload '{self.name}' was not weighed here; take it from gtau.weigh.")
+        called, placement = frame_on(weighed.body, frame, file)
+        body = partial(PayloadBody, self.name, self.run, called, named=bool(frame))
+        R, p = placement.rotation, placement.position
+        (seen,), (mass,), (std_of_mass,) = _seen(weighed, np.eye(10)[9:])
+        if not seen or mass < SEEN * std_of_mass:
+            return body(
+                {key: Estimate(key, None, None, unit) for key, unit in zip(QUANTITIES, UNITS, strict=True)}, None
+            )
+        chi = _consistent(weighed, float(mass))
+        values = quantities(chi, R, p)
+        J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
+        seen_of, _, stds = _seen(weighed, J)
+        rigid = rigid_of(values)
+        moment = max(compact_moment(values[0]), NARROW * np.trace(rigid.inertia) / 3)
+        widest = np.repeat([np.inf, weighed.reach, moment], [1, 3, 6])  # wider intervals say nothing
+        estimates = {}
+        for k, (key, unit) in enumerate(zip(QUANTITIES, UNITS, strict=True)):
+            std = float(stds[k]) or None
+            estimate = Estimate(key, float(values[k]), std, unit, freedom=weighed.freedom)
+            shown = seen_of[k] and (estimate.half_interval() or 0.0) <= widest[k]
+            estimates[key] = estimate if shown else replace(estimate, value=None, std=None)
+        if (weight := self.parameters.get("m")) is not None:  # which the sum itself gives, with its own freedom
+            estimates["m"] = replace(estimates["m"], freedom=weight.freedom)
+        return body(estimates, rigid)
 
 
 def quantities(chi: np.ndarray, rotation: np.ndarray, position: np.ndarray) -> np.ndarray:
