@@ -152,7 +152,7 @@ def _unusable(last: Round) -> str:
     assert last.played is not None
     if last.played.hash != last.motion["hash"]:
         return f"round {last.folder} was played with another motion; play it again, or set it aside ({files.ASIDE})"
-    if not last.complete:
+    if last.played.end != "completed":
         return (
             f"round {last.folder} was not played to its end ({last.played.end}); remove {PLAYED} and play it again, or "
             f"set it aside with a reason ({files.ASIDE})"

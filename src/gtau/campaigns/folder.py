@@ -76,11 +76,6 @@ class Round:
         return tuple(run for run in self.played.runs if run.name != WARM_UP) if self.played else ()
 
     @property
-    def complete(self) -> bool:
-        """Whether all runs were played to their end."""
-        return self.played is not None and self.played.end == "completed"
-
-    @property
     def decision(self) -> Mapping[str, Any] | None:
         """Decision from the rounds up to this one, if there is one."""
         return _json(self.folder / DECISION, "kind say next gains candidates notes suspect inputs")
@@ -164,11 +159,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
 
 def digest(paths: Iterable[Path], base: Path) -> dict[str, str]:
     """Hash files (SHA-256) by their paths relative to ``base``; the hash of a missing file is empty."""
-    hashes = {}
-    for path in paths:
-        name = Path(relpath(path, base)).as_posix()
-        hashes[name] = digest_of(path) if path.is_file() else ""
-    return hashes
+    return {Path(relpath(path, base)).as_posix(): digest_of(path) if path.is_file() else "" for path in paths}
 
 
 def seal(motion: Mapping[str, Any]) -> str:

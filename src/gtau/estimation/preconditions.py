@@ -88,10 +88,9 @@ def plan(subject: Subject, estimator: Estimator, dataset: Dataset, system: Syste
     """
     runs = dataset.runs
     named = subject.options.method is not None
-    torques = dataset.runs[0].kind == "torque"
     tested = False
     if estimator.gains != Gains.GIVEN:
-        demanded = not torques or (named and estimator.gains == Gains.ESTIMATED)
+        demanded = runs[0].kind == "current" or (named and estimator.gains == Gains.ESTIMATED)
         try:
             payloads = [run.payload for run in runs]
             require_scale(dataset.robot, system.problem, system.stated, payloads, estimator.name)

@@ -201,8 +201,7 @@ def with_drives(model: InverseDynamics, chi: Mapping[str, float]) -> dict[str, f
 def rms_torque(model: InverseDynamics, base: BaseParameters, chi: np.ndarray) -> np.ndarray:
     """Compute rms torques (n,) over random states within the robot's limits, N m or N."""
     motion = random_motion(model, STATES, np.random.default_rng(0))
-    regressor = model.columns(base.standard)
-    torques = regressor.torques_along(model.layout, motion, chi)
+    torques = model.columns(base.standard).torques_along(model.layout, motion, chi)
     return np.asarray(np.sqrt(np.mean(torques**2, axis=1)))
 
 

@@ -104,15 +104,15 @@ class WrenchAlongLog:
 
     def _component(self, k: int) -> Component:
         name = WRENCH[k]
-        unit = "N m" if WRENCH[k].startswith("moment") else "N"
+        unit = "N m" if name.startswith("moment") else "N"
         share = float(self.seen[:, k].mean())
         kept = self.seen[:, k] & self.usable
         if not kept.any():
             return Component(name, unit, share)
         values, half = self.wrench[kept, k], self.interval[kept, k]
-        largest, time = _largest(values, self.time[kept])
+        largest = _largest(values, self.time[kept])
         beyond = float(np.mean(np.abs(values) > BEYOND * half / NORMAL))
-        return Component(name, unit, share, _rms(values), float(np.median(half)), largest, time, beyond)
+        return Component(name, unit, share, _rms(values), float(np.median(half)), *largest, beyond)
 
 
 def _largest(values: np.ndarray, time: np.ndarray) -> tuple[float, float]:
@@ -276,8 +276,7 @@ def torques_along_log(
     ]
     table, wrench = prediction.to_frame(), None
     if bandwidth is not None:
-        torques = momentum_observer(result, run, bandwidth).T
-        columns = zip(prediction.joints, torques, strict=True)
+        columns = zip(prediction.joints, momentum_observer(result, run, bandwidth).T, strict=True)
         table = table.with_columns(**{f"observed_{joint}": torque for joint, torque in columns})
     if frame is not None:
         wrench = wrench_along_log(result, run, prediction, frame, force_only)
@@ -375,11 +374,10 @@ def observed(
 def _summary(torque: Prediction, unit: str, residual: float | None) -> External:
     external = (torque.predicted - torque.measured)[:, 0]
     keep = torque.keep[:, 0]
-    valid = torque.valid[:, 0]
     kept = external[keep]
     beyond = None if residual is None else float(np.mean(np.abs(kept) > USABLE * residual))
-    rms, (largest, time) = _rms(kept), _largest(kept, torque.time[keep])
-    return External(torque.joints[0], unit, residual, rms, _rms(external[valid]), largest, time, beyond)
+    largest = _largest(kept, torque.time[keep])
+    return External(torque.joints[0], unit, residual, _rms(kept), _rms(external[torque.valid[:, 0]]), *largest, beyond)
 
 
 def write_table(torques: TorquesAlongLog, path: Path) -> None:

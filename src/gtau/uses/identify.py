@@ -296,8 +296,7 @@ def draft(
         raise type(error)(in_python(error.sentence), error.source) from None
     if made.urdf is not None:
         raise GtauError(f"{paths[0]} holds its robot, which is written beside a draft; run 'gtau init {paths[0]} ...'.")
-    text = draft_text(made, HERE)
-    experiment = validate(Experiment, Document(DRAFTED, text), context=(HERE, HERE))
+    experiment = validate(Experiment, Document(DRAFTED, draft_text(made, HERE)), context=(HERE, HERE))
     assumed = guesses(made, DRAFTED)
     experiment._guesses = tuple(replace(guess, advice=in_python(guess.advice)) for guess in assumed)
     return experiment

@@ -204,8 +204,7 @@ class Watch:
         except ValueError:
             raise GtauError(f"the date of the maintenance is '{date}'; write it as 2026-03-28.") from None
         if not any((event.kind, event.subject, event.undone) == ("reset", date, False) for event in self.events):
-            begun = (date <= self.view.logs.dates).any()
-            self._do("reset", date, None if begun else self.alarm)
+            self._do("reset", date, None if (date <= self.view.logs.dates).any() else self.alarm)
 
     @takes(note=TEXT)
     def acknowledge(self, note: str) -> None:

@@ -132,10 +132,8 @@ def doubtful_commands(runs: Sequence[Run], robot: Robot) -> Iterator[Finding]:
     """Find integer-valued commands, and torques far below all effort limits, in all ``runs``."""
     joints, kind = runs[0].joints, runs[0].kind
     peaks = np.max([np.abs(extremes(run.command)) for run in runs], axis=(0, 1))[: len(joints)]
-    shares = (run.log.whole_share for run in runs)
     integers = min(
-        whole_numbers(run.command, len(joints)) if share is None else share
-        for run, share in zip(runs, shares, strict=True)
+        whole_numbers(run.command, len(joints)) if (share := run.log.whole_share) is None else share for run in runs
     )
     if integers > WHOLE and peaks.max() >= STEPS:
         text = (

@@ -252,8 +252,7 @@ def linear_at(
         linear.append(replace(part, basis=B))
     known = np.column_stack([J_known[:, free] @ back, e_known])
     # a change of friction between runs has no effect on known parameters
-    friction_groups = np.full(len(per_run), len(rows.layouts))
-    common_groups = np.append(friction_groups, shared_groups)
+    common_groups = np.append(np.full(len(per_run), len(rows.layouts)), shared_groups)
     # sensors of wrenches are often not tared, and where they measure, effects do not move estimates
     prior = np.ones(len(rows.layouts) + 1)
     largest = BOUNDS[1] * prior

@@ -29,8 +29,7 @@ def tls(problem: Problem) -> Solution:
     sigma_W = s[-1] / np.sqrt(r - len(s))  # eq. (38), of errors as in eq. (37)
     n, unknowns = len(problem.joints), problem.unknowns
     covariance = np.zeros((len(unknowns), len(unknowns)))
-    inverse = _inverse_of_compatible(s, Vt.T)
-    covariance[:-n, :-n] = sigma_W**2 * (1 + chi[:-1] @ chi[:-1]) * inverse  # eq. (39)
+    covariance[:-n, :-n] = sigma_W**2 * (1 + chi[:-1] @ chi[:-1]) * _inverse_of_compatible(s, Vt.T)  # eq. (39)
     theta, gains = chi[unknowns.theta], chi[unknowns.gains]
     errors = np.zeros(n)
     for j, R in enumerate(problem.triangles):

@@ -143,11 +143,9 @@ def friction_unit(name: Parameter, robot: Robot, temperatures: ReferenceTemperat
 
 def _errors(group: FrictionGroup) -> list[tuple[float, float]]:
     """Compute rms errors and torques of the motors; the columns of a group are what each joint takes of the torque."""
-    squares = group.G.sum(axis=(0, 2, 3)) / group.weights**2
-    counts = np.maximum(group.signals[:, 0], 1)
-    rms = np.sqrt(np.maximum(squares, 0.0) / counts)
-    signal = np.sqrt(group.signals[:, 1] / counts)
-    return list(zip(rms.tolist(), signal.tolist(), strict=True))
+    squares = np.maximum(group.G.sum(axis=(0, 2, 3)) / group.weights**2, 0.0)
+    rms = np.sqrt(np.stack([squares, group.signals[:, 1]]) / np.maximum(group.signals[:, 0], 1))
+    return list(zip(*rms.tolist(), strict=True))
 
 
 def _fixed(fit: Fit, estimates: Estimates, joints: Collection[str]) -> np.ndarray:

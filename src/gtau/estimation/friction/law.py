@@ -210,7 +210,7 @@ class FrictionLaw:
         torques that the actuated joints transmit, ``z`` (s, N) states of presliding; without them all joints slide.
         """
         joints = self.model.robot.joints
-        n_joints = len(self.model.robot.joints)
+        n_joints = len(joints)
         forces, speeds = map(np.stack, self.forces(np, values, motion.yd, load))
         scales = self.scales(np, forces, speeds)
         if z is not None and self.states:
@@ -241,8 +241,7 @@ def _summed(values: Mapping[str, Any], joint: str, at: Sliding, kinds: Iterable[
 
 def transmitted(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:
     """Return the base parameters (n_b) of the torques that joints transmit: no friction, no propelling damper."""
-    kinds = [name.kind for name in standard]
     return [
-        0.0 * chi[k] if kind in PLAIN_FRICTION else math.fmax(chi[k], 0.0) if kind == DAMPING else chi[k]
-        for k, kind in enumerate(kinds)
+        0.0 * chi[k] if name.kind in PLAIN_FRICTION else math.fmax(chi[k], 0.0) if name.kind == DAMPING else chi[k]
+        for k, name in enumerate(standard)
     ]

@@ -221,8 +221,7 @@ class System:
     @property
     def unexcited(self) -> tuple[Parameter, ...]:
         """Parameters of ``unreduced`` that are not identifiable."""
-        kept = set(self.problem.parameters)
-        return tuple(name for name in self.unreduced.parameters if name not in kept)
+        return tuple(name for name in self.unreduced.parameters if name not in self.problem.parameters)
 
     @property
     def stated(self) -> tuple[str, ...]:

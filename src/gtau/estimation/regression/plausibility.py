@@ -35,8 +35,7 @@ UNITS = {"revolute": ("rad", "deg"), "prismatic": ("m", "mm")}
 
 def within_limits(robot: Robot, prepared: PreparedRun) -> PreparedRun:
     """Note every joint that leaves its limits in a run; raises GtauError."""
-    position = prepared.run.position
-    lowest, highest = extremes(position)
+    lowest, highest = extremes(prepared.run.position)
     speeds = np.sqrt(np.diag(prepared.speeds))
     _check_units(robot, prepared.run, highest - lowest, speeds)
     notes: list[Finding] = []

@@ -223,8 +223,7 @@ class Problem:
     @property
     def scaled(self) -> bool:
         """Decide whether sensors, measured wrenches, known parameters or voltages fix the scale of the gains."""
-        stated = len(self.known) + len(self.voltages) > 0
-        return not self.unknown_gains.all() or bool(self.wrenches) or stated
+        return not self.unknown_gains.all() or bool(self.wrenches or len(self.known) or len(self.voltages))
 
     @cached_property
     def units(self) -> tuple[np.ndarray, ...]:
@@ -262,12 +261,11 @@ class Problem:
     @cached_property
     def own_currents(self) -> tuple[np.ndarray, ...]:
         """Residuals of v, v', v'' from each channel's own model: (3, 3) triangles, one a channel."""
-        residuals = []
         signals = range(self.n_theta + 1, self.n_theta + FIXED)
-        for R, columns in zip(self.triangles, self.own_columns, strict=True):
-            full = select_columns(R, [*columns, *signals])
-            residuals.append(full[len(columns) :, len(columns) :])
-        return tuple(residuals)
+        return tuple(
+            select_columns(R, [*columns, *signals])[len(columns) :, len(columns) :]
+            for R, columns in zip(self.triangles, self.own_columns, strict=True)
+        )
 
     @cached_property
     def total_rows(self) -> np.ndarray:
@@ -277,8 +275,7 @@ class Problem:
     @cached_property
     def own_delays(self) -> np.ndarray:
         """Delay of each channel (s), (c,), with the best fit of its own model; zero if beyond ``longest_delays``."""
-        currents = zip(self.own_currents, self.longest_delays, strict=True)
-        return np.array([best_delay(T, longest) for T, longest in currents])
+        return np.array(list(map(best_delay, self.own_currents, self.longest_delays)))
 
     @cached_property
     def own_sigma(self) -> np.ndarray:
@@ -346,8 +343,7 @@ class Problem:
 
     def without(self, names: Sequence[str]) -> Problem:
         """Set the parameters ``names`` of a problem to zero."""
-        gone = set(names)
-        kept = tuple(name for name in self.parameters if name not in gone)
+        kept = tuple(name for name in self.parameters if name not in names)
         columns = self.columns_of(kept)
         known = self.known[:, [*columns[:-FIXED], -1]]
         # the triangles of fewer columns follow from the triangles of all: no pass over the units

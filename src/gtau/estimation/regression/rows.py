@@ -241,8 +241,7 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
     edges = np.concatenate([[0], turns, [len(q) - 1]])
     states = np.empty((len(edges), len(widths)))
     states[0] = start
-    ways = np.diff(q[edges])[:, None] / widths
-    for k, way in enumerate(ways):
+    for k, way in enumerate(np.diff(q[edges])[:, None] / widths):
         states[k + 1] = np.minimum(np.maximum(states[k] + way, -1.0), 1.0)
     stretch = np.searchsorted(turns, np.arange(len(q)), side="right")
     way = (q - q[edges[stretch]]) / widths[:, None]

@@ -41,17 +41,15 @@ def model_estimates(
 ) -> dict[str, Any]:
     """Collect estimates, those of ``equations`` for payloads, and ``predicting`` ones after the friction step."""
     robot = fit.dataset.robot
-    kind = fit.dataset.runs[0].kind
     temperatures = reference_temperatures(fit)
     sensors = _link_side(fit)
     listed = [name for name in predicting.unknowns if name.kind != "gain" or name.body not in sensors]
-    order = {"gain": 1, "delay": 2}  # behind the parameters
-    listed.sort(key=lambda name: order.get(name.kind, 0))
+    listed.sort(key=lambda name: {"gain": 1, "delay": 2}.get(name.kind, 0))  # behind the parameters
     gains = {joint: Parameter("gain", joint) for joint in robot.motors}
     delays = {joint: Parameter("delay", joint) for joint in robot.actuated}
     return {
         "drive_gains": {
-            joint: _estimate(predicting, gain, gain_unit(robot, joint, kind), joint, verdicts[gain])
+            joint: _estimate(predicting, gain, gain_unit(robot, joint, fit.kind), joint, verdicts[gain])
             for joint, gain in gains.items()
         },
         "delays": {joint: _estimate(predicting, delay, "s", joint, verdicts[delay]) for joint, delay in delays.items()},

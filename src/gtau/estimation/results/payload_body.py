@@ -156,8 +156,7 @@ def quantities(chi: np.ndarray, rotation: np.ndarray, position: np.ndarray) -> n
     tensor = np.zeros((3, 3), chi.dtype)
     tensor[np.triu_indices(3)] = chi[:6]
     tensor = tensor + np.triu(tensor, 1).T - m * ((center @ center) * np.eye(3) - np.outer(center, center))
-    turned = rotation.T @ tensor @ rotation
-    entries = turned[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    entries = (rotation.T @ tensor @ rotation)[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return np.concatenate([[m], rotation.T @ (center - position), entries])
 
 

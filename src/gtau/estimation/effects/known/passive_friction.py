@@ -28,8 +28,7 @@ def _torques(at: FitWindow) -> Torques:
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
-    several = len(fit.dataset.runs) > 1
-    return [EffectColumn(PLAUSIBLE, subject=name.body) for name in _passive(fit) if several]
+    return [EffectColumn(PLAUSIBLE, subject=name.body) for name in _passive(fit) if len(fit.dataset.runs) > 1]
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
