@@ -161,7 +161,12 @@ def check(
             notes += [note.from_source(run.name) for note in (*run.notes, *prepared.notes)]
             notes += near_singularities(checked[-1].nearest)
     progress("checking logs", len(read), len(read))
-    geometry = None if experiment is None else _geometry(experiment, read, model, notes, progress)
+    geometry = None
+    with _noted(notes):
+        if experiment is not None:
+            readable = [entry for entry, runs in zip(experiment.runs, read, strict=False) if runs]
+            geometry = geometry_of(experiment, readable, model, progress)
+            notes += [geometry.note] if geometry else []
     for_use = [log for log in checked if not log.validation]
     notes += few_rows(for_use)
     if not any(note.severity == Grade.ERROR for note in notes):
@@ -193,22 +198,6 @@ def _read(
                 moving_spectra(ordered)
                 usable.append(ordered)
         yield tuple(usable)
-
-
-def _geometry(
-    experiment: Experiment,
-    read: Sequence[tuple[Run, ...]],
-    model: InverseDynamics,
-    notes: list[Finding],
-    progress: Progress,
-) -> GeometryTest | None:
-    """Test the robot's geometry by the poses in the logs that could be ``read``, with a note on it."""
-    with _noted(notes):
-        readable = [entry for entry, runs in zip(experiment.runs, read, strict=False) if runs]
-        if geometry := geometry_of(experiment, readable, model, progress):
-            notes.append(geometry.note)
-            return geometry
-    return None
 
 
 @contextmanager

@@ -161,8 +161,6 @@ def _as_gains(gains: Mapping[str, float | Mapping[str, float]]) -> dict[str, Sta
 
 def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progress = silent) -> tuple[Run, ...]:
     """Read logged runs of an experiment file, each part between long gaps as a run of its own; raises GtauError."""
-    signals = experiment.signals
-    units = experiment.units
     settings = experiment.preparation
     parts, read = 1000, list[Run]()  # parts of a run
     for k, run in enumerate(runs):
@@ -170,7 +168,7 @@ def read_runs(experiment: Experiment, runs: Sequence[LoggedRun], progress: Progr
         def advance(done: float, k: int = k) -> None:
             progress("reading logs", round(parts * (k + done)), parts * len(runs))
 
-        read += read_parts(run.log, signals, run.payload, units, advance, settings, run)
+        read += read_parts(run.log, experiment.signals, run.payload, experiment.units, advance, settings, run)
     return tuple(read)
 
 

@@ -12,7 +12,6 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import FLOOR, Clearance, Nearest, Pair
 from gtau.excitation.task import DesignProblem, Grid, Point, along, close
 from gtau.excitation.trajectory import approach_duration, quintic
-from gtau.model.program import Program
 from gtau.robots.parameter import torque_unit
 
 ORDERS = ("position", "velocity", "acceleration", "jerk")
@@ -149,13 +148,16 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
     for axis, (low, high) in point.task.limits.workspace.items():
         k, middle, half = "xyz".index(axis), (low + high) / 2, (high - low) / 2
         weights = np.outer(np.eye(3)[k], np.full(c.shape[1], 1 / half))
-        rows = partial(_point_rows, point, back, weights)
         values = (place(c)[k] - middle) / half
-        yield ConstraintUsage("workspace", f"{axis} of the tool's frame", half, "m", values, rows, middle=middle)
-
-
-def _point_rows(point: Point, back: Program, weights: np.ndarray) -> np.ndarray:
-    return point.rows(back(point.motion.c, weights))
+        yield ConstraintUsage(
+            "workspace",
+            f"{axis} of the tool's frame",
+            half,
+            "m",
+            values,
+            lambda weights=weights: point.rows(back(c, weights)),  # type: ignore[misc]
+            middle=middle,
+        )
 
 
 def tool_speed(point: Point) -> Iterator[ConstraintUsage]:

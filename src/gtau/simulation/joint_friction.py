@@ -172,6 +172,5 @@ def identified_friction(
 ) -> tuple[dict[str, float], JointFriction]:
     """Return standard parameters equivalent to an identified model, and its friction."""
     chi = loaded_parameters(result, None, "the robot")
-    values = friction_values(result, chi)
     standard: dict[str, float] = dict(zip(result.base.standard, map(float, chi), strict=True))
-    return standard, JointFriction(result.friction_law, values, smoothing)
+    return standard, JointFriction(result.friction_law, friction_values(result, chi), smoothing)

@@ -71,8 +71,7 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
         if share * rates.sum() > DELAY_MOTION * np.linalg.norm(motion - share * rates):
             lag = -along.sum() / motion.sum()
             lags[:, j] = lag, np.linalg.norm(along + lag * motion) / motion.sum()
-    lag, error = lags
-    return lag, error
+    return lags[0], lags[1]
 
 
 def command_lag(dataset: Dataset, system: System) -> list[Finding]:

@@ -127,16 +127,11 @@ def paired(system: System, solution: Solution) -> Pair:
     measured, instruments = (
         system.again(replace(dataset, factors=factors)).unreduced for factors in zip(*pairs, strict=True)
     )
-    motion_triangles = []
-    instrument_triangles = []
     b = len(measured.parameters) + 1
-    for j in range(len(measured.joints)):
-        R = triangle(*np.concatenate([instruments.blocks[:, j, :, :b], measured.blocks[:, j]], axis=-1))
-        motion_triangles.append(R[:, b:])
-        instrument_triangles.append(np.hstack([R[:, :b], R[:, SIGNALS]]))
-    return Pair(measured, instruments, (np.stack(motion_triangles), np.stack(instrument_triangles))).of(
-        system.problem.parameters
-    )
+    rows = np.concatenate([instruments.blocks[..., :b], measured.blocks], axis=-1)
+    R = np.stack([triangle(*rows[:, j]) for j in range(len(measured.joints))])
+    merged = R[..., b:], np.concatenate([R[..., :b], R[..., SIGNALS]], axis=-1)
+    return Pair(measured, instruments, merged).of(system.problem.parameters)
 
 
 def _reduced(dataset: Dataset, run: int, simulated: SampleWindow, load: np.ndarray | None) -> tuple[Factors, Factors]:

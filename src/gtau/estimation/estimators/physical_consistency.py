@@ -185,11 +185,10 @@ def _regrouped(system: System) -> tuple[list[Body], list[Parameter], np.ndarray]
     """List the bodies, payloads last, the unknowns (c,), and what these add to the problem's parameters, (., c)."""
     base = system.dataset.base
     problem = system.unreduced
-    kinds = len(INERTIAL)
     names = list(system.dataset.model.parameter_names)
     place = {name: k for k, name in enumerate(names)}
     bodies = [
-        Body(body, np.array([place[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(kinds))
+        Body(body, np.array([place[Parameter(kind, body)] for kind in INERTIAL]), np.zeros(len(INERTIAL)))
         for body in system.dataset.robot.bodies
         if Parameter("m", body) in place
     ]

@@ -94,10 +94,9 @@ def friction_step(
             candidate, plain, evidence = choice
             names, values, slopes, scatter = group_estimates(group, candidate)
             unknowns = [name_of.get(name, name) for name in names]
-            freedom = float(len(group.G) - 1)
             more = len(estimates.unknowns) - fixed.shape[1]  # were appended since
             slopes = np.pad(slopes @ fixed, ((0, 0), (0, more)))
-            estimates = estimates.updated(unknowns, values, slopes, scatter, freedom)
+            estimates = estimates.updated(unknowns, values, slopes, scatter, float(len(group.G) - 1))
             names_of_curves += unknowns
             curves |= _curves(group, candidate, plain, evidence)
             motors = (fit.dataset.model.actuated[j] for j in group.motors)

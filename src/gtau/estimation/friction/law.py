@@ -149,7 +149,9 @@ class FrictionLaw:
             top = float(self.logged_speeds.get(name, 0.0))
             within = math.fmax(math.fmin(speed, top), -top)
             slope = sum(derivative(top) * values.get(Parameter(kind, name), 0.0) for kind, derivative in SLOPES.items())
-            slope = math.fmax(slope, -self._viscous(values, j))  # with fv, at least 0
+            moved = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
+            viscous = sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in moved if ratio)
+            slope = math.fmax(slope, -viscous)  # together at least 0
             forces.append(_summed(values, name, Sliding(within, 0.0), SLOPES) + slope * (speed - within))
             speeds.append(speed)
         return forces, speeds
@@ -228,11 +230,6 @@ class FrictionLaw:
 
     def _row(self, name: str) -> int:
         return next(row for row, joint in enumerate(self.model.robot.joints) if joint.name == name)
-
-    def _viscous(self, values: Mapping[str, Any], j: int) -> Any:
-        """Sum the viscous friction that the motor of actuated joint ``j`` feels."""
-        joints = zip(self.model.robot.joints, self.ratios[:, j], strict=True)
-        return sum(values.get(Parameter("fv", joint.name), 0.0) * ratio**2 for joint, ratio in joints if ratio)
 
 
 def _summed(values: Mapping[str, Any], joint: str, at: Sliding, kinds: Iterable[str]) -> Any:

@@ -278,16 +278,13 @@ def assemble_problem(
     numbers = [np.arange(len(factor.rows)) for factor in factors]
     count = max(map(len, numbers))
     clusters = np.concatenate([motion * count + number for motion, number in zip(motion_numbers, numbers, strict=True)])
-    along = np.concatenate(blocks)
-    if not filled.all():
-        along, rows, clusters = along[filled], rows[filled], clusters[filled]
     return Problem(
         tuple(name for effect in effects for name in effect.names if name not in effect.stated),
         tuple(channels),
-        along,
-        rows,
+        np.concatenate(blocks)[filled],
+        rows[filled],
         np.broadcast_to(longest_delays, len(channels)),
-        clusters=clusters,
+        clusters=clusters[filled],
         factored=tuple(triangle(*parts) for parts in zip(*merged, strict=True)) if merged else None,
     )
 

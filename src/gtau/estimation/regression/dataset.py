@@ -101,7 +101,7 @@ class Dataset:
         return temperatures_of(self.prepared)
 
     def windows(self, pieces: int = 1) -> Windows:
-        """Cut the middle of every run into windows; see :func:`.run_blocks.central_windows`."""
+        """Cut the middle of every run into windows; see :meth:`.run_blocks.PreparedRuns.windows`."""
         return self.prepared.windows(pieces)
 
     @cached_property

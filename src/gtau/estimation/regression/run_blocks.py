@@ -111,10 +111,27 @@ class PreparedRuns(tuple[PreparedRun, ...]):
         return {}
 
     def windows(self, pieces: int) -> Windows:
-        """Cut the middle of every run into windows; see :func:`central_windows`."""
-        if pieces not in self._windows:
-            self._windows[pieces] = central_windows(self, pieces)
-        return self._windows[pieces]
+        """Cut the middle of every run into ``pieces`` windows, each with its run's number.
+
+        Long rests, in which no channel has a usable sample, are cut out; the remainder at either side separates the
+        filters' supports. All windows together have at most ``SAMPLES`` samples; runs too short for a row of each
+        window are left out.
+        """
+        if pieces in self._windows:
+            return self._windows[pieces]
+        windows: list[tuple[int, SampleWindow]] = []
+        for number, run in enumerate(self):
+            wanted = min(SAMPLES // len(self), len(run)) // pieces
+            stretches = _moving(run, wanted * pieces, max(int(WINDOW_REST * wanted), 1))
+            size = sum(map(len, stretches)) // pieces
+            if run.preparation.decimator.outputs(size) == 0:
+                continue
+            kept = _middle(stretches, size * pieces)
+            middle = joined([run.samples(stretch.start, stretch.stop) for stretch in kept])
+            cuts = range(0, size * pieces, size)
+            windows += [(number, replace(middle[at : at + size], part_of=(middle, at))) for at in cuts]
+        self._windows[pieces] = windows
+        return windows
 
 
 def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
@@ -157,28 +174,6 @@ def _lag(a: np.ndarray, b: np.ndarray, moves: np.ndarray) -> int | None:
     # of a periodic motion, the shift at which most of both runs overlap
     k = max(np.flatnonzero(difference <= 2 * best), key=lambda k: (high[k] - low[k], -difference[k]))
     return int(lags[k])
-
-
-def central_windows(prepared: Sequence[PreparedRun], pieces: int) -> Windows:
-    """Cut the middle of every run into ``pieces`` windows, each with its run's number.
-
-    Long rests, in which no channel has a usable sample, are cut out; the remainder at either side separates the
-    filters' supports. All windows together have at most ``SAMPLES`` samples; runs too short for a row of each window
-    are left out.
-    """
-    windows: list[tuple[int, SampleWindow]] = []
-    for number, run in enumerate(prepared):
-        wanted = min(SAMPLES // len(prepared), len(run)) // pieces
-        stretches = _moving(run, wanted * pieces, max(int(WINDOW_REST * wanted), 1))
-        size = sum(map(len, stretches)) // pieces
-        if run.preparation.decimator.outputs(size) == 0:
-            continue
-        kept = _middle(stretches, size * pieces)
-        middle = joined([run.samples(stretch.start, stretch.stop) for stretch in kept])
-        windows += [
-            (number, replace(middle[at : at + size], part_of=(middle, at))) for at in range(0, size * pieces, size)
-        ]
-    return windows
 
 
 def _moving(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range]:

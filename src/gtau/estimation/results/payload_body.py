@@ -135,7 +135,8 @@ class PayloadEstimate:
         values = quantities(chi, R, p)
         J = np.stack([quantities(chi + 1j * STEP * unit, R, p).imag / STEP for unit in np.eye(10)], axis=1)
         seen_of, _, stds = _seen(weighed, J)
-        rigid = rigid_of(values)
+        xx, yy, zz, xy, xz, yz = values[4:]
+        rigid = RigidBody(float(values[0]), values[1:4], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
         moment = max(compact_moment(values[0]), NARROW * np.trace(rigid.inertia) / 3)
         widest = np.repeat([np.inf, weighed.reach, moment], [1, 3, 6])  # wider intervals say nothing
         estimates = {}
@@ -163,12 +164,6 @@ def quantities(chi: np.ndarray, rotation: np.ndarray, position: np.ndarray) -> n
 def compact_moment(mass: float) -> float:
     """Compute the moment of inertia, kg m2, of a solid ball of aluminium of a mass, kg."""
     return float(0.4 * mass * (3 * mass / (4 * np.pi * COMPACT)) ** (2 / 3))
-
-
-def rigid_of(values: np.ndarray) -> RigidBody:
-    """Make the body of QUANTITIES (10,)."""
-    xx, yy, zz, xy, xz, yz = values[4:]
-    return RigidBody(float(values[0]), values[1:4], np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
 
 def _seen(weighed: Weighed, J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
