@@ -105,8 +105,7 @@ def _under_control(
         run: dict[str, Any] = {"name": "loaded", "trajectory": {"csv": str(out / CSV)}}
         if heaviest is not None:
             moments = dict(zip(FIRST_MOMENTS, task.prior.moments(heaviest).tolist(), strict=True))
-            known = {"name": heaviest.name, "mass": heaviest.mass, "parameters": moments | heaviest.parameters}
-            run["payload"] = known
+            run["payload"] = {"name": heaviest.name, "mass": heaviest.mass, "parameters": moments | heaviest.parameters}
         truth: dict[str, Any] = {"model": str(model)}
         if model is None:  # the robot's file without the margin where it states inertias
             rough, _ = rough_parameters(task.model, task.base, (heaviest and heaviest.mass) or 1.0)

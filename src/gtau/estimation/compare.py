@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
@@ -64,21 +65,14 @@ class EstimatorComparison:
         """Return the comparison as a Polars table, one row per estimator and joint."""
         import polars as pl
 
-        rows = [
-            {
-                "method": row.method,
-                "joint": joint,
-                "gain": None if row.gains is None else float(row.gains[j]),
-                "std": None if row.std is None else float(row.std[j]),
-                "residual": None if row.residuals is None else float(row.residuals[j]),
-                "verdict": None if row.outcome is None else row.outcome.value,
-                "refusal": row.refusal or None,
-            }
-            for row in self.rows
-            for j, joint in enumerate(self.joints)
-        ]
-        types = dict.fromkeys(("method", "joint", "verdict", "refusal"), pl.String)
-        return pl.DataFrame(rows, schema_overrides=types | dict.fromkeys(("gain", "std", "residual"), pl.Float64))
+        numbers = dict.fromkeys(("gain", "std", "residual"), pl.Float64)
+        schema = {"method": pl.String, "joint": pl.String, **numbers, "verdict": pl.String, "refusal": pl.String}
+        rows = []
+        for row, (j, joint) in product(self.rows, enumerate(self.joints)):
+            values = (None if of is None else float(of[j]) for of in (row.gains, row.std, row.residuals))
+            outcome = None if row.outcome is None else row.outcome.value
+            rows.append((row.method, joint, *values, outcome, row.refusal or None))
+        return pl.DataFrame(rows, schema=schema, orient="row")
 
 
 def compare(

@@ -48,7 +48,7 @@ DRAWN, VISIBLE = 12, 0.02  # most effects in the chart, and the smallest move of
 
 def parameters_section(result: IdentifiedModel) -> Section:
     """Show base, friction and sensor parameters in one table that sorts and searches."""
-    listed = [(row.group, row.estimate) for row in estimates_table(result) if row.group.startswith(GROUPS)]
+    listed = [(group, estimate) for group, estimate in estimates_table(result) if group.startswith(GROUPS)]
     columns = (Column("parameter", Kind.NAME), *VALUE, Column("role"), Column("regroups", Kind.NAME, wide=True))
     rows = [(value.name, *value_cells(value), _role(value, group), value.regroups) for group, value in listed]
     faint = frozenset(k for k, (_, value) in enumerate(listed) if value.essential is False)

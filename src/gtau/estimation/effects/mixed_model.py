@@ -319,8 +319,7 @@ class MixedFit:
 
 def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     """Find sizes of all effects and the noise of all channels in turn, from those ``near`` them if given."""
-    log_s = np.full(len(model.prior), START)
-    log_s = log_s if near is None else near.log_s
+    log_s = np.full(len(model.prior), START) if near is None else near.log_s
     for _ in range(PASSES):
         log_s = find_sizes(model, log_s)
         at, before = posterior(model, log_s), model.noise or (Noise(),) * len(model.rows)

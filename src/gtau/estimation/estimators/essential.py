@@ -66,20 +66,18 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], floa
     """
     chosen: list[Parameter] = []
     total = 0.0
+    position = {name: k for k, name in enumerate(problem.parameters)}
     for j, channel in enumerate(problem.channels):
-        position = {name: k for k, name in enumerate(problem.parameters)}
         kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.unknown_gain else DRIFTING
         offered = [Parameter(term, channel.name) for term in kinds if Parameter(term, channel.name) in position]
-        rest = [k for k in problem.own_columns[j] if k not in {position[name] for name in offered}]
+        tried = [position[name] for name in offered]
+        rest = [k for k in problem.own_columns[j] if k not in tried]
         current = delayed_signal(problem.triangles[j], problem.own_delays[j])
         rows = problem.total_rows[j]
-
         price = max(np.log(rows), -2 * rows * np.log(1 - FRICTION_TERM_GAIN))
-
         # the columns common to all subsets are eliminated once; the remainder has few columns
-        columns = problem.triangles[j][:, [*rest, *(position[name] for name in offered)]]
+        columns = problem.triangles[j][:, [*rest, *tried]]
         few = triangle(np.column_stack([columns, current]))[len(rest) :, len(rest) :]
-
         subsets = [subset for count in range(len(offered) + 1) for subset in combinations(range(len(offered)), count)]
         residuals = [triangle(few[:, [*subset, -1]])[-1, -1] for subset in subsets]
         criteria = [

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -219,15 +219,8 @@ class IdentifiedModel:
         return self.believable and not lacking and all(requirement.met for requirement in self.requirements)
 
 
-class Row(NamedTuple):
-    """An estimate in its group."""
-
-    group: str
-    estimate: Estimate
-
-
-def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
-    """List all estimates of a result, each once.
+def estimates_table(result: IdentifiedModel) -> Iterator[tuple[str, Estimate]]:
+    """List all estimates of a result with their groups, each once.
 
     Groups: ``drive gain``, ``delay``, ``base parameter``, ``friction`` (viscous, Coulomb and offsets, and then the
     terms that the data ask for), ``motor`` (back-EMF constant and resistance), ``logged speed`` (up to which friction
@@ -249,7 +242,7 @@ def estimates_table(result: IdentifiedModel) -> Iterator[Row]:
         *((f"{sensor.kind.name} {sensor.joint}", sensor.parameters.values()) for sensor in result.sensors),
         *((f"payload {payload.name} of {payload.run}", payload.parameters.values()) for payload in result.payloads),
     ]
-    return (Row(group, estimate) for group, estimates in groups for estimate in estimates)
+    return ((group, estimate) for group, estimates in groups for estimate in estimates)
 
 
 def estimates_frame(result: IdentifiedModel) -> pl.DataFrame:
