@@ -22,8 +22,8 @@ GRADES: Mapping[str, Literal["good", "neutral", "weak", "bad"]] = {
 
 def campaign_page(state: CampaignState) -> Page:
     """Show the state of a campaign."""
-    judged = [(round_, round_.decision) for round_ in state.rounds if round_.decision and not round_.aside]
-    judged = [(round_, decision) for round_, decision in judged if decision["gains"]]
+    decisions = [(round_, round_.decision) for round_ in state.rounds if not round_.aside]
+    judged = [(round_, decision) for round_, decision in decisions if decision and decision["gains"]]
     decision = state.decision or {"say": "", "notes": ()}
     points = [decision["say"]] if state.next == "play" and decision["say"] else []
     points += decision["notes"]

@@ -17,7 +17,6 @@ from gtau.findings import Finding
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.loops import Motion
 from gtau.robots.parameter import BY_LOAD
-from gtau.robots.robot import PLAIN_FRICTION
 from gtau.signals.preparation.filters import Decimator
 from gtau.signals.preparation.prepared_run import SampleWindow
 
@@ -64,12 +63,6 @@ class FitWindow:
         """
         names = self.fit.dataset.base.names
         return self.values * is_transmitted(names) * [name.kind != "ia" for name in names]
-
-    @property
-    def passive_friction(self) -> np.ndarray:
-        """Values of the base columns of the friction of passive joints, which gears transmit too, (n_b,)."""
-        names, driven = self.fit.dataset.base.names, self.fit.dataset.model.actuated
-        return self.values * [name.kind in PLAIN_FRICTION and name.body not in driven for name in names]
 
     @property
     def smooth(self) -> np.ndarray:

@@ -220,7 +220,12 @@ def require_scale(
     if problem.wrenches and problem.unknown_gains.all() and not (len(problem.known) or weighed):
         by_own_columns, answered = unexplained_wrench_share(problem)
         if by_own_columns < OWN_BODY and answered < ANSWERED:
-            raise GtauError(_always_carried(problem.wrenches, other))
+            several = len(problem.wrenches) > 1
+            raise GtauError(
+                f"the wrench{'es' * several} on {', '.join(problem.wrenches)} {'move' if several else 'moves'} as one "
+                f"of the robot's own bodies in every run, so that {'they give' if several else 'it gives'} no scale; "
+                f"add a run without the tool, or with another, {other}."
+            )
     if len(problem.parameters) in independent_columns(_with_scale(problem))[0]:
         return
     raise _without_effect(robot, problem, stated, other)
@@ -288,15 +293,6 @@ def unexplained_wrench_share(problem: Problem) -> tuple[float, float]:
     unexplained, unanswered = (float(np.linalg.norm(rest)) for rest in rests)
     share = unexplained / (float(np.linalg.norm(torque)) or 1.0)
     return share, 1 - (unanswered / (unexplained or 1.0)) ** 2
-
-
-def _always_carried(bodies: Sequence[str], other: str) -> str:
-    several = len(bodies) > 1
-    return (
-        f"the wrench{'es' * several} on {', '.join(bodies)} {'move' if several else 'moves'} as one of the robot's own "
-        f"bodies in every run, so that {'they give' if several else 'it gives'} no scale; add a run without the tool, "
-        f"or with another, {other}."
-    )
 
 
 def _with_scale(problem: Problem) -> np.ndarray:

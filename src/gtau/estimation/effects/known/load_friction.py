@@ -13,6 +13,7 @@ import numpy as np
 from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.robots.parameter import Parameter
+from gtau.robots.robot import PLAIN_FRICTION
 
 PLAUSIBLE = 0.05  # friction coefficient of the load: 0.02 to 0.1 in strain-wave gears (UR10e pairs)
 # Rotors that are tried, in rms torques over rms accelerations; a mixture stands for one in between. With the load's
@@ -26,7 +27,9 @@ def _torques(at: FitWindow) -> Torques:
         np.array([Parameter(kind, joint) in names for joint in joints])
         for kind, names in (("fl", fit.system.terms), ("ia", fit.dataset.base.names))
     )
-    load = at.torques_along(at.motion, at.transmitted + at.passive_friction).T
+    # of passive joints gears transmit the friction too
+    passive = [name.kind in PLAIN_FRICTION and name.body not in joints for name in fit.dataset.base.names]
+    load = at.torques_along(at.motion, at.transmitted + at.values * passive).T
     of_term = at.torques_along(at.motion, fit.system.load(at.run, fit.solution.theta)).T
     rotor = samples.qdd * rms_torques(fit) / fit.dataset.rms_accelerations * ~apart
     more = np.stack([np.abs(load - size * rotor) - np.abs(load) for size in ROTORS])
