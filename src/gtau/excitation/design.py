@@ -260,9 +260,9 @@ def require_rest(task: DesignProblem) -> None:
         )
 
 
-def check(task: DesignProblem, x: np.ndarray, finer: int = FINER) -> tuple[ConstraintUsage, ...]:
-    """Compute the usage of limits by a whole run, with approach and return, on a grid ``finer`` times finer."""
-    grid = design_grid(task, finer)
+def check(task: DesignProblem, x: np.ndarray) -> tuple[ConstraintUsage, ...]:
+    """Compute the usage of limits by a whole run, with approach and return, on a grid ``FINER`` times finer."""
+    grid = design_grid(task, FINER)
     period = evaluate(task, x, grid)
     joints = whole_run(task, period, 1 / grid.step)
     rms = np.sqrt(np.mean(joints[1] ** 2, axis=1))

@@ -236,8 +236,7 @@ def apparatus(
     simulation: Simulation, model: InverseDynamics, payload: Payload | None
 ) -> tuple[Plant | MujocoPlant, Plant, closed_loop.Hardware]:
     """Make the engine that moves the robot with its payload, gtau's plant, and the drives and sensors."""
-    parameters, friction = _truth(simulation, model)
-    chi = dict(parameters)
+    chi, friction = _truth(simulation, model)
     if payload is not None:
         for kind, value in {"m": payload.mass or 0.0, **payload.parameters}.items():
             name = Parameter(kind, model.robot.tool)

@@ -46,14 +46,12 @@ def _columns(fit: Fit) -> list[EffectColumn]:
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
-    what = f"gravity tilted towards ({column.about})"
+    strength = column.about == "strength"
+    if strength and abs(size) > EARTH:
+        return clock_words(fit, max(1 - size / 100, 0.1) ** -0.5)
+    what = "a different magnitude of gravity" if strength else f"gravity tilted towards ({column.about})"
     loads = ", which runs carry the payload, and on which body" if fit.system.payloads else ""
-    action = f"check the direction of gravity, that the base is level, the sampling rate{loads}"
-    if column.about == "strength":
-        what = "a different magnitude of gravity"
-        if abs(size) > EARTH:
-            return clock_words(fit, max(1 - size / 100, 0.1) ** -0.5)
-    return what, action
+    return what, f"check the direction of gravity, that the base is level, the sampling rate{loads}"
 
 
 def clock_words(fit: Fit, factor: float) -> Words:
