@@ -58,9 +58,7 @@ class EstimationOptions:
         bool,
         option("", "Follow the paper: its TLS (or wls, ols), filter, friction, reduction; no delays.", "--as-paper"),
     ] = False
-    consistent: Annotated[bool, option("", "Also find physically consistent standard parameters.", "--consistent")] = (
-        False
-    )
+    consistent: Annotated[bool, option("", "Also find physically consistent parameters.", "--consistent")] = False
     prior_inertias: Annotated[
         float | None,
         option(

@@ -199,13 +199,9 @@ class DrawOptions:
 class ThresholdOptions:
     """What thresholds of collision detection are made from."""
 
-    experiment: Annotated[
-        Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its validation runs have no contact.")
-    ] = None
+    experiment: Annotated[Path | None, option("EXPERIMENT.yaml", "For 'thresholds': its runs have no contact.")] = None
     hours: Annotated[float, option("HOURS", "For 'thresholds': mean time between false alarms.")] = 8.0
-    observer: Annotated[float | None, option("HZ", "For 'thresholds': of the momentum observer of this bandwidth.")] = (
-        None
-    )
+    observer: Annotated[float | None, option("HZ", "For 'thresholds': bandwidth of the momentum observer.")] = None
 
 
 @refusing

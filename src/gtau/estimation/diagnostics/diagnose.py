@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -118,7 +119,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         contradicting = () if odd else contradicting
         refit: EstimatedEffect | None = None
         if not findings:
-            tried = _other_descriptions(fit, misfit, lacking, missing, loads, (*effects, *causes), progress)
+            tried = chain([loads], _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress))
             # one that leaves more of the residuals than the user's explains a single joint at most
             refit = next((other for other in tried if other is not None and other.share > 0), None)
         if refit:
@@ -157,19 +158,12 @@ def _contradicting(
 
 
 def _other_descriptions(
-    fit: Fit,
-    misfit: bool,
-    lacking: bool,
-    missing: bool,
-    loads: EstimatedEffect | None,
-    effects: Sequence[EstimatedEffect],
-    progress: Progress,
+    fit: Fit, misfit: bool, lacking: bool, missing: bool, effects: Sequence[EstimatedEffect], progress: Progress
 ) -> Iterator[EstimatedEffect | None]:
-    """Fit the data with other descriptions of robot and logs, ``loads`` first; the first that explains them counts.
+    """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
 
     Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
     """
-    yield loads
     if misfit or lacking:
         yield descriptions.other_body(fit)
     if misfit:
