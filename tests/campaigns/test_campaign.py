@@ -133,7 +133,8 @@ def test_files_that_are_not_as_they_were_written_are_named(copied: Path) -> None
         with pytest.raises(GtauError, match=rf"{name} is not as it was written"):
             assert read_rounds(copied)[0].decision
         (copied / "01" / name).unlink()
-    assert "does not exist; name another with --robot" in play(copied / "01", "--robot", "none.yaml").stderr
+    said = play(copied / "01", "--robot", "none.yaml").stderr
+    assert "none.yaml describes the simulated robot and does not exist; write it" in said
 
 
 @pytest.mark.slow
