@@ -182,7 +182,7 @@ def _other_descriptions(
 
 
 def explained_failure(system: System, progress: Progress) -> str:
-    """Say what makes the iteration of the gains diverge, if columns of effort or an angle of a parallelogram do."""
+    """Say what makes the iteration of the gains diverge: one run, columns of effort, or an angle of a parallelogram."""
     try:
         fit = fit_by(likeliest, system, free_gains=True)
         if odd := descriptions.odd_run(fit, None):

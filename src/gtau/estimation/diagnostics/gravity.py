@@ -175,12 +175,13 @@ def _described(unaltered: Fit, other: Fit, alike: Sequence[Fit]) -> EstimatedEff
 
 
 def _zero_of_first_joint(robot: Robot, gravity: np.ndarray) -> str:
-    """Say by which zero of the joint at the base, if by any, the robot moves as with another gravity."""
+    """Say by which zero of the joint that carries all others, if by any, the robot moves as with another gravity."""
     first, declared = robot.joints[0], np.array(robot.gravity)
+    alone = [joint for joint in robot.joints if joint.antecedent == first.antecedent] == [first]
     axis = np.array(first.placement.rotation) @ np.array(first.axis)
     turn = np.cross(gravity, declared)
     level = np.isclose(abs(turn @ axis), np.linalg.norm(turn), rtol=1e-3)
-    if first.name not in robot.motors or not first.turns or not level:
+    if not (alone and level and first.turns and first.name in robot.motors) or robot.closures or robot.couplings:
         return ""
     angle = np.sign(turn @ axis) * _degrees(gravity, declared)
     return f", or as likely an error of {angle:.3g} deg in the zero of encoder '{first.name}'"
