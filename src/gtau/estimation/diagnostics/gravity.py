@@ -178,8 +178,7 @@ def _zero_of_first_joint(robot: Robot, gravity: np.ndarray) -> str:
     """Say by which zero of the joint that carries all others, if by any, the robot moves as with another gravity."""
     first, declared = robot.joints[0], np.array(robot.gravity)
     alone = [joint for joint in robot.joints if joint.antecedent == first.antecedent] == [first]
-    axis = np.array(first.placement.rotation) @ np.array(first.axis)
-    turn = np.cross(gravity, declared)
+    turn, axis = np.cross(gravity, declared), np.array(first.placement.rotation) @ np.array(first.axis)
     level = np.isclose(abs(turn @ axis), np.linalg.norm(turn), rtol=1e-3)
     if not (alone and level and first.turns and first.name in robot.motors) or robot.closures or robot.couplings:
         return ""
