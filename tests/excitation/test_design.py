@@ -324,7 +324,6 @@ def test_the_command_writes_trajectory_table_and_figure(tmp_path: Path) -> None:
         ("velocity: {left: 4, right: 4}", "velocity: {lift: 4}", "limits.velocity names 'lift'"),
         ("harmonics: 4", "harmonics: 400", "highest harmonic"),
         ("period: 4", "period: 4\nrest: {left: 0}", "outside its limits"),
-        ("period: 4", "period: 4\nspace: platform", "no platforms"),
     ],
 )  # fmt: skip
 def test_design_files_that_cannot_be_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:

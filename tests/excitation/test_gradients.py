@@ -1,4 +1,4 @@
-"""Derivatives of motions, weights and criteria against differences, and the platform's motion against the joints'."""
+"""Derivatives of motions, weights and criteria against differences."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from robots_for_tests import CLOSED, four_bar, hexapod, palletizer, random_samples
+from robots_for_tests import four_bar, hexapod, palletizer, random_samples
 
 from gtau.errors import GtauError
 from gtau.excitation.constraints import constraint_usages
@@ -17,7 +17,6 @@ from gtau.excitation.task import DesignProblem, MotionLimits, design_grid, evalu
 from gtau.excitation.trajectory import (
     FourierSeries,
     Pullback,
-    in_platform_space,
     move_duration,
     quintic,
     smooth_regressor,
@@ -31,7 +30,7 @@ from gtau.signals.reading.statements import Payload
 DISC = Payload(name="disc", mass=2.0, parameters={"mx": 0.2})
 
 
-def make_task(robot: Robot, platform: bool = False) -> DesignProblem:
+def make_task(robot: Robot) -> DesignProblem:
     """Two runs of a robot of arbitrary parameters, every kind of limit given."""
     model = InverseDynamics(robot)
     base, n = base_parameters(model), len(model.actuated)
@@ -46,8 +45,7 @@ def make_task(robot: Robot, platform: bool = False) -> DesignProblem:
         tool_speed=1.0,
     )
     half = 0.05 if robot.closures else 2.0
-    center = np.zeros(3) if platform else limits.position.mean(axis=1)
-    series = FourierSeries(center, np.full(len(center), half), 0.2, 4, platform)
+    series = FourierSeries(limits.position.mean(axis=1), np.full(n, half), 0.2, 4)
     chi = base.matrix @ rng.uniform(0.2, 1.0, len(model.parameter_names))
     prior = PriorModel(chi, (KnownGain(9.0, (9.0, 9.0), "given"),) * n, np.full(n, 0.02), chi)
     return DesignProblem(model, base, series, 500.0, 1, None, (None, DISC), limits, prior)
@@ -59,9 +57,9 @@ def slope(function, x: np.ndarray, way: np.ndarray, h: float = 1e-5) -> float:
     return float((4 * near - far) / 3)
 
 
-@pytest.fixture(scope="module", params=["orthoglide", "orthoglide platform", "ur10e"])
+@pytest.fixture(scope="module", params=["orthoglide", "ur10e"])
 def task(request) -> DesignProblem:
-    return make_task(load_robot(request.param.split()[0]), "platform" in request.param)
+    return make_task(load_robot(request.param))
 
 
 @pytest.mark.parametrize("name", [*NAMED, "gain"])
@@ -129,32 +127,6 @@ def test_smooth_regressor_is_the_regressor_away_from_reversals(rng: np.random.Ge
     assert smooth(motion).transpose(1, 0, 2) == pytest.approx(model.regressor(q, qd, qdd), abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    "robot", [robot for robot in CLOSED if len(robot.platforms) == 1], ids=lambda robot: robot.name
-)
-def test_platform_space_is_the_inverse_of_joint_space(robot: Robot, rng: np.random.Generator) -> None:
-    model, driven = InverseDynamics(robot), InverseDynamics(in_platform_space(robot))
-    n, chain = len(model.actuated), driven.layout.actuated
-    p, pd, pdd = 0.03 * rng.normal(size=(3, n, 10))
-    motion = driven.motion(p, pd, pdd)
-    motors = [[joint.name for joint in driven.robot.joints].index(name) for name in model.actuated]
-    back = model.motion(motion.c[motors], motion.yd[motors], motion.ydd[motors])
-    slots = model.layout.platforms[0]
-    turns = [name for name in slots.platform.dof if name.startswith("r")]
-    if len(turns) < 3:  # with three turns, the rates belong to successive angles, not to a twist
-        order = [sorted(slots.platform.dof).index(dof) for dof in slots.platform.dof]
-        assert sorted(np.abs(back.yd[slots.rates]).ravel()) == pytest.approx(sorted(np.abs(pd).ravel()), abs=1e-9), (
-            order
-        )
-        assert sorted(np.abs(back.ydd[slots.rates]).ravel()) == pytest.approx(sorted(np.abs(pdd).ravel()), abs=1e-8)
-    home = np.array(robot.platforms[0].home.position)
-    moved = dict(zip((driven.layout.names[k] for k in chain), p, strict=True))
-    for k, axis in enumerate("xyz"):
-        along = [row for name, row in moved.items() if name.startswith(f"{axis} of")]
-        if along:
-            assert back.c[slots.position][k] == pytest.approx(home[k] + along[0], abs=1e-9)
-
-
 def test_weights_fall_at_reversals_and_their_slopes_agree_with_differences(rng: np.random.Generator) -> None:
     window = Window(step=0.05, reach=0.12, fraction=0.05, floor=np.array([0.0, 0.3]))
     time = 0.05 * np.arange(80)
@@ -192,5 +164,3 @@ def test_names_that_are_no_parameters_are_refused() -> None:
     task = make_task(load_robot("ur10e"))
     with pytest.raises(GtauError, match="no criterion or parameter 'gian_elbow'"):
         criterion("gian_elbow", task.information)
-    with pytest.raises(GtauError, match="no platforms"):
-        in_platform_space(task.model.robot)

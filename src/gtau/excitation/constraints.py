@@ -204,7 +204,7 @@ def _nearing(
 def _approach(point: Point) -> Point | None:
     """Return poses between rest and the beginning of a motion on a design grid; None without an approach."""
     task, basis = point.task, point.grid.basis
-    if task.rest is None or point.platform is not None or not basis.size:
+    if task.rest is None or not basis.size:
         return None
     way = np.zeros((4, APPROACH, basis.shape[2]))
     way[0] = np.outer(WAY[1:-1], basis[0, 0])
@@ -214,7 +214,7 @@ def _approach(point: Point) -> Point | None:
         motion = close(task.model, joints)
     except GtauError:  # the check of the whole run reports it
         return None
-    return Point(task, Grid(point.grid.step, way), joints, motion, None, point.W[:, :APPROACH])
+    return Point(task, Grid(point.grid.step, way), joints, motion, point.W[:, :APPROACH])
 
 
 def _away_from_reversals(point: Point, counted: np.ndarray | None) -> Iterator[ConstraintUsage]:

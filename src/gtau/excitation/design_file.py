@@ -19,13 +19,13 @@ from gtau.excitation.clearance import Capsule, Shape, hull
 from gtau.excitation.guards import guard, speed_of_tool
 from gtau.excitation.prior import ARM, ERROR, DesignPrior, FilePath, PriorModel, prior_of, stated_bodies
 from gtau.excitation.task import DesignProblem, MotionLimits
-from gtau.excitation.trajectory import FourierSeries, in_platform_space
+from gtau.excitation.trajectory import FourierSeries
 from gtau.model.base_parameters import base_parameters
 from gtau.model.home import load_robot
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import refuse_floating
 from gtau.robots.readers.read import catalog_names
-from gtau.robots.robot import TRANSLATIONS, Limits, Pose, Robot
+from gtau.robots.robot import Limits, Pose, Robot
 from gtau.signals.reading.experiment import RobotName
 from gtau.signals.reading.statements import FIRST_MOMENTS, CarriedPayload, Drive, Payload
 
@@ -105,7 +105,6 @@ class DesignFile(Keys):
     period: Positive = 10.0
     harmonics: Annotated[int, Field(ge=2)] = 5
     repetitions: Annotated[int, Field(ge=1)] = 1
-    space: Literal["joint", "platform"] = "joint"
     approach: bool = True
     rest: dict[str, FiniteFloat] = Field(default_factory=dict)
     runs: tuple[PlannedRun, ...] = Field(min_length=1)
@@ -139,7 +138,6 @@ class DesignFile(Keys):
 
 RISE = 0.3  # s, assumed time to the speed limit for a joint without a limit of acceleration
 TURN = np.pi  # rad, reach of a joint without position limits
-TURNING = 0.3  # rad, reach of a platform's rotations
 
 
 EXAMPLE = "{robot: %s, rate: 1000, runs: [{payload: none}, {payload: {name: disc, mass: 1}}]}"  # a design file
@@ -194,14 +192,9 @@ def make_task(file: DesignFile) -> tuple[DesignProblem, dict[str, str]]:
     guards = (*words, tool, *notes, *_torques(model, file, prior, assumed), *_rest(robot, rest, file, limits))
     limits = replace(limits, clearance=apart, guards=guards, tool_speed=fastest)
     period = round(file.period * file.rate) / file.rate  # a whole number of samples
-    if file.space == "platform":
-        series = _platform_series(robot, file.limits, period, file.harmonics)
-    else:
-        home = np.array([[robot.joint(name).home] for name in robot.actuated])
-        reach = np.where(
-            np.isfinite(limits.position).all(axis=1)[:, None], limits.position, np.add(home, (-TURN, TURN))
-        )
-        series = FourierSeries(reach.mean(axis=1), np.ptp(reach, axis=1) / 2, 1 / period, file.harmonics)
+    home = np.array([[robot.joint(name).home] for name in robot.actuated])
+    reach = np.where(np.isfinite(limits.position).all(axis=1)[:, None], limits.position, np.add(home, (-TURN, TURN)))
+    series = FourierSeries(reach.mean(axis=1), np.ptp(reach, axis=1) / 2, 1 / period, file.harmonics)
     start = rest if file.approach else None
     problem = DesignProblem(model, base, series, file.rate, file.repetitions, start, file.payloads, limits, prior)
     return problem, assumed
@@ -312,20 +305,3 @@ def _limits(entry: LimitsEntry, robot: Robot) -> MotionLimits:
         condition=entry.condition,
         away=entry.away_from_reversals,
     )
-
-
-def _platform_series(robot: Robot, entry: LimitsEntry, period: float, harmonics: int) -> FourierSeries:
-    """Make a series of the platform's coordinates relative to its home, over the workspace."""
-    in_platform_space(robot)  # refuses a robot without a platform
-    platform = robot.platforms[0]
-    center, half = [], []
-    for dof, home in zip(TRANSLATIONS, platform.home.xyz, strict=True):
-        if dof in platform.dof:
-            if dof not in entry.workspace:
-                raise GtauError(f"a motion in platform space needs limits.workspace.{dof}, an interval in m; add it.")
-            low, high = entry.workspace[dof]
-            center.append((low + high) / 2 - home)
-            half.append((high - low) / 2)
-    turns = len(platform.dof) - len(center)
-    center, half = center + [0.0] * turns, half + [TURNING] * turns
-    return FourierSeries(np.array(center), np.array(half), 1 / period, harmonics, in_platform_space=True)

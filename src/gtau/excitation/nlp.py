@@ -278,8 +278,6 @@ def _clear_center(task: DesignProblem, rng: np.random.Generator, x: np.ndarray) 
     series, clearance = task.series, task.limits.clearance
     resting = np.zeros_like(x)
     centers = resting.reshape(-1, series.free)[:, 0]
-    if series.in_platform_space:
-        return resting
     if task.rest is not None and task.model.loops is not None:
         q = task.rest[:, None] + np.outer(series.center - task.rest, WAY)
         try:

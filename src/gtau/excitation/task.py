@@ -11,14 +11,13 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.excitation.clearance import Clearance
-from gtau.excitation.information import Information, Window, derivative, information_of
+from gtau.excitation.information import Information, Window, information_of
 from gtau.excitation.prior import PriorModel
 from gtau.excitation.trajectory import (
     FourierSeries,
     Pullback,
     SmoothRegressor,
     approach_duration,
-    in_platform_space,
     smooth_regressor,
 )
 from gtau.model.base_parameters import BaseParameters
@@ -138,15 +137,6 @@ class DesignProblem:
         return Pullback(self.model)
 
     @cached_property
-    def platform(self) -> tuple[InverseDynamics, Pullback, list[int]] | None:
-        """For a motion in platform space: model of the robot driven by its platform, pullback, and its motor joints."""
-        if not self.series.in_platform_space:
-            return None
-        driven = InverseDynamics(in_platform_space(self.model.robot), "inertial")
-        names = [joint.name for joint in driven.robot.joints]
-        return driven, Pullback(driven), [names.index(name) for name in self.model.actuated]
-
-    @cached_property
     def tool(self) -> tuple[Program, Program]:
         """Position of the tool's frame in the base, and the gradient by c of its weighted coordinates."""
         c, weights = ca.SX.sym("c", self.model.layout.n_c), ca.SX.sym("weights", 3)
@@ -202,16 +192,12 @@ def design_grid(task: DesignProblem, finer: int = 1) -> Grid:
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A motion: joints (4, n, N), the whole robot, and the base regressor W (n, N, n_b).
-
-    In platform space, ``platform`` is the motion of the robot driven by its platform.
-    """
+    """A motion: joints (4, n, N), the whole robot, and the base regressor W (n, N, n_b)."""
 
     task: DesignProblem
     grid: Grid
     joints: np.ndarray
     motion: Motion
-    platform: Motion | None
     W: np.ndarray
 
     @cached_property
@@ -231,40 +217,25 @@ class Point:
     def to_rows(self, by: np.ndarray) -> np.ndarray:
         """Convert derivatives by q, qd, qdd (3, n, N) into the gradient of every sample by x, (N, series.size)."""
         series = self.task.series
-        if self.platform is not None and self.task.platform is not None:
-            driven, pullback, motors = self.task.platform
-            slopes = np.zeros((3, driven.layout.n_y, by.shape[2]))
-            slopes[:, motors] = by
-            by = pullback(self.platform, slopes.reshape(-1, by.shape[2]))
         rows = by.transpose(2, 1, 0) @ self.grid.basis[:3].transpose(1, 0, 2) * series.half[:, None]
         return np.asarray(rows.reshape(len(rows), series.size))
 
     def rows_of(self, order: int, joint: int) -> np.ndarray:
         """Compute the gradients (N, series.size) of a joint's position, velocity, acceleration or jerk."""
         series, samples = self.task.series, self.joints.shape[2]
-        if order == 3 and self.platform is None:
-            rows = np.zeros((samples, len(series.center), series.free))
-            rows[:, joint] = self.grid.basis[3] * series.half[joint]
-            return rows.reshape(samples, series.size)
-        by = np.zeros((3, *self.joints.shape[1:]))
-        by[min(order, 2), joint] = 1.0
-        rows = self.to_rows(by)
-        return derivative(rows.T, self.grid.step).T if order == 3 else rows
+        rows = np.zeros((samples, len(series.center), series.free))
+        rows[:, joint] = self.grid.basis[order] * series.half[joint]
+        return rows.reshape(samples, series.size)
 
 
 def evaluate(task: DesignProblem, x: np.ndarray, grid: Grid, near: Point | None = None) -> Point:
     """Evaluate the motion for x (series.size,), closing loops from the configurations of ``near`` if given."""
-    joints, platform = task.series.along(x, grid.basis), None
-    if task.platform is not None:
-        driven, _, motors = task.platform
-        platform = close(driven, joints, None if near is None or near.platform is None else near.platform.c)
-        qdd = platform.ydd[motors]
-        joints = np.stack([platform.c[motors], platform.yd[motors], qdd, derivative(qdd, grid.step)])
+    joints = task.series.along(x, grid.basis)
     motion = close(task.model, joints, None if near is None else near.motion.c)
-    return Point(task, grid, joints, motion, platform, task.regressor(motion))
+    return Point(task, grid, joints, motion, task.regressor(motion))
 
 
 def along(task: DesignProblem, joints: np.ndarray, step: float) -> Point:
     """Evaluate any motion of the joints (4, n, N), ``step`` s apart."""
     motion = close(task.model, joints)
-    return Point(task, Grid(step), joints, motion, None, task.regressor(motion))
+    return Point(task, Grid(step), joints, motion, task.regressor(motion))

@@ -7,21 +7,17 @@ configuration moves by ``J qd``, and eqs. (5) to (8) give yd, ydd and J.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from gtau.errors import GtauError
 from gtau.model.equations import closed_motion, torques
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
 from gtau.model.kinematics import Coordinates, configuration_rates
 from gtau.model.loops import Motion
 from gtau.model.program import Program, compile_program
-from gtau.robots.geometry import moved_ends
 from gtau.robots.parameter import Parameter
-from gtau.robots.placement import compose
-from gtau.robots.robot import GROUND, ROTATIONS, TRANSLATIONS, Attachment, Joint, Limits, Pose, Robot
 
 SHORTEST_APPROACH = 1.0  # s
 # duration over the shortest within speed, acceleration and jerk, so that currents stay within theirs
@@ -36,15 +32,13 @@ class FourierSeries:
     A coordinate is ``center + sum over k of a_k sin(k w t) + b_k cos(k w t)``, with k up to ``harmonics`` and w the
     angular ``base_frequency`` (Hz). Zero speed and acceleration at t = 0 leave ``2 harmonics - 1`` free numbers per
     coordinate. The vector x (size,) holds these numbers, coordinate by coordinate, in units of ``half`` (m,), with
-    amplitudes that fall with k. The coordinates are the actuated joints, or with ``in_platform_space`` the coordinates
-    of the platform relative to its home.
+    amplitudes that fall with k. The coordinates are the actuated joints.
     """
 
     center: np.ndarray
     half: np.ndarray
     base_frequency: float
     harmonics: int
-    in_platform_space: bool = False
 
     @property
     def period(self) -> float:
@@ -150,41 +144,6 @@ class Pullback:
             weights = np.vstack([slopes, np.full(samples, by_condition)])
             slopes = self._program(motion.c, motion.yd[actuated], motion.ydd[actuated], weights)
         return slopes.reshape(3, -1, samples)
-
-
-def in_platform_space(robot: Robot) -> Robot:
-    """Build the robot driven by its platform: platform coordinates become actuated joints, motor joints passive.
-
-    The closure equations then give the inverse kinematics. The platform becomes the last link of a chain of prismatic
-    and revolute joints along the base axes.
-    """
-    if len(robot.platforms) != 1:
-        raise GtauError(
-            f"robot '{robot.name}' has {len(robot.platforms) or 'no'} platforms; a motion in platform space needs one, "
-            "so give the motion in joint space."
-        )
-    platform = robot.platforms[0]
-    # position at home first, orientation last, so that the axes are base axes
-    order = [dof for dof in (*TRANSLATIONS, *reversed(ROTATIONS)) if dof in platform.dof]
-    names = [*(f"{dof} of {platform.name}" for dof in order[:-1]), platform.name]
-    chain, before, placement = [], GROUND, Pose(platform.home.xyz)
-    for dof, name in zip(order, names, strict=True):
-        kind = "prismatic" if dof in TRANSLATIONS else "revolute"
-        axis = tuple(float(axis == dof[-1]) for axis in TRANSLATIONS)
-        chain.append(Joint(name, before, kind, placement, axis, True, 0.0, Limits(), "none"))  # type: ignore[arg-type]
-        before, placement = name, Pose()
-    held = Pose(rpy=platform.home.rpy)
-
-    def moved(end: Attachment) -> Attachment:
-        return end if end.body != platform.name else replace(end, placement=compose(held, end.placement))
-
-    return replace(
-        robot,
-        joints=(*chain, *(replace(joint, actuated=False) for joint in robot.joints)),
-        platforms=(),
-        springs=(),  # they do not enter the closure equations
-        closures=moved_ends(robot, moved)[0],
-    )
 
 
 @dataclass(frozen=True, eq=False)
