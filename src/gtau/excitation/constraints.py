@@ -161,10 +161,8 @@ def _workspace(point: Point) -> Iterator[ConstraintUsage]:
 
 
 def tool_speed(point: Point) -> Iterator[ConstraintUsage]:
-    """Compute the usage of the limit of the tool's speed, if there is one."""
+    """Compute the usage of the limit of the tool's speed."""
     task, motion, limit = point.task, point.motion, point.task.limits.tool_speed
-    if not np.isfinite(limit):
-        return
     speed, slopes = task.tool_speed
 
     def rows() -> np.ndarray:

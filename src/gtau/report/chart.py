@@ -66,8 +66,8 @@ class Rule:
 class Panel:
     """A pair of axes with series.
 
-    ``shaded`` holds starts and ends of excluded stretches of x, ``band`` is a range of y, and ``matrix`` (m, m) holds
-    values from -1 to 1, drawn in place of series. ``height`` is in inches.
+    ``shaded`` holds starts and ends of excluded stretches of x (of live charts), ``band`` is a range of y, and
+    ``matrix`` (m, m) holds values from -1 to 1, drawn in place of series. ``height`` is in inches.
     """
 
     x: Axis

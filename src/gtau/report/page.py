@@ -71,8 +71,6 @@ class Column:
             value, half = cell
             return number(value, self.digits) if not half else f"{to_width(value, half)} ± {to_width(half, half)}"
         value = 100 * cell if self.kind == Kind.SHARE else cell
-        if self.kind not in NUMERIC:
-            return str(value)
         if value > self.most:
             return f"> {self.most:g}"
         return f"{value:z.{self.decimals}f}" if self.decimals is not None else number(value, self.digits)

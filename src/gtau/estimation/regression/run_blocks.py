@@ -67,11 +67,9 @@ class PreparedRuns(tuple[PreparedRun, ...]):
         These are the instants (s), by the clock of the run, at which the first run of the group begins to move and the
         last one ends. Runs belong together where the rms difference of their positions after a shift in time, over the
         rms of the motion, is below ``REPEATED``, of ``REPEATED_PART`` of the longer one at least. Each is compared with
-        the first of every group. Runs in memory, which are synthetic, form groups of one.
+        the first of every group.
         """
         numbers, spans = np.arange(len(self)), np.zeros((len(self), 2))
-        if not all(isinstance(run, PreparedRun) for run in self):
-            return numbers, spans
         step, paths = _paths(self)
         groups = list[list[tuple[int, float]]]()
         for k, other in enumerate(self):

@@ -143,7 +143,6 @@ def _scales(panel: Panel, across: tuple[float, float], up: tuple[float, float]) 
         x, y, up = [np.array([-0.5, len(panel.matrix) - 0.5])], [np.array([-0.5, len(panel.matrix) - 0.5])], up[::-1]
     x += [np.array([rule.x]) for rule in panel.rules if rule.x is not None]
     y += [np.array([rule.y]) for rule in panel.rules if rule.y is not None]
-    x += [] if panel.shaded is None else [panel.shaded.ravel()]
     y += [] if panel.band is None else [np.array(panel.band)]
     room = np.max([ROOM.get(series.mark, (0.0, 0.05)) for series in panel.series] or [(0.0, 0.0)], axis=0).tolist()
     x_scale = Scale(panel.x, 0.0, 1.0, *across).around(np.concatenate(x), room[0])
@@ -177,8 +176,6 @@ def _drawn(panel: Panel, x: Scale, y: Scale) -> Iterator[str]:
         yield from _matrix(panel.matrix, x, y)
     if panel.band is not None:
         yield _area([(x.start, x.stop)], y.at(np.array(panel.band)), "shade")
-    if panel.shaded is not None and panel.shaded.size:
-        yield _area(x.at(panel.shaded.reshape(-1, 2)), (y.start, y.stop), "shade")
     dashed = "; stroke-dasharray: 2.4 2.4"
     # the first label is left of its line, further ones right, so that all show
     for k, (value, label) in enumerate(sorted((rule.x, rule.label) for rule in panel.rules if rule.x is not None)):
