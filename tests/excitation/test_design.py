@@ -91,7 +91,7 @@ def designed(search: tuple[Design, list[tuple[str, int, int]]]) -> Design:
 
 @pytest.mark.slow
 def test_all_limits_hold_on_a_grid_ten_times_finer(designed: Design) -> None:
-    every = check(designed.task, designed.x, 10)
+    every = check(designed.task, designed.x)
     assert {load.what: load.excess for load in every if load.excess > 1} == {}
     assert max(load.excess for load in every) > 0.95  # and some are used
     kinds = {load.what.split()[0] for load in every}
