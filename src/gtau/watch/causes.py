@@ -319,7 +319,7 @@ def _position_fault(
     fit = fit_mixed(MixedModel(products, free, part, np.zeros(0, dtype=int), np.full(2, LOOSE)))
     k = int(np.argmax([fit.lost_without([0]), fit.lost_without([1])]))
     squares, function = single.copy(), shape @ (fit.sizes[k] * fit.at.own_effects[0][part == k])
-    squares[joint] = np.mean((columns @ fit.model.coefficients(fit.sizes, fit.at, 0)) ** 2)
+    squares[joint] = np.mean((columns @ fit.at.coefficients(0)) ** 2)
     name = run.joints[joint]
     unit = torque_unit(model.robot, name)
     rms = {error.joint: error.rms for error in model.residuals}.get(name) or 1.0

@@ -59,17 +59,19 @@ class LagProducts:
     @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""
-        return self.combined([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return self._of_columns(self.products[0])
 
     def combined(self, weights: Sequence[float]) -> np.ndarray:
         """Add up the products by their ``weights`` (7,): (p, p)."""
-        total = np.tensordot(weights, self.products, 1)
-        return np.asarray(total if self.basis is None else self.basis.T @ total @ self.basis)
+        return self._of_columns(np.tensordot(weights, self.products, 1))
 
-    def lagged(self, lag: int, coefficients: np.ndarray) -> tuple[float, float]:
-        """Sum the products of the residuals at a ``lag``, and count them; ``coefficients`` (p,) combine the columns."""
+    def _of_columns(self, products: np.ndarray) -> np.ndarray:
+        return np.asarray(products if self.basis is None else self.basis.T @ products @ self.basis)
+
+    def squares(self, coefficients: np.ndarray) -> np.ndarray:
+        """Sum the products of the residuals, (7,), whose columns are combined by ``coefficients`` (p,)."""
         along = coefficients if self.basis is None else self.basis @ coefficients
-        return float(along @ self.products[lag] @ along) / (2 if lag else 1), float(self.counts[lag])
+        return np.asarray(self.products @ along @ along)
 
 
 def lag_products(rows: np.ndarray, begins: np.ndarray) -> LagProducts:
@@ -94,27 +96,28 @@ class Noise:
     std: float = 1.0
     partial: tuple[float, float] = (0.0, 0.0)
 
-    def whitened(self, rows: LagProducts) -> np.ndarray:
-        """Combine products of rows into products of rows with independent noise of unit variance, (p, p).
+    @property
+    def weights(self) -> list[float]:
+        """Weights of products of rows in those of rows with independent noise of unit variance, (7,).
 
         The inverse covariance of a stretch is a band that is the same all along it but for the rows at its ends.
         """
         a, b = self.partial[0] * (1 - self.partial[1]), self.partial[1]
         alone = (1 - self.partial[0] ** 2) * (1 - b**2)
         within, ends = (1 + a**2 + b**2, a * b - a, -b), (-(a**2 + b**2), -a * b, -(b**2))
-        return rows.combined([weight / self.std**2 for weight in (*within, *ends, alone - within[0])])
+        return [weight / self.std**2 for weight in (*within, *ends, alone - within[0])]
 
 
 def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
     """Estimate the noise from residuals; ``used`` is the number of rows that the estimates take up."""
-    (c0, n0), (c1, n1), (c2, n2) = (rows.lagged(lag, coefficients) for lag in range(3))
-    variance = max(c0 / max(n0, 1), 1e-300)
-    r1, r2 = (np.clip(c / max(n, 1) / variance, -1.0, 1.0) for c, n in ((c1, n1), (c2, n2)))
+    sums, counts = rows.squares(coefficients), np.maximum(rows.counts, 1)
+    c0, c1, c2 = sums[:3] / counts / (1, 2, 2)
+    r1, r2 = np.clip(np.array([c1, c2]) / max(c0, 1e-300), -1.0, 1.0)
     first = np.clip(r1, -LARGEST_CORRELATION, LARGEST_CORRELATION)
     second = np.clip((r2 - r1**2) / max(1 - first**2, 1e-9), -LARGEST_CORRELATION, LARGEST_CORRELATION)
     noise = Noise(1.0, (float(first), float(second)))
-    squares = float(coefficients @ noise.whitened(rows) @ coefficients)
-    std = float(np.sqrt(max(squares, 0.0) / max(n0 - used, LEAST_FREEDOM * n0, 1.0)))
+    count, squares = float(rows.counts[0]), float(noise.weights @ sums)
+    std = float(np.sqrt(max(squares, 0.0) / max(count - used, LEAST_FREEDOM * count, 1.0)))
     return replace(noise, std=max(std, LEAST_STD))
 
 
@@ -141,37 +144,73 @@ class MixedModel:
     def grams(self) -> np.ndarray:
         """Products (c, p, p) of the channels' rows with independent noise of unit variance."""
         noise = self.noise or (Noise(),) * len(self.rows)
-        return np.array([channel.whitened(rows) for channel, rows in zip(noise, self.rows, strict=True)])
+        return np.array([rows.combined(channel.weights) for channel, rows in zip(noise, self.rows, strict=True)])
 
     @property
     def unknowns(self) -> int:
         """Number k of the columns of the Jacobian."""
         return len(self.known) - 1
 
-    def coefficients(self, sizes: np.ndarray, at: Posterior, channel: int) -> np.ndarray:
-        """Return the coefficients (p,) that combine a channel's columns into its residuals."""
-        scale = np.concatenate([sizes[self.own_groups], np.ones(self.unknowns), sizes[self.shared_groups], [1.0]])
-        return scale * np.concatenate([at.own_effects[channel], at.common, [1.0]])
-
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Estimates of d and ``u / s``, and what their covariance follows from.
+    """Estimates of d and ``u / s`` at the ``sizes`` of the groups, and what their covariance follows from.
 
-    ``common`` (k + shared,) are d and the shared effects, with ``covariance``; ``own_effects`` (c, m) are each
-    channel's, with ``variance`` (c, m); they move by ``-response`` (c, m, k + shared) with the common ones, and
-    ``root`` (c, m, m) factors how they vary beside that. ``loss`` is minus the restricted log-likelihood, ``slope`` its
-    slope by the log sizes.
+    ``common`` (k + shared,) are d and the shared effects, with the ``covariance`` ``half half^T``. ``root`` (c, m, m)
+    factors how each channel's own effects vary beside them, and times ``crossed`` (c, m, k + shared + 1) moves them.
+    ``loss`` is minus the restricted log-likelihood.
     """
 
+    model: MixedModel
+    sizes: np.ndarray
     common: np.ndarray
     covariance: np.ndarray
-    own_effects: np.ndarray
-    variance: np.ndarray
-    response: np.ndarray
+    half: np.ndarray
     root: np.ndarray
+    crossed: np.ndarray
     loss: float
-    slope: np.ndarray
+
+    @property
+    def scale(self) -> np.ndarray:
+        """Sizes of a channel's columns without its residuals, (p - 1,)."""
+        own, shared = self.sizes[self.model.own_groups], self.sizes[self.model.shared_groups]
+        return np.concatenate([own, np.ones(self.model.unknowns), shared])
+
+    def coefficients(self, channel: int) -> np.ndarray:
+        """Return the coefficients (p,) that combine a channel's columns into its residuals."""
+        return np.append(self.scale * np.append(self.own_effects[channel], self.common), 1.0)
+
+    def used(self, channel: int) -> float:
+        """Compute how many rows of a channel its own and the common effects take up: tr(C X^T X)."""
+        m = len(self.model.own_groups)
+        A = self.model.grams[channel][:-1, :-1] * self.scale[:, None] * self.scale
+        B, C, root, within = self.response[channel], self.covariance, self.root[channel], A[:m, :m]
+        own_effects = float(np.sum((root @ within) * root)) + float(np.sum((B.T @ within @ B) * C))
+        return own_effects - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))
+
+    @cached_property
+    def own_effects(self) -> np.ndarray:
+        """Effects of each channel's own, (c, m)."""
+        return -((self.crossed @ np.append(self.common, 1.0))[:, None] @ self.root)[:, 0]
+
+    @cached_property
+    def response(self) -> np.ndarray:
+        """Moves of the own effects, (c, m, k + shared), by minus the common ones."""
+        return np.asarray(self.root.transpose(0, 2, 1) @ self.crossed[..., :-1])
+
+    @cached_property
+    def variance(self) -> np.ndarray:
+        """Variance of the own effects, (c, m)."""
+        return np.asarray(np.sum(self.root**2, axis=1) + np.sum((self.response @ self.half) ** 2, axis=2))
+
+    @property
+    def slope(self) -> np.ndarray:
+        """Slope of the loss by log s_k: ``m_k - |u_k / s_k|^2 - tr C_kk``, C the posterior covariance of ``u / s``."""
+        model, k = self.model, self.model.unknowns
+        own, shared = (1 - self.own_effects**2 - self.variance).sum(axis=0), 1 - self.common[k:] ** 2
+        left = np.append(own, shared - np.diag(self.covariance)[k:])
+        groups = np.append(model.own_groups, model.shared_groups)
+        return (self.sizes / model.prior) ** 2 + np.bincount(groups, left, minlength=len(self.sizes))
 
     def move(self, common: np.ndarray, own: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Estimate quantities (f,), linear in the common (f, .) and the own effects (f, m), with covariance (f, f)."""
@@ -185,10 +224,7 @@ class Posterior:
 
 
 def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
-    """Solve for d and all u at the sizes ``exp(log_s)``: minus the restricted log-likelihood, and its slope.
-
-    The slope by ``log s_k`` is ``m_k - |u_k / s_k|^2 - tr C_kk`` with C the posterior covariance of ``u / s``.
-    """
+    """Solve for d and all u at the sizes ``exp(log_s)``."""
     from scipy.linalg.lapack import dtrtri
 
     sizes, m, k = np.exp(log_s), len(model.own_groups), model.unknowns
@@ -209,16 +245,8 @@ def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
     covariance = half @ half.T
     common = -covariance @ S[:count, count]
     square = float(S[count, count] + common @ S[:count, count])
-    back = root.transpose(0, 2, 1)
-    effects = -(back @ (V @ np.append(common, 1.0))[..., None])[..., 0]
-    response = back @ V[..., :count]
-    variance = np.sum(root**2, axis=1) + np.sum((response @ half) ** 2, axis=2)
-    prior = (sizes / model.prior) ** 2
-    groups, left = np.append(model.own_groups, model.shared_groups), 1 - effects**2 - variance
-    shared_left = 1 - common[k:] ** 2 - np.diag(covariance)[k:]
-    slope = prior + np.bincount(groups, np.append(left.sum(axis=0), shared_left), minlength=len(log_s))
-    loss = 0.5 * (square + determinant + float(prior.sum()))
-    return Posterior(common, covariance, effects, variance, response, root, loss, slope)
+    loss = 0.5 * (square + determinant + float(np.sum((sizes / model.prior) ** 2)))
+    return Posterior(model, sizes, common, covariance, half, root, V, loss)
 
 
 def _inverse_root(S: np.ndarray) -> tuple[np.ndarray, float]:
@@ -242,35 +270,6 @@ def _inverse_root(S: np.ndarray) -> tuple[np.ndarray, float]:
     return scale[:, None] * half, float(np.log(kept).sum() - 2 * np.log(scale).sum())
 
 
-def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()) -> np.ndarray:
-    """Maximise the restricted likelihood over the sizes of all groups, from a ``start``: log s, (groups,)."""
-    from scipy.optimize import minimize
-
-    largest = np.broadcast_to(model.largest, start.shape)
-    log_s = np.minimum(start, largest)
-    log_s[list(without)] = BOUNDS[0] - 5.0
-    free = np.setdiff1d(np.arange(len(start)), without)
-
-    def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
-        log_s[free] = values
-        at = posterior(model, log_s)
-        return at.loss, at.slope[free]
-
-    options = {"maxiter": 60, "ftol": 1e-7, "gtol": 0.02}
-    bounds = [(BOUNDS[0], bound) for bound in largest[free]]
-    anew = np.full(len(free), len(free) > 0)
-    released = np.zeros(len(free), dtype=bool)
-    while anew.any():
-        begin = np.maximum(log_s[free], BOUNDS[0])
-        log_s[free] = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
-        # a small size has no slope by its logarithm to grow by, but one by its square
-        growth = posterior(model, log_s).slope[free] * np.exp(2 * (START - log_s[free])) / 2
-        anew = (log_s[free] < SMALL) & (growth < -WORTH) & ~released
-        released |= anew
-        log_s[free[anew]] = LOW
-    return log_s
-
-
 @dataclass(frozen=True, eq=False)
 class MixedFit:
     """A model at its most likely sizes ``s``: exp(log_s), with the posterior of all effects."""
@@ -286,7 +285,7 @@ class MixedFit:
 
     def at_sizes(self, log_s: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Estimate quantities (f,) by ``slopes`` (f, k + shared) at some sizes, with covariance and lost likelihood."""
-        at = self.at if log_s is self.log_s else posterior(self.model, log_s)
+        at = self.at if np.array_equal(log_s, self.log_s) else posterior(self.model, log_s)
         scaled = slopes * np.concatenate([np.ones(self.model.unknowns), np.exp(log_s)[self.model.shared_groups]])
         return scaled @ at.common, scaled @ at.covariance @ scaled.T, at.loss - self.at.loss
 
@@ -314,32 +313,49 @@ class MixedFit:
 
     def lost_without(self, groups: Sequence[int]) -> float:
         """Compute the log-likelihood that is lost without some groups, the sizes of the others being found again."""
-        return posterior(self.model, find_sizes(self.model, self.log_s, groups)).loss - self.at.loss
+        return find_sizes(self.model, self.log_s, groups).at.loss - self.at.loss
+
+
+def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()) -> MixedFit:
+    """Maximise the restricted likelihood over the sizes of all groups, from a ``start``: log s, (groups,)."""
+    from scipy.optimize import minimize
+
+    largest = np.broadcast_to(model.largest, start.shape)
+    log_s = np.minimum(start, largest)
+    log_s[list(without)] = BOUNDS[0] - 5.0
+    free = np.setdiff1d(np.arange(len(start)), without)
+
+    def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
+        log_s[free] = values
+        at = posterior(model, log_s)
+        return at.loss, at.slope[free]
+
+    options = {"maxiter": 60, "ftol": 1e-7, "gtol": 0.02}
+    bounds = [(BOUNDS[0], bound) for bound in largest[free]]
+    released = np.zeros(len(free), dtype=bool)
+    while True:
+        if len(free):
+            begin = np.maximum(log_s[free], BOUNDS[0])
+            log_s[free] = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
+        at = posterior(model, log_s)
+        # a small size has no slope by its logarithm to grow by, but one by its square
+        growth = at.slope[free] * np.exp(2 * (START - log_s[free])) / 2
+        anew = (log_s[free] < SMALL) & (growth < -WORTH) & ~released
+        if not anew.any():
+            return MixedFit(model, log_s, at)
+        released |= anew
+        log_s[free[anew]] = LOW
 
 
 def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
     """Find sizes of all effects and the noise of all channels in turn, from those ``near`` them if given."""
     log_s = np.full(len(model.prior), START) if near is None else near.log_s
     for _ in range(PASSES):
-        log_s = find_sizes(model, log_s)
-        at, before = posterior(model, log_s), model.noise or (Noise(),) * len(model.rows)
-        noise = tuple(
-            noise_of(rows, model.coefficients(np.exp(log_s), at, c), _used(model, np.exp(log_s), at, c))
-            for c, rows in enumerate(model.rows)
-        )
+        found, before = find_sizes(model, log_s), model.noise or (Noise(),) * len(model.rows)
+        log_s, at = found.log_s, found.at
+        noise = tuple(noise_of(rows, at.coefficients(c), at.used(c)) for c, rows in enumerate(model.rows))
         model = replace(model, noise=noise)
         change = [abs(np.log(new.std / old.std)) for new, old in zip(noise, before, strict=True)]
         if max(change) < SETTLED:
             break
     return MixedFit(model, log_s, posterior(model, log_s))
-
-
-def _used(model: MixedModel, sizes: np.ndarray, at: Posterior, channel: int) -> float:
-    """Compute how many rows of a channel its own effects and its share in the common ones take up: tr(C X^T X)."""
-    m = len(model.own_groups)
-    scale = np.concatenate([sizes[model.own_groups], np.ones(model.unknowns), sizes[model.shared_groups]])
-    A = model.grams[channel][:-1, :-1] * scale[:, None] * scale
-    B, C = at.response[channel], at.covariance
-    root, within = at.root[channel], A[:m, :m]
-    own_effects = float(np.sum((root @ within) * root)) + float(np.sum((B.T @ within @ B) * C))
-    return own_effects - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))
