@@ -196,26 +196,20 @@ def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]
     """
     norms = np.linalg.norm(A, axis=0)
     idle = norms <= IDLE * norms.max(initial=0.0)
-    units = A / np.where(idle, 1.0, norms)
-    Q = np.zeros((min(A.shape), A.shape[0]))  # orthonormal rows, the first len(kept) of them
-    kept: list[int] = []
-    along_kept = np.zeros((min(A.shape), A.shape[1]))
-    for k in np.flatnonzero(~idle):
-        rest, basis = units[:, k].copy(), Q[: len(kept)]
-        for _ in range(2):  # twice is enough to stay orthogonal
-            along = basis @ rest
-            rest -= along @ basis
-            along_kept[: len(kept), k] += along
-        size = np.linalg.norm(rest)
-        if size > DEPENDENT:
-            along_kept[len(kept), k] = size
-            Q[len(kept)] = rest / size
-            kept.append(int(k))
-    b = len(kept)
-    coefficients = np.linalg.solve(along_kept[:b, kept], along_kept[:b]) if b else np.zeros((0, A.shape[1]))
+    order = np.flatnonzero(~idle)
+    R, b, tried = np.linalg.qr(A[:, order] / norms[order], mode="r"), 0, len(order)
+    while b < min(len(R), tried):
+        if abs(R[b, b]) > DEPENDENT:
+            b += 1
+            continue
+        last = [*range(b), *range(b + 1, len(order)), b]  # behind all others
+        order, R, tried = order[last], R[:, last], tried - 1
+        R[b:, b:] = np.linalg.qr(R[b:, b:], mode="r")
+    coefficients, kept = np.zeros((b, A.shape[1])), order[:b].tolist()
+    coefficients[:, order] = np.linalg.solve(R[:b, :b], R[:b])
     coefficients[np.abs(coefficients) < 1e-7] = 0.0
     coefficients *= norms / norms[kept][:, None]
-    return kept, coefficients, [int(k) for k in np.flatnonzero(idle)]
+    return kept, coefficients, np.flatnonzero(idle).tolist()
 
 
 def _term(factor: float, name: str) -> str:

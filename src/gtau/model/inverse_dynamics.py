@@ -65,11 +65,9 @@ class Regressor:
 
     def torques(self, entries: np.ndarray, chi: np.ndarray, n: int) -> np.ndarray:
         """Compute torques (n, N) from the ``entries`` (entries, N) and values ``chi`` of the columns."""
-        tau = np.zeros((n, entries.shape[1]))
-        for entry, row, column in zip(entries, self.rows, self.columns, strict=True):
-            if chi[column]:
-                tau[row] += chi[column] * entry
-        return tau
+        along = np.zeros((n, len(entries)))
+        along[self.rows, range(len(entries))] = np.asarray(chi)[self.columns]
+        return along @ entries
 
     def torques_along(self, layout: Coordinates, motion: Motion, chi: np.ndarray) -> np.ndarray:
         """Compute torques (n, N) along ``motion`` without storing the entries."""

@@ -70,11 +70,6 @@ def refitted(
     return replace(fit, system=system, solution=solution)
 
 
-def unrefined(fit: Fit) -> Fit:
-    """Give a fit the residuals of one pass, to compare with other fits."""
-    return replace(fit, solution=replace(fit.solution, sigma=fit.solve(fit.problem).sigma))
-
-
 def residual_ratio(other: Fit, unaltered: Fit) -> float:
     """Compute the residual variance relative to another fit, the geometric mean over all channels (the likelihood's).
 
@@ -149,7 +144,7 @@ def _one_after_the_other(
 
 def other_body(fit: Fit) -> EstimatedEffect | None:
     """Find the body on which payloads explain the residuals, if it is another one than the tool."""
-    unaltered, model = unrefined(fit), fit.dataset.model
+    unaltered, model = fit.unrefined, fit.dataset.model
     robot, best, remains = model.robot, unaltered, LEFT
     for body in robot.bodies:
         if body != robot.tool and Parameter("m", body) in model.parameter_names and fit.system.payloads:
@@ -173,7 +168,7 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
     """Find the runs whose bodies at the tool are other than declared, with their masses; None without any."""
     from scipy.special import stdtrit
 
-    runs, unaltered = fit.dataset.runs, unrefined(fit)
+    runs, unaltered = fit.dataset.runs, fit.unrefined
     declared = np.array([run.payload.mass or 0.0 if run.payload else 0.0 for run in runs])
 
     def masses(carried: tuple[int, ...]) -> list[Parameter]:
@@ -238,7 +233,7 @@ def odd_run(fit: Fit, than: EstimatedEffect | None) -> Finding | None:
 
     It may have reversed, exchanged or scaled columns of its own. None of fewer than three runs.
     """
-    dataset, unaltered, tried = fit.dataset, unrefined(fit), dict[int, tuple[float, Fit]]()
+    dataset, unaltered, tried = fit.dataset, fit.unrefined, dict[int, tuple[float, Fit]]()
     before = unexplained_shares(unaltered)
     for k in range(len(dataset.runs) if len(dataset.runs) > 2 else 0):
         kept = [number for number in range(len(dataset.runs)) if number != k]
@@ -287,7 +282,7 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     """Find the joints whose torques are reversed against the other joints; None where gains have their own signs."""
     if fit.free_gains:
         return None
-    problem, unaltered = fit.problem, unrefined(fit)
+    problem, unaltered = fit.problem, fit.unrefined
 
     def turned(joints: tuple[int, ...]) -> Fit:
         blocks = problem.blocks.copy()
@@ -308,7 +303,7 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
 
 def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find a joint whose angle is measured, and whose motor stands, as in a parallelogram."""
-    unaltered, remains, explained = unrefined(fit), LEFT, None
+    unaltered, remains, explained = fit.unrefined, LEFT, None
     described = list(_with_parallelogram(fit.dataset.robot))
     gains = None if fit.free_gains else fit.gains
     for number, (joint, before, robot) in enumerate(described):

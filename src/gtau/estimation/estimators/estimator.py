@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 
@@ -109,6 +109,11 @@ class Fit:
     def gains(self) -> np.ndarray:
         """Drive gains of the joints, (n,)."""
         return self.solution.gains[: len(self.problem.joints)]
+
+    @cached_property
+    def unrefined(self) -> Fit:
+        """The fit with the residuals of one pass, to compare with other fits."""
+        return replace(self, solution=replace(self.solution, sigma=self.solve(self.problem).sigma))
 
 
 FitSystem = Callable[[System, np.ndarray | None, Progress], Fit]

@@ -135,12 +135,11 @@ def stream_torques(
     idm: InverseDynamics, regressor: Regressor, prepared: PreparedRun, values: np.ndarray, friction: Law
 ) -> Iterator[np.ndarray]:
     """Compute blocks (3, n, K) at every sample: torques with friction and wrenches, friction, commands."""
-    joints = len(idm.actuated)
     for window, c in _along(idm, prepared, _every_sample(prepared)):
         motion, measured, external = _measured(idm, prepared.run, window, c)
-        effort = regressor.torques(regressor(idm.layout, motion), values, joints) - external[0]
+        effort = regressor.torques_along(idm.layout, motion, values) - external[0]
         friction_torque = friction(window.time, motion, effort)
-        yield np.stack([effort + friction_torque, friction_torque, measured[0, :joints]])
+        yield np.stack([effort + friction_torque, friction_torque, measured[0, : len(effort)]])
 
 
 def _every_sample(prepared: PreparedRun) -> Iterator[slice]:
