@@ -150,7 +150,7 @@ def test_known_parameters_that_the_motions_do_not_show_are_the_reason_of_the_ref
     blocks = fast.blocks.copy()  # another parameter's column becomes all but that of the known one
     other = next(k for k in range(fast.n_theta) if k not in columns)
     blocks[..., other] = blocks[..., columns[0]] + 1e-6 * noise
-    slow = replace(fast, blocks=blocks)
+    slow = replace(fast, make_blocks=lambda: blocks)
     assert own_share(slow) < 1e-4
     everything = np.column_stack([np.eye(fast.n_theta), np.ones(fast.n_theta)])
     assert own_share(replace(fast, known=everything)) == 1.0

@@ -287,7 +287,7 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     def turned(joints: tuple[int, ...]) -> Fit:
         blocks = problem.blocks.copy()
         blocks[:, joints, :, SIGNALS] *= -1
-        other = replace(problem, blocks=blocks)
+        other = replace(problem, make_blocks=lambda: blocks)
         return replace(fit, system=replace(fit.system, problem=other), solution=fit.solve(other))
 
     n = len(problem.joints)

@@ -73,7 +73,7 @@ class MiddleRows:
         for j, signal in signals.items():
             rows[j, :, SIGNALS] = signal
         blocks, counts = triangles(rows, self.keep)[None], self.keep.sum(axis=1)[None]
-        problem = replace(problem, blocks=blocks, rows=counts, clusters=None)
+        problem = replace(problem, make_blocks=lambda: blocks, rows=counts, clusters=None)
         return replace(self.fit, system=replace(self.fit.system, problem=problem), solution=self.fit.solve(problem))
 
     @cached_property

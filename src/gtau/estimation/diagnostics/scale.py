@@ -67,7 +67,7 @@ def sources(system: System) -> Iterator[tuple[str, Enlarged, float, Enlarged]]:
         blocks = problem.blocks.copy()
         blocks[:, channels, :, SIGNALS] *= 1 + by
         blocks[..., KNOWN] += by * torques
-        return replace(problem, blocks=blocks)
+        return replace(problem, make_blocks=lambda: blocks)
 
     def known(by: float) -> Problem:
         return replace(problem, known=problem.known * [*np.ones(problem.n_theta), 1 + by])

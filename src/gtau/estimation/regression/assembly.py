@@ -262,14 +262,14 @@ def assemble_problem(
     joints' temperatures from their means in each run; ``motions`` a number for each run, the same for runs that repeat
     a motion, whose blocks are left out together.
     """
-    blocks: list[np.ndarray] = []
+    blocks: list[tuple[np.ndarray, np.ndarray]] = []
     merged: list[list[np.ndarray]] = []
     for run, factor in enumerate(factors):
         warm = None if temperatures is None else temperatures[run]
         maps = [
             column_map(effects, run, channel, 0.0 if warm is None else warm[:, channel.row]) for channel in channels
         ]
-        blocks.append(factor.R @ np.stack(np.broadcast_arrays(*maps), axis=-3))
+        blocks.append((factor.R, np.stack(np.broadcast_arrays(*maps), axis=-3)))
         if warm is None:  # all blocks of a run have the same map: their factors need not be merged again
             merged.append([T @ M for T, M in zip(factor.merged, maps, strict=True)])
     rows = np.concatenate([factor.rows for factor in factors])
@@ -281,7 +281,7 @@ def assemble_problem(
     return Problem(
         tuple(name for effect in effects for name in effect.names if name not in effect.stated),
         tuple(channels),
-        np.concatenate(blocks)[filled],
+        lambda: np.concatenate([R @ M for R, M in blocks])[filled],
         rows[filled],
         np.broadcast_to(longest_delays, len(channels)),
         clusters=clusters[filled],

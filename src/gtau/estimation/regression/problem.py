@@ -9,7 +9,7 @@ their triangular factor: all estimators depend on them only through ``A^T A``.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 
@@ -171,18 +171,19 @@ class Problem:
     """Equations ``v(t - d_j) g_j = W_theta theta + known`` of all channels.
 
     ``parameters`` are theta (n_theta,), ``channels`` the signals explained (c,), of the n actuated joints and then of
-    torque sensors. ``blocks`` (U, c, p, n_theta + 4) are rows or triangular factors, ``rows`` (U, c) count the
-    equations behind each. ``longest_delays`` (c,), s, are the longest that the expansion in derivatives can describe, 0
-    where none is estimated. ``known`` (k, n_theta + 1) are further equations ``[P | y]``: ``P theta = y`` with errors
-    of unit variance. ``voltages`` (m, 3) are equations of gains: the number of a channel, its ``1 / g``, and one over
-    the standard deviation of this. ``wrenches`` are the bodies with measured wrenches, minus whose joint torques are in
-    the column ``known``. ``clusters`` (U,) number the blocks, those alike that the jackknife leaves out together, of
-    runs that repeat a motion. ``factored`` and ``independent`` are ``triangles`` and ``own_columns`` where known.
+    torque sensors. ``make_blocks`` makes the ``blocks`` (U, c, p, n_theta + 4), rows or triangular factors, when first
+    needed; ``rows`` (U, c) count the equations behind each. ``longest_delays`` (c,), s, are the longest that the
+    expansion in derivatives can describe, 0 where none is estimated. ``known`` (k, n_theta + 1) are further equations
+    ``[P | y]``: ``P theta = y`` with errors of unit variance. ``voltages`` (m, 3) are equations of gains: the number of
+    a channel, its ``1 / g``, and one over the standard deviation of this. ``wrenches`` are the bodies with measured
+    wrenches, minus whose joint torques are in the column ``known``. ``clusters`` (U,) number the blocks, those alike
+    that the jackknife leaves out together, of runs that repeat a motion. ``factored`` and ``independent`` are
+    ``triangles`` and ``own_columns`` where known.
     """
 
     parameters: tuple[Parameter, ...]
     channels: tuple[Channel, ...]
-    blocks: np.ndarray
+    make_blocks: Callable[[], np.ndarray]
     rows: np.ndarray
     longest_delays: np.ndarray
     known: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -198,6 +199,11 @@ class Problem:
         for name, value in (("triangles", factored), ("own_columns", independent)):
             if value is not None:
                 object.__setattr__(self, name, value)
+
+    @cached_property
+    def blocks(self) -> np.ndarray:
+        """The blocks, (U, c, p, n_theta + 4)."""
+        return self.make_blocks()
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
@@ -356,5 +362,11 @@ class Problem:
             else independent_columns(T[:, : KNOWN + 1])[0]
             for chosen, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
         )
-        blocks = self.blocks[..., columns]
-        return replace(self, parameters=kept, blocks=blocks, known=known, factored=triangles, independent=independent)
+        return replace(
+            self,
+            parameters=kept,
+            make_blocks=lambda: self.blocks[..., columns],
+            known=known,
+            factored=triangles,
+            independent=independent,
+        )
