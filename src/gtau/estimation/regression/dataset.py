@@ -34,6 +34,7 @@ from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows,
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import BaseParameters, Equations
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.singularities import singular_distances
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import BY_LOAD, Parameter
@@ -42,6 +43,7 @@ from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
 from gtau.signals.reading.statements import Payload, Prior
 from gtau.signals.run import Run
+from gtau.signals.storage import Store
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +179,7 @@ class Dataset:
         """Reduce the same runs with the torques of ``loads`` (one a run) in load-dependent friction.
 
         ``weigh`` (one a run) reweights the rows; see :func:`reduce_rows`. The motions come from ``along``, if
-        given, but distances to singularities stay as measured.
+        given. Distances to singularities are those of the first reduction, along the measured motions.
         """
         factors: list[Factors] = []
         begun = 0
@@ -185,10 +187,13 @@ class Dataset:
         columns = self.base.standard
         runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
         regressor = self.model.columns(columns)
+        near = None if self.factors else singular_distances(self.model)
 
-        def counted(rows: Iterator[Rows], blocks: np.ndarray, samples: int) -> Iterator[Rows]:
+        def counted(rows: Iterator[Rows], blocks: np.ndarray, samples: int, distances: Store) -> Iterator[Rows]:
             now = -1
             for part in rows:
+                if near is not None:
+                    distances.append(near(part.motion).T)
                 if (last := int(blocks[part.outputs.stop - 1])) > now:
                     now = last
                     progress("model along the runs", begun + samples * now // BLOCKS, total)
@@ -199,9 +204,11 @@ class Dataset:
             blocks = block_of(self.prepared.edges[k], decimator.outputs(len(run)))
             rows = stream_rows(self.model, regressor, run, decimator, loads[k] if loads else None)
             weights = weigh[k] if weigh else None
-            rows = counted(rows, blocks, len(run))
+            distances = Store((2,), np.float32)
+            rows = counted(rows, blocks, len(run), distances)
             factor = reduce_rows(self.model, columns, run.run.channels, rows, blocks, weights)
-            factors.append(factor if along is None else replace(factor, distances=self.factors[k].distances))
+            measured = distances.array() if near else self.factors[k].distances
+            factors.append(replace(factor, distances=measured))
             begun += len(run)
         progress("model along the runs", total, total)
         return replace(self, factors=tuple(factors))

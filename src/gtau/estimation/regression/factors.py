@@ -23,7 +23,6 @@ import numpy as np
 from gtau.estimation.regression.rows import FAST_SAMPLES, Rows, stream_rows
 from gtau.estimation.regression.run_blocks import BLOCKS, block_edges, block_of
 from gtau.model.inverse_dynamics import InverseDynamics, Regressor
-from gtau.model.singularities import singular_distances
 from gtau.robots.parameter import TERMS, Parameter
 from gtau.signals.channel import Channel
 from gtau.signals.preparation.filters import Decimator
@@ -182,17 +181,15 @@ def reduce_rows(
     With ``weigh``, coefficients (c, p) and limits (c,), rows have the weights ``min(1, limit / |residual|)`` in the sum
     of squares; the product of a row and the coefficients of its channel is its residual.
     """
-    regressor, near = idm.columns(columns), singular_distances(idm)
+    regressor = idm.columns(columns)
     channels = [channel for channel in channels if channel.kind.modelled]
     c, p, n = len(channels), len(columns) + EXTRA, len(idm.actuated)
     entries = (regressor.columns[regressor.rows == channel.row] for channel in channels)
     places = [np.append(np.unique(columns), np.arange(p - EXTRA, p)) for columns in entries]
     collected = Triangles(places)
-    distances = Store((2,), np.float32)
     residuals = Store((c,))
     speeds = np.zeros((BLOCKS, n))
     for part in rows:
-        distances.append(near(part.motion).T)
         block = blocks[part.outputs]
         A = channel_rows(regressor, channels, part)
         if weigh is not None:
@@ -203,7 +200,7 @@ def reduce_rows(
         moving = np.abs(part.motion.yd[idm.layout.actuated]) * part.keep[:n]
         np.maximum.at(speeds, block, moving.T)
         collected.add(A, part.keep, block)
-    return Factors(collected.factors(p), collected.rows, distances.array(), residuals.array(), speeds)
+    return Factors(collected.factors(p), collected.rows, residuals=residuals.array(), speeds=speeds)
 
 
 def reduce_run(
