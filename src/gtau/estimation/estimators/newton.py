@@ -35,7 +35,7 @@ def least_squares(A: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def split(values: np.ndarray, channels: int) -> list[np.ndarray]:
     """Split estimates (k,) into parameters, gains and delays."""
-    return np.split(values, [-2 * channels, -channels])
+    return [values[: -2 * channels], values[-2 * channels : -channels], values[-channels:]]
 
 
 def moved(values: np.ndarray, step: np.ndarray, channels: int) -> np.ndarray:
@@ -98,13 +98,13 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool, 
     triangles = stacked(problem)
     n = len(problem.channels)
     end = problem.n_theta
-    sizes = np.abs(triangles)
+    sizes, filled = np.abs(triangles), triangles.any(axis=-1).reshape(-1)
     J_known = jacobian_of_known(problem, free_gains)
     for _ in range(steps):
         weights = weigh(squared(triangles, values))
         e, J = weighted(triangles, values, problem, free_gains, weights)
-        J = np.concatenate([J, J_known])
-        e = np.concatenate([e, errors_of_known(problem, values)])
+        J = np.concatenate([J[filled], J_known])
+        e = np.concatenate([e[filled], errors_of_known(problem, values)])
         # without parameters the signal is error, with the curvature of no model
         curvature = curvature_of_delays(triangles, values, problem, weights) * values[:end].any()
         back = whitening(J, curvature)
@@ -221,15 +221,15 @@ def errors_of_known(problem: Problem, values: np.ndarray) -> np.ndarray:
 def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains: bool) -> Solution:
     """Compute the covariances at the estimates ``values`` (k,)."""
     triangles = stacked(problem)
-    J_known = jacobian_of_known(problem, free_gains)
+    filled, J_known = triangles.any(axis=-1), jacobian_of_known(problem, free_gains)
     n, size = len(problem.channels), J_known.shape[1]
     # eqs. (25) and (26), joint by joint
     sigma = np.sqrt(squared(triangles, values) / np.maximum(problem.total_rows - size / n, 1))
-    J = jacobian(triangles, values, problem, free_gains) * weights[:, None, None]  # (c, p, size)
-    rows = np.concatenate([J.reshape(-1, size), J_known])
+    J = (jacobian(triangles, values, problem, free_gains) * weights[:, None, None])[filled]
+    rows = np.concatenate([J, J_known])
     # from whitened to physical parameters
     back = whitening(rows, curvature_of_delays(triangles, values, problem, weights))
-    white = (J @ back * (sigma * weights)[:, None, None]).reshape(-1, back.shape[1])
+    white = J @ back * (sigma * weights)[np.nonzero(filled)[0], None]
     prior_covariance = back @ (back.T @ (J_known.T @ J_known) @ back) @ back.T
     # eq. (27), with the errors' own variance in every joint
     formula = back @ (white.T @ white) @ back.T + prior_covariance
@@ -244,7 +244,9 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
         whitened, second, blocks = rows @ back, curvature(triangles), []
         gauss = whitened.T @ whitened
         for block in problem.units:
-            e_u, J_u = weighted(block, values, problem, free_gains, weights)
+            e_u, J_u = (
+                part[block.any(axis=-1).reshape(-1)] for part in weighted(block, values, problem, free_gains, weights)
+            )
             J_u = J_u @ back
             others = curved(gauss - J_u.T @ J_u, second - curvature(block))
             blocks.append((np.eye(len(others)) - others, J_u.T @ e_u))
