@@ -132,12 +132,13 @@ def _banded(run: Run) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: bool) -> JointSpectrum:
     """Find the end of the signal and the bandwidth in the spectrum of one joint's accelerations."""
+    from scipy.ndimage import grey_closing
+
     centre, band_means = _in_bands(frequency, density)
     band_gain = np.interp(centre, frequency, gain)
     if not density.any():
         return JointSpectrum(centre, band_means, band_means, np.nan, np.nan, 0.0)
-    closed = -_raised(-_raised(band_means))
-    level = -np.log(np.maximum(closed, 1e-30 * band_means.max()))
+    level = -np.log(np.maximum(grey_closing(band_means, size=CLOSING, mode="nearest"), 1e-30 * band_means.max()))
     bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls throughout ends at its last frequency
     valleys = _peaks(np.r_[bottom, level, bottom], np.log(PROMINENCE)) - 1
     speed = density / gain
@@ -163,12 +164,6 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
         bandwidth=float(frequency[edge]) if moves else np.nan,
         signal_to_noise=ratio,
     )
-
-
-def _raised(values: np.ndarray) -> np.ndarray:
-    """Find the maximum of the ``CLOSING`` bands about each one."""
-    padded = np.pad(values, CLOSING // 2, mode="edge")
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, CLOSING).max(axis=1))
 
 
 def _peaks(values: np.ndarray, prominence: float) -> np.ndarray:
