@@ -123,9 +123,7 @@ def estimate(
     ``dataset`` are the reduced runs (eqs. 19 and 20), ``gains`` (n,) those that the estimator is given; estimated if
     None. Raises GtauError where the data do not suit the estimator.
     """
-    as_paper = options.as_paper
-    ratio = options.ratio
-    accuracy = options.accuracy
+    as_paper, ratio, accuracy = options.as_paper, options.ratio, options.accuracy
     if as_paper:
         system = dataset.system(delays=False)  # eqs. (29) to (33)
         ratio = PAPER_RATIO if ratio is None else ratio

@@ -59,14 +59,12 @@ class LagProducts:
     @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""
-        return self._of_columns(self.products[0])
+        return self.combined([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 
     def combined(self, weights: Sequence[float]) -> np.ndarray:
         """Add up the products by their ``weights`` (7,): (p, p)."""
-        return self._of_columns(np.tensordot(weights, self.products, 1))
-
-    def _of_columns(self, products: np.ndarray) -> np.ndarray:
-        return np.asarray(products if self.basis is None else self.basis.T @ products @ self.basis)
+        total = np.tensordot(weights, self.products, 1)
+        return np.asarray(total if self.basis is None else self.basis.T @ total @ self.basis)
 
     def squares(self, coefficients: np.ndarray) -> np.ndarray:
         """Sum the products of the residuals, (7,), whose columns are combined by ``coefficients`` (p,)."""
@@ -156,13 +154,14 @@ class MixedModel:
 class Posterior:
     """Estimates of d and ``u / s`` at the ``sizes`` of the groups, and what their covariance follows from.
 
-    ``common`` (k + shared,) are d and the shared effects, with the ``covariance`` ``half half^T``. ``root`` (c, m, m)
-    factors how each channel's own effects vary beside them, and times ``crossed`` (c, m, k + shared + 1) moves them.
-    ``loss`` is minus the restricted log-likelihood.
+    The ``scale`` (p,) are these by column of a channel. ``common`` (k + shared,) are d and the shared effects, with the
+    ``covariance`` ``half half^T``. ``root`` (c, m, m) factors how each channel's own effects vary beside them, and
+    times ``crossed`` (c, m, k + shared + 1) moves them. ``loss`` is minus the restricted log-likelihood.
     """
 
     model: MixedModel
     sizes: np.ndarray
+    scale: np.ndarray
     common: np.ndarray
     covariance: np.ndarray
     half: np.ndarray
@@ -170,20 +169,14 @@ class Posterior:
     crossed: np.ndarray
     loss: float
 
-    @property
-    def scale(self) -> np.ndarray:
-        """Sizes of a channel's columns without its residuals, (p - 1,)."""
-        own, shared = self.sizes[self.model.own_groups], self.sizes[self.model.shared_groups]
-        return np.concatenate([own, np.ones(self.model.unknowns), shared])
-
     def coefficients(self, channel: int) -> np.ndarray:
         """Return the coefficients (p,) that combine a channel's columns into its residuals."""
-        return np.append(self.scale * np.append(self.own_effects[channel], self.common), 1.0)
+        return self.scale * np.concatenate([self.own_effects[channel], self.common, [1.0]])
 
     def used(self, channel: int) -> float:
         """Compute how many rows of a channel its own and the common effects take up: tr(C X^T X)."""
         m = len(self.model.own_groups)
-        A = self.model.grams[channel][:-1, :-1] * self.scale[:, None] * self.scale
+        A = (self.model.grams[channel] * self.scale[:, None] * self.scale)[:-1, :-1]
         B, C, root, within = self.response[channel], self.covariance, self.root[channel], A[:m, :m]
         own_effects = float(np.sum((root @ within) * root)) + float(np.sum((B.T @ within @ B) * C))
         return own_effects - 2 * float(np.sum((A[m:, :m] @ B) * C)) + float(np.sum(A[m:, m:] * C))
@@ -228,7 +221,8 @@ def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
     from scipy.linalg.lapack import dtrtri
 
     sizes, m, k = np.exp(log_s), len(model.own_groups), model.unknowns
-    own_sizes, border = sizes[model.own_groups], np.concatenate([np.ones(k), sizes[model.shared_groups], [1.0]])
+    scale = np.concatenate([sizes[model.own_groups], np.ones(k), sizes[model.shared_groups], [1.0]])
+    own_sizes, border = scale[:m], scale[m:]
     A = model.grams[:, :m, :m] * own_sizes[:, None] * own_sizes
     A[:, range(m), range(m)] = (A[:, range(m), range(m)] + 1.0) * (1 + ROUNDING)
     L = np.linalg.cholesky(A)
@@ -246,7 +240,7 @@ def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
     common = -covariance @ S[:count, count]
     square = float(S[count, count] + common @ S[:count, count])
     loss = 0.5 * (square + determinant + float(np.sum((sizes / model.prior) ** 2)))
-    return Posterior(model, sizes, common, covariance, half, root, V, loss)
+    return Posterior(model, sizes, scale, common, covariance, half, root, V, loss)
 
 
 def _inverse_root(S: np.ndarray) -> tuple[np.ndarray, float]:

@@ -64,8 +64,7 @@ def select_friction_terms(problem: Problem) -> tuple[tuple[Parameter, ...], floa
     ``problem``; the subset of least ``r log(sigma^2) + k log(r)`` is taken. As the criterion assumes
     independent errors, and real ones are autocorrelated, a term must also reduce the error by 2 per cent.
     """
-    chosen: list[Parameter] = []
-    total = 0.0
+    chosen, total = list[Parameter](), 0.0
     position = {name: k for k, name in enumerate(problem.parameters)}
     for j, channel in enumerate(problem.channels):
         kinds = (*TERMS, *TEMPERATURE_TERMS) if channel.kind.unknown_gain else DRIFTING

@@ -96,8 +96,7 @@ Weigh = Callable[[np.ndarray], np.ndarray]
 def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool, steps: int = STEPS) -> Solution:
     """Iterate Newton's method from ``values`` (k,); ``weigh`` makes weights (c,) from squared residuals (c,)."""
     triangles = stacked(problem)
-    n = len(problem.channels)
-    end = problem.n_theta
+    n, end = len(problem.channels), problem.n_theta
     sizes, filled = np.abs(triangles), triangles.any(axis=-1).reshape(-1)
     J_known = jacobian_of_known(problem, free_gains)
     for _ in range(steps):
@@ -244,10 +243,9 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
         whitened, second, blocks = rows @ back, curvature(triangles), []
         gauss = whitened.T @ whitened
         for block in problem.units:
-            e_u, J_u = (
-                part[block.any(axis=-1).reshape(-1)] for part in weighted(block, values, problem, free_gains, weights)
-            )
-            J_u = J_u @ back
+            e_u, J_u = weighted(block, values, problem, free_gains, weights)
+            filled_u = block.any(axis=-1).reshape(-1)
+            e_u, J_u = e_u[filled_u], J_u[filled_u] @ back
             others = curved(gauss - J_u.T @ J_u, second - curvature(block))
             blocks.append((np.eye(len(others)) - others, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T

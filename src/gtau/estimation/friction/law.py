@@ -211,8 +211,7 @@ class FrictionLaw:
         ``values`` are the parameters of :meth:`forces`, and ``off``, by name, numbers or (N,); ``load`` (n, N) are
         torques that the actuated joints transmit, ``z`` (s, N) states of presliding; without them all joints slide.
         """
-        joints = self.model.robot.joints
-        n_joints = len(joints)
+        joints, n_joints = self.model.robot.joints, len(self.model.robot.joints)
         forces, speeds = map(np.stack, self.forces(np, values, motion.yd, load))
         scales = self.scales(np, forces, speeds)
         if z is not None and self.states:

@@ -193,9 +193,7 @@ def normal_equations(
     ``min(1, limit / |residual|)``, as in :func:`gtau.estimation.regression.factors.reduce_rows`. With ``mixes`` a joint
     has the sum of its columns by these coefficients alone. Raises GtauError.
     """
-    dataset = fit.dataset
-    n = len(fit.gains)
-    runs = len(fit.dataset.prepared)
+    dataset, n, runs = fit.dataset, len(fit.gains), len(fit.dataset.prepared)
     count = max(min(BLOCKS, MOST_BLOCKS // runs), 1)
     weights = 1 / np.maximum(np.abs(fit.gains) * fit.solution.sigma[:n], 1e-300)
     groups, residuals = [], []

@@ -141,9 +141,7 @@ class Dataset:
         drift between runs if ``per_run``. ``delays`` marks the channels (c,) whose delay is estimated, or all or none.
         ``payloads`` replace the payloads of the runs.
         """
-        model = self.model
-        base = self.base
-        measured = self.runs[0].channels
+        model, base, measured = self.model, self.base, self.runs[0].channels
         channels = [channel for channel in measured if channel.kind.modelled]
         given = dict.fromkeys(channel.joint for channel in measured if not channel.kind.modelled)
         given.pop(self.robot.floating, None)
@@ -181,9 +179,7 @@ class Dataset:
         ``weigh`` (one a run) reweights the rows; see :func:`reduce_rows`. The motions come from ``along``, if
         given. Distances to singularities are those of the first reduction, along the measured motions.
         """
-        factors: list[Factors] = []
-        begun = 0
-        total = sum(map(len, self.prepared))
+        factors, begun, total = list[Factors](), 0, sum(map(len, self.prepared))
         columns = self.base.standard
         runs: Sequence[PreparedRun | SampleWindow] = self.prepared if along is None else along
         regressor = self.model.columns(columns)

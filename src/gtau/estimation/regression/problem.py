@@ -362,11 +362,10 @@ class Problem:
             else independent_columns(T[:, : KNOWN + 1])[0]
             for chosen, R, T in zip(self.own_columns, self.triangles, triangles, strict=True)
         )
+
+        def blocks() -> np.ndarray:
+            return self.blocks[..., columns]
+
         return replace(
-            self,
-            parameters=kept,
-            make_blocks=lambda: self.blocks[..., columns],
-            known=known,
-            factored=triangles,
-            independent=independent,
+            self, parameters=kept, make_blocks=blocks, known=known, factored=triangles, independent=independent
         )
