@@ -197,7 +197,7 @@ def independent_columns(A: np.ndarray) -> tuple[list[int], np.ndarray, list[int]
     norms = np.linalg.norm(A, axis=0)
     idle = norms <= IDLE * norms.max(initial=0.0)
     order = np.flatnonzero(~idle)
-    R, b, tried = np.linalg.qr(A[:, order] / norms[order], mode="r"), 0, len(order)
+    R, b, tried = np.asarray(np.linalg.qr(A[:, order] / norms[order], mode="r")), 0, len(order)
     while b < min(len(R), tried):
         if abs(R[b, b]) > DEPENDENT:
             b += 1
