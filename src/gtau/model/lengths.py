@@ -1,17 +1,21 @@
-"""Geometric constants of a robot, lengths and encoder zeros, and the sensitivity of a body's pose to them."""
+"""Geometric constants of a robot, lengths and encoder zeros: how poses of bodies, and torques, depend on them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from gtau.model.equations import closure_expressions
+from gtau.model.equations import closed_motion, closure_expressions, newton_step
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import SAME_LENGTH, Coordinates, constant, frames, placements, shifted, twists
+from gtau.model.loops import Motion
 from gtau.model.program import Program, compile_program
 from gtau.robots.geometry import characteristic_length
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Mdh, Placement, Robot
 
 # Measured on 17 robots of the catalog and of third-party robot files: the shortest length is 0.046 of the
@@ -20,6 +24,7 @@ SHORT = 1e-4  # of the characteristic length: anything shorter is no length
 HOLDING = 1e-6  # of a length's change: closure error with which the closures follow it
 CLOSED = 1e-11  # last correction of the passive coordinates, rad or characteristic lengths
 STEPS = 20
+FEW_STEPS = 3  # of Newton's method after changes of 1e-4: each squares the error
 
 
 @dataclass(frozen=True)
@@ -103,7 +108,7 @@ class VariableGeometry:
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     """Derive the pose of a ``body`` as a function of all lengths, also of equal ones together, and encoder zeros."""
     layout = Coordinates(robot)
-    lengths = list(_constants(robot))
+    lengths = [length for alike in _equal_lengths(robot) for length in alike]
     zeros = [Constant(f"zero of '{name}'", 0.0, robot.joint(name).unit) for name in robot.actuated]
     s = ca.SX.sym("s", 3 * (len(robot.joints) + 2 * len(robot.closures)))
     varied = Coordinates(shifted(robot, ca.vertsplit(s, 3)))
@@ -125,8 +130,51 @@ def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     return VariableGeometry(layout, (*lengths, *zeros), shifts, residual.numel(), program)
 
 
-def _constants(robot: Robot) -> Iterator[Constant]:
-    """Iterate over the lengths, each by itself, then equal ones together."""
+@dataclass(frozen=True, eq=False)
+class VariableTorques:
+    """Torques of a ``model`` with values of the parameters ``names``, as functions of the lengths of its robot."""
+
+    model: InverseDynamics
+    names: tuple[Parameter, ...]
+
+    @cached_property
+    def constants(self) -> tuple[Constant, ...]:
+        """The lengths along axes of placements, equal ones together."""
+        return tuple(alike[-1] for alike in _equal_lengths(self.model.robot, distances=False))
+
+    @cached_property
+    def _programs(self) -> tuple[Program, Program, Program]:
+        """Programs of a step that closes the loops, of the motion, and of the torques, by changes of the lengths."""
+        robot, change = self.model.robot, ca.SX.sym("change", len(self.constants))
+        shifts = [ca.SX(3, 1)] * len(placements(robot))
+        for k, length in enumerate(self.constants):
+            for place, direction in length.directions:
+                shifts[place] += constant(direction) * change[k]
+        varied = InverseDynamics(shifted(robot, shifts))
+        regressor, chi = varied.columns(self.names), ca.SX.sym("chi", len(self.names))
+        (c, step), (inputs, motion) = newton_step(varied.layout), closed_motion(varied.layout)
+        return (
+            compile_program([c], step[:1], [change]),
+            compile_program(inputs, [output.T for output in motion[1:]], [change]),
+            compile_program(regressor.inputs, [regressor.matrix @ chi], [chi, change]),
+        )
+
+    def __call__(self, motion: Motion, values: np.ndarray, change: np.ndarray) -> np.ndarray:
+        """Compute the torques (n, N) of the positions of a ``motion`` with a small ``change`` of the lengths, m."""
+        layout, (step, rates, torques) = self.model.layout, self._programs
+        c, yd, ydd, J = motion.c, motion.yd, motion.ydd, motion.J
+        if layout.passive.size:
+            for _ in range(FEW_STEPS):
+                c = step(c, parameters=change)
+            yd, ydd, J = np.split(rates(c, yd[layout.actuated], ydd[layout.actuated], parameters=change),
+                                  np.cumsum([layout.n_y, layout.n_y]))  # fmt: skip
+            J = J.reshape(layout.n_y, -1, c.shape[1])
+        passive = J[layout.passive].reshape(-1, c.shape[1])
+        return torques(c, yd, ydd, passive, parameters=np.concatenate([values, change]))
+
+
+def _equal_lengths(robot: Robot, distances: bool = True) -> Iterator[list[Constant]]:
+    """Iterate over the lengths that are equal, each by itself, then all together; without ``distances`` along axes."""
     names = [f"'{joint.name}'" for joint in robot.joints]
     for number, closure in enumerate(robot.closures, start=1):
         names += [f"closure {number} on '{end.body}'" for end in (closure.a, closure.b)]
@@ -134,17 +182,17 @@ def _constants(robot: Robot) -> Iterator[Constant]:
     same: dict[float, list[tuple[str, tuple[int, np.ndarray]]]] = {}
     for k, (place, placement) in enumerate(zip(names, placements(robot), strict=False)):  # springs come last
         for what, value, direction in _lengths(placement):
-            if value > shortest:
+            if value > shortest and (distances or what != "distance"):
                 key = next((known for known in same if abs(known - value) < SAME_LENGTH * known), value)
                 same.setdefault(key, []).append((f"{what} of {place}", (k, direction)))
     for value, uses in same.items():
         called = [name for name, constant in robot.file.constants if abs(abs(constant) - value) < SAME_LENGTH * value]
         prefix = f"{'/'.join(called)}, " if called else ""
-        for place, at in uses:
-            yield Constant(f"{prefix}{place}", value, "m", (at,))
+        alike = [Constant(f"{prefix}{place}", value, "m", (at,)) for place, at in uses]
         if len(uses) > 1:
             name = "/".join(called) or f"{1e3 * value:.4g} mm"
-            yield Constant(f"{name} at all {len(uses)} places", value, "m", tuple(at for _, at in uses))
+            alike.append(Constant(f"{name} at all {len(uses)} places", value, "m", tuple(at for _, at in uses)))
+        yield alike
 
 
 def _lengths(placement: Placement) -> Iterator[tuple[str, float, np.ndarray]]:

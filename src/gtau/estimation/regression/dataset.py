@@ -34,11 +34,12 @@ from gtau.estimation.regression.run_blocks import BLOCKS, PreparedRuns, Windows,
 from gtau.findings import Finding, Grade
 from gtau.model.base_parameters import BaseParameters, Equations
 from gtau.model.inverse_dynamics import InverseDynamics
+from gtau.model.lengths import VariableTorques
 from gtau.model.singularities import singular_distances
 from gtau.progress import Progress, silent
 from gtau.robots.geometry import oddities, tool_note
 from gtau.robots.parameter import BY_LOAD, Parameter
-from gtau.robots.robot import Robot
+from gtau.robots.robot import INERTIAL, Robot
 from gtau.signals.preparation.choice import choose_preparation
 from gtau.signals.preparation.prepared_run import Preparation, PreparedRun, SampleWindow
 from gtau.signals.reading.statements import Payload, Prior
@@ -105,6 +106,13 @@ class Dataset:
     def windows(self, pieces: int = 1) -> Windows:
         """Cut the middle of every run into windows; see :meth:`.run_blocks.PreparedRuns.windows`."""
         return self.prepared.windows(pieces)
+
+    @cached_property
+    def variable(self) -> VariableTorques:
+        """Torques of the base columns, and of a payload's, as functions of the robot's lengths."""
+        payload = (Parameter(kind, self.robot.tool) for kind in INERTIAL)
+        names = (name for name in payload if name in self.model.parameter_names)
+        return VariableTorques(self.model, tuple(dict.fromkeys((*self.base.standard, *names))))
 
     @cached_property
     def travels(self) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.regression.plausibility import stated_rate
 from gtau.findings import clock_advice, percent
 
-TILT, STRENGTH = 1.0, 0.2  # degrees (experience); per cent: local gravity differs by 0.26 % from the standard at most
+TILT, STRENGTH = 1.0, 0.1  # degrees (experience); per cent: local gravity differs by 0.26 % from the standard at most
 STEEPEST = 12.0  # degrees: a Sawyer tilted by 4.0 degrees is found as 3.87 +- 0.18
 EARTH = 0.5  # per cent: beyond it another strength is no gravity, but a wrong clock or wrong lengths
 
