@@ -25,7 +25,7 @@ from gtau.findings import Grade
 from gtau.model.home import load_robot
 from gtau.result import identify
 from gtau.robots.parameter import Parameter
-from gtau.robots.robot import PLAIN_FRICTION
+from gtau.robots.robot import PLAIN_FRICTION, Pose
 from gtau.signals.preparation.filters import differentiate
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -254,6 +254,25 @@ def test_a_wrong_gear_ratio_is_named(tmp_path: Path, joint: str, scale: float) -
     assert best.cause.joints == (joint,)
     assert best.size == pytest.approx(100 * (1 / scale - 1), rel=0.3)
     assert Grade.CONTRADICTORY in {gain.verdict.outcome for gain in result.drive_gains.values()}
+
+
+@pytest.mark.parametrize("factor", [0.99, 1.01])
+def test_a_wrong_length_of_the_robot_file_is_found_with_its_size(tmp_path: Path, factor: float) -> None:
+    body, gains = {"m": 1.5, "mx": 0.05, "mz": 0.1}, (8.0, 9.0, 7.0, 5.0)
+    true = robot(tmp_path)
+    made = replace(plant(true, noise=0.005), tool="j4", gains=gains)
+    runs = [made.run(1), made.run(2, body, Payload(name="disc", mass=body["m"]))]
+    x, y, z = true.joint("j3").placement.position
+    longer = replace(true.joint("j3"), placement=Pose((x, y, factor * z)))
+    result = identify(replace(true, joints=(*true.joints[:2], longer, *true.joints[3:])), runs)
+    best = max(result.effects, key=lambda effect: effect.share)
+    assert "z of 'j3'" in best.subject
+    assert best.size == pytest.approx(1e3 * (1 - factor) * z, rel=0.2)
+    for (joint, gain), truth in zip(result.drive_gains.items(), gains, strict=True):
+        low, high = gain.interval() or (0.0, 0.0)
+        assert low < truth < high
+        # the gain without the effect moves to the truth with it
+        assert gain.value * (1 + best.moves[joint] / 100) == pytest.approx(truth, rel=0.004)
 
 
 def test_healthy_logs_contradict_nothing(runs: list[Run]) -> None:

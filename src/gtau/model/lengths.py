@@ -108,7 +108,7 @@ class VariableGeometry:
 def variable_geometry(robot: Robot, body: str) -> VariableGeometry:
     """Derive the pose of a ``body`` as a function of all lengths, also of equal ones together, and encoder zeros."""
     layout = Coordinates(robot)
-    lengths = [length for alike in _equal_lengths(robot) for length in alike]
+    lengths = [length for _, alike in _equal_lengths(robot) for length in alike]
     zeros = [Constant(f"zero of '{name}'", 0.0, robot.joint(name).unit) for name in robot.actuated]
     s = ca.SX.sym("s", 3 * (len(robot.joints) + 2 * len(robot.closures)))
     varied = Coordinates(shifted(robot, ca.vertsplit(s, 3)))
@@ -139,8 +139,13 @@ class VariableTorques:
 
     @cached_property
     def constants(self) -> tuple[Constant, ...]:
-        """The lengths along axes of placements, equal ones together."""
-        return tuple(alike[-1] for alike in _equal_lengths(self.model.robot, distances=False))
+        """The lengths along axes: those of one name in the file together, in robots with loops equal ones as well."""
+        return tuple(
+            length
+            for called, alike in _equal_lengths(self.model.robot, distances=False)
+            for length in (alike[-1:] if called else alike)
+            if called or self.model.robot.closures or len(length.directions) == 1
+        )
 
     @cached_property
     def _programs(self) -> tuple[Program, Program, Program]:
@@ -173,8 +178,11 @@ class VariableTorques:
         return torques(c, yd, ydd, passive, parameters=np.concatenate([values, change]))
 
 
-def _equal_lengths(robot: Robot, distances: bool = True) -> Iterator[list[Constant]]:
-    """Iterate over the lengths that are equal, each by itself, then all together; without ``distances`` along axes."""
+def _equal_lengths(robot: Robot, distances: bool = True) -> Iterator[tuple[str, list[Constant]]]:
+    """Iterate over equal lengths and their name in the file: each by itself, then all together.
+
+    Without ``distances`` along the axes of placements alone.
+    """
     names = [f"'{joint.name}'" for joint in robot.joints]
     for number, closure in enumerate(robot.closures, start=1):
         names += [f"closure {number} on '{end.body}'" for end in (closure.a, closure.b)]
@@ -186,13 +194,14 @@ def _equal_lengths(robot: Robot, distances: bool = True) -> Iterator[list[Consta
                 key = next((known for known in same if abs(known - value) < SAME_LENGTH * known), value)
                 same.setdefault(key, []).append((f"{what} of {place}", (k, direction)))
     for value, uses in same.items():
-        called = [name for name, constant in robot.file.constants if abs(abs(constant) - value) < SAME_LENGTH * value]
-        prefix = f"{'/'.join(called)}, " if called else ""
+        named = [name for name, constant in robot.file.constants if abs(abs(constant) - value) < SAME_LENGTH * value]
+        called = "/".join(named)
+        prefix = f"{called}, " if called else ""
         alike = [Constant(f"{prefix}{place}", value, "m", (at,)) for place, at in uses]
         if len(uses) > 1:
-            name = "/".join(called) or f"{1e3 * value:.4g} mm"
+            name = called or f"{1e3 * value:.4g} mm"
             alike.append(Constant(f"{name} at all {len(uses)} places", value, "m", tuple(at for _, at in uses)))
-        yield alike
+        yield called, alike
 
 
 def _lengths(placement: Placement) -> Iterator[tuple[str, float, np.ndarray]]:

@@ -234,7 +234,7 @@ class EstimatedEffect:
 
     ``size`` and ``std`` are of its largest column, or of a function its rms torque over the rms torque of the joint.
     The data lose ``likelihood`` (its logarithm) without it, all others being found again. It explains the ``share`` of
-    the residual variance, at most 1; without it the gain of each motor would move by ``moves``, per cent of itself.
+    the residual variance, at most 1; with it the gain of each motor moves by ``moves``, per cent of itself.
     ``description``: it contradicts the description of robot and logs, as such or by its size; ``beyond``: it is so
     large that it does not explain what it seems to.
     """

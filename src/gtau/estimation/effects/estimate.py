@@ -351,7 +351,7 @@ class Influence:
         step = self.inverse @ J_c
         rest = c_c - float(J_c @ step)
         share = -(2 * (c_e - float(step @ self.e)) + rest) / self.squares
-        move = self.result.slopes[:, :k] @ step
+        move = -self.result.slopes[:, :k] @ step  # to the estimates with the effect
         gains = fit.solution.gains
         moves = {
             joint: 100 * float(move[fit.system.problem.gain_rows][j] / gains[j])

@@ -29,7 +29,7 @@ def _columns(fit: Fit) -> list[EffectColumn]:
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"an error in the zero of encoder '{column.joint}'"
-    return what, "compare the encoder zeros with the robot's zero position"
+    return what, "compare the encoder with the robot's zero position (the size is what its positions lack)"
 
 
 EFFECT = Effect("encoder zeros", _torques, _columns, _say, shared=True, description=True, of_motion=True)

@@ -25,7 +25,7 @@ def _columns(fit: Fit) -> list[EffectColumn]:
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
     what = f"another scale of the positions of '{column.joint}'"
-    return what, "check the gear ratio, encoder resolution and unit of its positions"
+    return what, "check the gear ratio, encoder resolution and unit of its positions (the size is what they lack)"
 
 
 EFFECT = Effect("position scales", _torques, _columns, _say, shared=True, description=True, of_motion=True)
