@@ -79,7 +79,7 @@ def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None
 
     end = np.log(FASTEST)
     found = minimize_scalar(remaining, bounds=(-end, end), options={"xatol": CLOSE_ENOUGH})
-    if end - abs(found.x) < 2 * CLOSE_ENOUGH:  # gravity that is not there at all looks ever slower
+    if np.isclose(abs(found.x), end, atol=2 * CLOSE_ENOUGH):  # gravity that is not there at all looks ever slower
         return None
     factor, other = float(np.exp(found.x)), slowed(np.exp(found.x))
     if other is None or 1 - residual_ratio(other, unaltered) < EXPLAINED:
