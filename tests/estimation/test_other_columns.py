@@ -1,4 +1,4 @@
-"""Reversed torques, faults of a single run, and angles that a parallelogram measures from another link, are named."""
+"""Columns with another sign, zero, order or link of reference, and faults of a single run, are named."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import pytest
 from five_bar_logs import JOINTS, Plant, pair
 from gravity_logs import logged
 
-from gtau.estimation.diagnostics.descriptions import _with_parallelogram
+from gtau.estimation.diagnostics.columns import _with_parallelogram
 from gtau.estimation.diagnostics.diagnose import explained_failure
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
 from gtau.progress import silent
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
+from gtau.signals.run import Run
 
 UR10E = load_robot("ur10e")
 
@@ -70,6 +71,25 @@ def test_an_angle_of_a_parallelogram_is_named() -> None:
     ((what, joints),) = causes(result).items()
     assert "as with a parallelogram" in what
     assert joints == (joint,)
+
+
+SIGNS, ORDER = np.array([1, 1, 1, 1, -1, 1.0]), [0, 1, 2, 5, 4, 3]
+READINGS = {
+    "position and current of 'wrist_2_joint' with the other sign": lambda q: q * SIGNS,
+    "an error of -90 deg in the zero of encoder 'wrist_1_joint'": lambda q: q + np.pi / 2 * np.eye(6)[3],
+    "exchanged positions and currents of 'wrist_1_joint' and 'wrist_3_joint'": lambda q: q[:, ORDER],
+}
+
+
+@pytest.mark.parametrize("what", READINGS)
+def test_other_signs_zeros_and_orders_of_columns_are_named(what: str) -> None:
+    def read(run: Run) -> Run:
+        command = run.command if "zero" in what else READINGS[what](run.command)
+        return replace(run, position=READINGS[what](run.position), command=command)
+
+    result = identify(UR10E, [read(run) for run in logged(UR10E, UR10E.gravity, True)])
+    assert what in causes(result)
+    assert not result.accepted
 
 
 @pytest.mark.parametrize("wrong", [True, False])

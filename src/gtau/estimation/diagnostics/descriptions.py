@@ -7,17 +7,12 @@ a linear test points anywhere: the robot is fitted again.
   most, then in a second one, as long as it explains much more. An unknown load explains part of any fault of one run
   alone; only a mass far from the declared one is a body.
 - With payloads on another body.
-- With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
-  contradicts the others. All reversed explain the same, with negative masses.
 - Without one of the runs: where the others agree, they predict its currents, which may have another sign or unit.
-- With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
-  preceding one, and its motor stands there. Fanuc, ABB and palletisers log ``J2 + J3`` as J3. The motor becomes a joint
-  of its own, coupled to both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -28,22 +23,19 @@ from gtau.estimation.diagnostics.verdict import contradiction, motors, unexplain
 from gtau.estimation.effects.effect import EstimatedEffect
 from gtau.estimation.effects.estimate import contradictions, estimate_effects
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.least_squares import fit_by
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.regression.dataset import Dataset, reduce_runs
-from gtau.estimation.regression.factors import KNOWN, SIGNAL, SIGNALS
+from gtau.estimation.regression.dataset import Dataset
+from gtau.estimation.regression.factors import KNOWN, SIGNAL
 from gtau.estimation.regression.priors import require_scale
 from gtau.estimation.regression.run_blocks import PreparedRuns
 from gtau.findings import Finding, listed, to_width
-from gtau.progress import Progress
-from gtau.robots.parameter import Parameter, payload_label
-from gtau.robots.robot import Coupling, Robot
+from gtau.robots.parameter import BY_LOAD, Parameter, payload_label
+from gtau.signals.preparation.prepared_run import SampleWindow
 from gtau.signals.reading.statements import Payload
 
 MISFIT_GIVEN = 0.5  # share of a joint's torque that is unexplained, gains given
 LEFT = 0.5  # part of the residual variance, geometric mean of all joints, that is left with another description
-REVERSED_LEFT = 0.7  # and with one torque reversed
 BESIDE_LEFT = 0.9  # the same, with all effects beside both descriptions
 ODD_TRIED = 0.1  # share of a joint's signal that is unexplained, from which runs are left out
 MENDED = 0.1  # part of the squares that is left, at most, where one run or load explains what was unexplained
@@ -52,7 +44,7 @@ REFUTED_STD = 6.0  # size of another description in standard deviations
 MASS_ABSENT = 0.5  # part of a declared mass by which a run's load differs: below, the mass is wrong, above, the body
 
 TOOL_BODIES, TOOL_BODY, PAYLOAD_BODY = "tool bodies", "body at the tool", "payload on another body"
-REVERSED_CHANNELS, ODD_RUN, COLUMNS = "reversed channels", "odd run", "columns"
+ODD_RUN, COLUMNS = "odd run", "columns"
 
 
 def refitted(
@@ -68,6 +60,20 @@ def refitted(
     except GtauError:
         return None
     return replace(fit, system=system, solution=solution)
+
+
+def middle_windows(fit: Fit) -> list[SampleWindow]:
+    """List the middle of each run, which bounds the time; a run too short for that whole."""
+    windows = dict(fit.dataset.windows())
+    return [windows.get(k) or run.samples() for k, run in enumerate(fit.dataset.prepared)]
+
+
+def at_middle(fit: Fit) -> Fit | None:
+    """Fit the middle of the runs; None where that does not determine the gains."""
+    gains = None if fit.free_gains else fit.gains
+    terms = tuple(term for term in fit.system.terms if term.kind not in BY_LOAD)
+    plain = replace(fit, system=replace(fit.system, terms=terms), solve=ml_or_wls(gains))
+    return refitted(plain, dataset=fit.dataset.reduced(along=middle_windows(fit))) if fit.dataset.windows() else None
 
 
 def residual_ratio(other: Fit, unaltered: Fit) -> float:
@@ -117,7 +123,7 @@ def described_otherwise(
     return EstimatedEffect(effect, cause, 1.0, 0.0, "", likelihood, share, moves, description=True)
 
 
-def _one_after_the_other(
+def one_after_the_other(
     unaltered: Fit,
     alter: Callable[[tuple[int, ...]], Fit | None],
     numbers: range,
@@ -186,7 +192,7 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
         return np.asarray(other.solution.theta[places] - declared[list(carried)])
 
     # a body in some runs is one that the others lack: more is forgotten than taken away
-    carried, other = _one_after_the_other(
+    carried, other = one_after_the_other(
         unaltered, loaded, range(len(runs)), max(len(runs) - 1, 1), LEFT, lambda fit, carried: added(fit, carried)[-1]
     )
     if not carried:  # a load declared in another run shows once both are free; gains of the other sign fit others
@@ -276,76 +282,3 @@ def _differences(fit: Fit, other: Fit, run: int) -> str:
         times = " and ".join(f"{float(f'{factor:.1g}'):g}" for factor in factors[odd])
         return f"{whose} are {times} times what the other runs predict"
     return f"{whose} the other runs do not predict" if odd.any() else ""
-
-
-def reversed_torques(fit: Fit) -> EstimatedEffect | None:
-    """Find the joints whose torques are reversed against the other joints; None where gains have their own signs."""
-    if fit.free_gains:
-        return None
-    problem, unaltered = fit.problem, fit.unrefined
-
-    def turned(joints: tuple[int, ...]) -> Fit:
-        blocks = problem.blocks.copy()
-        blocks[:, joints, :, SIGNALS] *= -1
-        other = replace(problem, make_blocks=lambda: blocks)
-        return replace(fit, system=replace(fit.system, problem=other), solution=fit.solve(other))
-
-    n = len(problem.joints)
-    joints, best = _one_after_the_other(unaltered, turned, range(n), n // 2, REVERSED_LEFT)
-    if not joints:
-        return None
-    names = tuple(problem.joints[j] for j in joints)
-    text = f"reversed torques of {listed(names)}"
-    advice = f"check the signs of the {fit.kind} and position columns of {listed(names)}"
-    cause = Finding(REVERSED_CHANNELS, names, text=text, advice=advice)
-    return described_otherwise(COLUMNS, cause, best, unaltered)
-
-
-def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:
-    """Find a joint whose angle is measured, and whose motor stands, as in a parallelogram."""
-    unaltered, remains, explained = fit.unrefined, LEFT, None
-    described = list(_with_parallelogram(fit.dataset.robot))
-    gains = None if fit.free_gains else fit.gains
-    for number, (joint, before, robot) in enumerate(described):
-        progress("angles from other links", number, len(described))
-        try:
-            dataset = reduce_runs(robot, fit.dataset.runs, fit.dataset.preparation)
-            system = dataset.system(per_run=len(dataset.runs) > 1)
-            other = fit_by(ml_or_wls(gains), system, fit.free_gains)
-        except GtauError:
-            continue
-        if (ratio := residual_ratio(other, unaltered)) >= remains:
-            continue
-        beside = fit.dataset.robot.joint(before).antecedent
-        text = f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,"
-        advice = (
-            "log the angle between the links, or describe the parallelogram in the robot file, as the catalog's "
-            f"'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link"
-        )
-        cause = Finding(COLUMNS, (joint,), text=text, advice=advice)
-        remains, explained = ratio, described_otherwise(COLUMNS, cause, other, unaltered)
-    progress("angles from other links", len(described), len(described))
-    return explained
-
-
-def _with_parallelogram(robot: Robot) -> Iterator[tuple[str, str, Robot]]:
-    """Describe the robot with each motor standing beside the motor before it, where their axes are parallel."""
-    joints = {joint.name: joint for joint in robot.joints}
-    if robot.closures or robot.couplings:
-        return
-    for place, joint in enumerate(robot.joints):
-        before = joints.get(joint.antecedent)
-        if before is None or not (joint.actuated and before.actuated and joint.turns and before.turns):
-            continue
-        along = float(np.array(before.axis) @ np.array(joint.placement.rotation) @ np.array(joint.axis))
-        if not np.isclose(abs(along), 1.0, rtol=0, atol=1e-6):
-            continue
-        link = replace(joint, name=f"{joint.name} link", actuated=False, parameters="inertial")
-        motor = replace(before, name=joint.name, parameters="drive", limits=joint.limits, home=0.0)
-        moved = {joint.name: link.name}
-        others = [replace(other, antecedent=moved.get(other.antecedent, other.antecedent)) for other in robot.joints]
-        others[place : place + 1] = [motor, link]
-        sign = 1.0 if along > 0 else -1.0
-        coupling = Coupling(link.name, ((joint.name, sign), (before.name, -sign)))
-        tool = moved.get(robot.tool, robot.tool)
-        yield joint.name, before.name, replace(robot, joints=tuple(others), couplings=(coupling,), named_tool=tool)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.estimation.diagnostics import descriptions, gains, gravity, scale
+from gtau.estimation.diagnostics import columns, descriptions, gains, gravity, scale
 from gtau.estimation.diagnostics.effort import MISFIT_TRIED, columns_of_effort, middle_rows, shows_gravity
 from gtau.estimation.diagnostics.log_checks import frozen_encoders, lack_of_fit, logged_torques
 from gtau.estimation.diagnostics.units import reversed_by_file, units_and_signs
@@ -167,7 +167,7 @@ def _other_descriptions(
     if misfit or lacking:
         yield descriptions.other_body(fit)
     if misfit:
-        yield descriptions.reversed_torques(fit)
+        yield columns.reversed_torques(fit)
     tilted = any(effect.effect == "gravity" and effect.share > gravity.REFUTED_SHARE for effect in effects)
     others = list[EstimatedEffect | None]()
     if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
@@ -178,24 +178,27 @@ def _other_descriptions(
     # a clock that is far too slow leaves as little gravity as torques without gravity do
     yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
     if misfit:
-        yield descriptions.angle_from_another_link(fit, progress)
+        yield columns.angle_from_another_link(fit, progress)
+        yield columns.other_columns(fit, progress)
 
 
 def explained_failure(system: System, progress: Progress) -> str:
-    """Say what makes the iteration of the gains diverge: one run, columns of effort, or an angle of a parallelogram."""
+    """Say what makes the iteration of the gains diverge: one run, columns of effort, loads, or other columns."""
     try:
         fit = fit_by(likeliest, system, free_gains=True)
         if odd := descriptions.odd_run(fit, None):
             return f"the robot and logs as described give no drive gains; {odd.text}; {odd.advice}."
         if columns := columns_of_effort(middle_rows(fit)):
-            joints = listed(joint for finding in columns for joint in finding.joints)
-            return f"the iteration of the drive gains did not converge; joint {joints}: {columns[0]}."
-        angle = descriptions.angle_from_another_link(fit, progress)
+            joints = listed(joint for finding in held for joint in finding.joints)
+            return f"the iteration of the drive gains did not converge; joint {joints}: {held[0]}."
+        other = descriptions.other_body(fit) or descriptions.other_loads(fit)
+        other = other or columns.angle_from_another_link(fit, progress)
+        other = other or columns.other_columns(fit, progress)
     except GtauError:
         return ""
-    if angle is None:
+    if other is None:
         return ""
-    return f"the robot as described gives no drive gains; {angle.subject} explains the logs: {angle.cause.advice}."
+    return f"the robot as described gives no drive gains; {other.subject} explains the logs: {other.cause.advice}."
 
 
 def estimates_of(

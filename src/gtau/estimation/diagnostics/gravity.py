@@ -16,17 +16,22 @@ from math import asin, atan2, hypot
 
 import numpy as np
 
-from gtau.estimation.diagnostics.descriptions import ALIKE, LEFT, described_otherwise, refitted, residual_ratio
+from gtau.estimation.diagnostics.descriptions import (
+    ALIKE,
+    LEFT,
+    at_middle,
+    described_otherwise,
+    middle_windows,
+    refitted,
+    residual_ratio,
+)
 from gtau.estimation.effects.effect import EstimatedEffect, rms_torques, window_motion
 from gtau.estimation.effects.known.gravity import EFFECT as GRAVITY, clock_words, gravity_changes
 from gtau.estimation.effects.rows import fitted_sizes
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.findings import Finding, Grade, percent
 from gtau.progress import Progress, silent
-from gtau.robots.parameter import BY_LOAD
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.prepared_run import SampleWindow
 
 REFUTED_SHARE = 0.05  # share of the residual variance that another gravity explains
 GRAVITY_LEAST = 5.0  # angle from the stated gravity, degrees, below which the linear test of a tilt speaks
@@ -69,7 +74,7 @@ def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None
         return None
 
     def slowed(factor: float) -> Fit | None:
-        along = [replace(at, qd=at.qd / factor, qdd=at.qdd / factor**2, part_of=None) for at in _along(fit)]
+        along = [replace(at, qd=at.qd / factor, qdd=at.qdd / factor**2, part_of=None) for at in middle_windows(fit)]
         return refitted(unaltered, dataset=fit.dataset.reduced(along=along))
 
     def remaining(log_factor: float) -> float:
@@ -90,25 +95,11 @@ def other_clock(fit: Fit, progress: Progress = silent) -> EstimatedEffect | None
     return described_otherwise(GRAVITY.name, cause, other, unaltered, beside=False)
 
 
-def _along(fit: Fit) -> list[SampleWindow]:
-    """List the middle of each run, which bounds the time; a run too short for that whole."""
-    windows = dict(fit.dataset.windows())
-    return [windows.get(k) or run.samples() for k, run in enumerate(fit.dataset.prepared)]
-
-
-def at_middle(fit: Fit) -> Fit | None:
-    """Fit the middle of the runs; None where that does not determine the gains."""
-    gains = None if fit.free_gains else fit.gains
-    terms = tuple(term for term in fit.system.terms if term.kind not in BY_LOAD)
-    plain = replace(fit, system=replace(fit.system, terms=terms), solve=ml_or_wls(gains))
-    return refitted(plain, dataset=fit.dataset.reduced(along=_along(fit))) if fit.dataset.windows() else None
-
-
 def _with_gravity(fit: Fit, gravity: np.ndarray) -> Fit | None:
     """Fit with another gravity; None where the data do not determine the gains with it."""
     model = fit.dataset.model.altered(gravity=tuple(gravity.tolist()))
     dataset = replace(fit.dataset, equations=replace(fit.dataset.equations, model=model, known=None))
-    return refitted(fit, dataset=dataset.reduced(along=_along(fit)))
+    return refitted(fit, dataset=dataset.reduced(along=middle_windows(fit)))
 
 
 def _other_gravity(unaltered: Fit, progress: Progress) -> tuple[Fit, list[Fit]]:

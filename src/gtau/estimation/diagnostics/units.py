@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gtau.estimation.diagnostics.descriptions import REVERSED_CHANNELS
+from gtau.estimation.diagnostics.columns import REVERSED_CHANNELS
 from gtau.estimation.diagnostics.verdict import (
     FAR_APART,
     LARGE_CURRENT,

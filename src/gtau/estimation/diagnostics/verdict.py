@@ -44,7 +44,7 @@ def contradiction(
 def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Finding = GOOD) -> dict[str, Finding]:
     """Judge the gain of each joint by the first finding on it that lowers a verdict, or as ``otherwise``.
 
-    No gain is good beside a contradictory one, since all joints share the parameters of one model, but for what
+    No gain is known beside a contradictory one, since all joints share the parameters of one model, but for what
     concerns the channel of one joint alone.
     """
     first: dict[str, Finding] = {}
@@ -54,8 +54,8 @@ def decide(joints: Sequence[str], findings: Iterable[Finding], otherwise: Findin
     verdicts = {joint: first.get(joint, otherwise) for joint in joints}
     for joint, verdict in verdicts.items():
         if verdict.outcome == Grade.CONTRADICTORY and verdict.kind not in ALONE:
-            good = [name for name in joints if verdicts[name].outcome == Grade.GOOD]
-            return verdicts | {name: coupled(name, joint) for name in good}
+            known = [name for name in joints if verdicts[name].outcome in (Grade.GOOD, Grade.WEAK)]
+            return verdicts | {name: coupled(name, joint) for name in known}
     return verdicts
 
 

@@ -1,0 +1,164 @@
+"""Fit the same rows with other readings of the columns of joints, as :mod:`.descriptions` does with other loads.
+
+- With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
+  contradicts the others. All reversed explain the same, with negative masses.
+- With the other sign of a joint's columns, its zero a quarter of a turn off, or the columns of two joints exchanged.
+- With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
+  preceding one, and its motor stands there. Fanuc, ABB and palletisers log ``J2 + J3`` as J3. The motor becomes a joint
+  of its own, coupled to both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from gtau.errors import GtauError
+from gtau.estimation.diagnostics.descriptions import (
+    COLUMNS,
+    LEFT,
+    at_middle,
+    described_otherwise,
+    middle_windows,
+    one_after_the_other,
+    refitted,
+    residual_ratio,
+)
+from gtau.estimation.effects.effect import EstimatedEffect, encoders
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.least_squares import fit_by
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
+from gtau.estimation.regression.dataset import reduce_runs
+from gtau.estimation.regression.factors import SIGNALS
+from gtau.findings import Finding, listed
+from gtau.progress import Progress
+from gtau.robots.robot import Coupling, Robot
+from gtau.signals.preparation.prepared_run import SampleWindow
+
+REVERSED_LEFT = 0.7  # part of the residual variance that is left with one torque reversed
+REVERSED_CHANNELS = "reversed channels"
+
+
+def reversed_torques(fit: Fit) -> EstimatedEffect | None:
+    """Find the joints whose torques are reversed against the other joints; None where gains have their own signs."""
+    if fit.free_gains:
+        return None
+    problem, unaltered = fit.problem, fit.unrefined
+
+    def turned(joints: tuple[int, ...]) -> Fit:
+        blocks = problem.blocks.copy()
+        blocks[:, joints, :, SIGNALS] *= -1
+        other = replace(problem, make_blocks=lambda: blocks)
+        return replace(fit, system=replace(fit.system, problem=other), solution=fit.solve(other))
+
+    n = len(problem.joints)
+    joints, best = one_after_the_other(unaltered, turned, range(n), n // 2, REVERSED_LEFT)
+    if not joints:
+        return None
+    names = tuple(problem.joints[j] for j in joints)
+    text = f"reversed torques of {listed(names)}"
+    advice = f"check the signs of the {fit.kind} and position columns of {listed(names)}"
+    cause = Finding(REVERSED_CHANNELS, names, text=text, advice=advice)
+    return described_otherwise(COLUMNS, cause, best, unaltered)
+
+
+def other_columns(fit: Fit, progress: Progress) -> EstimatedEffect | None:
+    """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged."""
+    if (unaltered := at_middle(fit)) is None:
+        return None
+    remains, explained, readings = LEFT, None, list(_readings(fit))
+    for number, (joints, order, signs, shift, text, advice) in enumerate(readings):
+        progress("other signs, zeros and orders of columns", number, len(readings))
+        along = [_read_otherwise(at, order, signs, shift) for at in middle_windows(fit)]
+        try:
+            other = refitted(unaltered, dataset=fit.dataset.reduced(along=along))
+        except GtauError:  # its loops do not close
+            continue
+        if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
+            cause = Finding(COLUMNS, joints, text=text, advice=advice)
+            remains, explained = ratio, described_otherwise(COLUMNS, cause, other, unaltered)
+    progress("other signs, zeros and orders of columns", len(readings), len(readings))
+    return explained
+
+
+def _readings(fit: Fit) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray, str, str]]:
+    """List joints, the order, signs and shifts (n,) of all joints' columns that they may need, words and advice."""
+    as_logged, kind = np.arange(len(fit.dataset.model.actuated)), fit.dataset.runs[0].kind
+    for joint, place in encoders(fit).items():
+        chosen = (as_logged == place).astype(float)
+        text = f"position and {kind} of '{joint}' with the other sign"
+        advice = "check the sign of both columns, and the joint's axis in the robot file"
+        yield (joint,), as_logged, 1 - 2 * chosen, 0 * chosen, text, advice
+        for degrees in (90, -90, 180) if fit.dataset.robot.joint(joint).turns else ():
+            text = f"an error of {degrees} deg in the zero of encoder '{joint}'"
+            shift = np.radians(degrees) * chosen
+            yield (joint,), as_logged, np.ones(len(shift)), shift, text, "add it to the positions, or correct the zero"
+    for one, other in combinations(encoders(fit).items(), 2):
+        joints, places = zip(one, other, strict=True)
+        order = as_logged.copy()
+        order[list(places)] = places[::-1]
+        text = f"exchanged positions and {kind}s of {listed(joints)}"
+        yield joints, order, np.ones(len(order)), np.zeros(len(order)), text, "check the order of the joints' columns"
+
+
+def _read_otherwise(at: SampleWindow, order: np.ndarray, signs: np.ndarray, shift: np.ndarray) -> SampleWindow:
+    """Exchange, turn and shift the joints' columns of a window, positions and commands alike; commands do not shift."""
+    channels = np.append(order, np.arange(len(order), at.command.shape[1]))
+    turned = np.append(signs, np.ones(len(channels) - len(order)))
+    moved = {name: getattr(at, name)[:, order] * signs for name in ("q", "qd", "qdd")}
+    moved |= {name: getattr(at, name)[:, channels] * turned for name in ("command", "command_d", "command_dd")}
+    moved["q"] += shift
+    return replace(at, usable=at.usable[:, channels], part_of=None, **moved)
+
+
+def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:
+    """Find a joint whose angle is measured, and whose motor stands, as in a parallelogram."""
+    unaltered, remains, explained = fit.unrefined, LEFT, None
+    described = list(_with_parallelogram(fit.dataset.robot))
+    gains = None if fit.free_gains else fit.gains
+    for number, (joint, before, robot) in enumerate(described):
+        progress("angles from other links", number, len(described))
+        try:
+            dataset = reduce_runs(robot, fit.dataset.runs, fit.dataset.preparation)
+            system = dataset.system(per_run=len(dataset.runs) > 1)
+            other = fit_by(ml_or_wls(gains), system, fit.free_gains)
+        except GtauError:
+            continue
+        if (ratio := residual_ratio(other, unaltered)) >= remains:
+            continue
+        beside = fit.dataset.robot.joint(before).antecedent
+        text = f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,"
+        advice = (
+            "log the angle between the links, or describe the parallelogram in the robot file, as the catalog's "
+            f"'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link"
+        )
+        cause = Finding(COLUMNS, (joint,), text=text, advice=advice)
+        remains, explained = ratio, described_otherwise(COLUMNS, cause, other, unaltered)
+    progress("angles from other links", len(described), len(described))
+    return explained
+
+
+def _with_parallelogram(robot: Robot) -> Iterator[tuple[str, str, Robot]]:
+    """Describe the robot with each motor standing beside the motor before it, where their axes are parallel."""
+    joints = {joint.name: joint for joint in robot.joints}
+    if robot.closures or robot.couplings:
+        return
+    for place, joint in enumerate(robot.joints):
+        before = joints.get(joint.antecedent)
+        if before is None or not (joint.actuated and before.actuated and joint.turns and before.turns):
+            continue
+        along = float(np.array(before.axis) @ np.array(joint.placement.rotation) @ np.array(joint.axis))
+        if not np.isclose(abs(along), 1.0, rtol=0, atol=1e-6):
+            continue
+        link = replace(joint, name=f"{joint.name} link", actuated=False, parameters="inertial")
+        motor = replace(before, name=joint.name, parameters="drive", limits=joint.limits, home=0.0)
+        moved = {joint.name: link.name}
+        others = [replace(other, antecedent=moved.get(other.antecedent, other.antecedent)) for other in robot.joints]
+        others[place : place + 1] = [motor, link]
+        sign = 1.0 if along > 0 else -1.0
+        coupling = Coupling(link.name, ((joint.name, sign), (before.name, -sign)))
+        tool = moved.get(robot.tool, robot.tool)
+        yield joint.name, before.name, replace(robot, joints=tuple(others), couplings=(coupling,), named_tool=tool)
