@@ -206,7 +206,8 @@ def test_the_first_finding_that_lowers_a_verdict_counts() -> None:
         )
     )
     assert decide("ab", [note]) == {"a": GOOD, "b": GOOD}
-    assert decide("ab", [note, wide, wrong]) == {"a": wide, "b": wrong}
+    assert decide("ab", [note, wide, wrong]) == {"a": coupled("a", "b"), "b": wrong}
+    assert decide("ab", [note, wide]) == {"a": wide, "b": GOOD}
     assert decide("ab", [wrong, wide]) == {"a": wrong, "b": wrong}
     assert decide("abc", [wrong])["c"] == coupled("c", "a")
     assert decide("ab", [turned]) == {"a": GOOD, "b": turned}  # a factor of its own channel

@@ -13,7 +13,7 @@ instead: so wherever wrenches are measured, the advice names them first.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -120,8 +120,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         refit: EstimatedEffect | None = None
         if not findings:
             tried = chain([loads], _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress))
-            # one that leaves more of the residuals than the user's explains a single joint at most
-            refit = next((other for other in tried if other is not None and other.share > 0), None)
+            refit = _best_described(tried)
         if refit:
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
         elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
@@ -182,13 +181,28 @@ def _other_descriptions(
         yield columns.other_columns(fit, progress)
 
 
+def _best_described(tried: Iterable[EstimatedEffect | None]) -> EstimatedEffect | None:
+    """Choose the description that leaves least of the residuals, or the first that leaves hardly any."""
+    best: EstimatedEffect | None = None
+    for other in tried:
+        # one that leaves more of the residuals than the user's explains a single joint at most
+        if other is None or other.share <= 0:
+            continue
+        remains = other.cause.values["remains"]
+        if best is None or remains < best.cause.values["remains"]:
+            best = other
+        if remains < descriptions.MENDED:
+            break
+    return best
+
+
 def explained_failure(system: System, progress: Progress) -> str:
     """Say what makes the iteration of the gains diverge: one run, columns of effort, loads, or other columns."""
     try:
         fit = fit_by(likeliest, system, free_gains=True)
         if odd := descriptions.odd_run(fit, None):
             return f"the robot and logs as described give no drive gains; {odd.text}; {odd.advice}."
-        if columns := columns_of_effort(middle_rows(fit)):
+        if held := columns_of_effort(middle_rows(fit)):
             joints = listed(joint for finding in held for joint in finding.joints)
             return f"the iteration of the drive gains did not converge; joint {joints}: {held[0]}."
         other = descriptions.other_body(fit) or descriptions.other_loads(fit)
