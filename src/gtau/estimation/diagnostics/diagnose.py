@@ -119,8 +119,9 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         contradicting = () if odd else contradicting
         refit: EstimatedEffect | None = None
         if not findings:
-            tried = chain([loads], _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress))
-            refit = _best_described(tried)
+            explained = any(not effect.beyond for effect in contradicting)
+            others = _other_descriptions(fit, misfit, lacking, missing, explained, (*effects, *causes), progress)
+            refit = _best_described(chain([loads], others))
         if refit:
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
         elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
@@ -157,11 +158,18 @@ def _contradicting(
 
 
 def _other_descriptions(
-    fit: Fit, misfit: bool, lacking: bool, missing: bool, effects: Sequence[EstimatedEffect], progress: Progress
+    fit: Fit,
+    misfit: bool,
+    lacking: bool,
+    missing: bool,
+    explained: bool,
+    effects: Sequence[EstimatedEffect],
+    progress: Progress,
 ) -> Iterator[EstimatedEffect | None]:
-    """Fit the data with other descriptions of robot and logs; the first that explains the residuals counts.
+    """Fit the data with other descriptions of robot and logs.
 
-    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
+    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit; columns of joints, where
+    no small error of the description has ``explained`` it.
     """
     if misfit or lacking:
         yield descriptions.other_body(fit)
@@ -178,6 +186,7 @@ def _other_descriptions(
     yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
     if misfit:
         yield columns.angle_from_another_link(fit, progress)
+    if misfit and not explained:
         yield columns.other_columns(fit, progress)
 
 
