@@ -96,10 +96,9 @@ def _readings(fit: Fit) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.ndarra
             text = f"an error of {degrees} deg in the zero of encoder '{joint}'"
             shift = np.radians(degrees) * chosen
             yield (joint,), as_logged, np.ones(len(shift)), shift, text, "add it to the positions, or correct the zero"
-    for one, other in combinations(encoders(fit).items(), 2):
-        joints, places = zip(one, other, strict=True)
-        order = as_logged.copy()
-        order[list(places)] = places[::-1]
+    for (one, first), (other, second) in combinations(encoders(fit).items(), 2):
+        joints, order = (one, other), as_logged.copy()
+        order[[first, second]] = second, first
         text = f"exchanged positions and {kind}s of {listed(joints)}"
         yield joints, order, np.ones(len(order)), np.zeros(len(order)), text, "check the order of the joints' columns"
 
