@@ -275,6 +275,18 @@ def test_a_wrong_length_of_the_robot_file_is_found_with_its_size(tmp_path: Path,
         assert gain.value * (1 + best.moves[joint] / 100) == pytest.approx(truth, rel=0.004)
 
 
+@pytest.mark.parametrize(("gripped", "lost", "when"), [(2.0, 10.0, "before 2.1 s"), (0.0, 8.5, "after 7.9 s")])
+def test_a_payload_that_a_run_carries_in_part_is_named(gripped: float, lost: float, when: str) -> None:
+    plant = Plant(noise=0.01)
+    carried, empty = (plant.run("loaded", 10.0, body, seed=2) for body in (STEEL, None))
+    there = (carried.time >= gripped) & (carried.time < lost)
+    part = replace(carried, command=np.where(there[:, None], carried.command, empty.command))
+    part = replace(part, payload=Payload(name="steel", mass=STEEL["m"]))
+    first, *_ = contradictions(mixed([plant.run("free", 10.0, seed=1), part]))
+    assert first.subject == f"a payload that is lighter in run 'loaded' {when}"
+    assert first.size == pytest.approx(-1.0, abs=0.1)
+
+
 def test_healthy_logs_contradict_nothing(runs: list[Run]) -> None:
     result = mixed(runs)
     assert not contradictions(result)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -30,7 +31,7 @@ from gtau.estimation.diagnostics.descriptions import (
 from gtau.estimation.effects.effect import EstimatedEffect, encoders
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
-from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
+from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
 from gtau.findings import Finding, listed
@@ -39,6 +40,8 @@ from gtau.robots.robot import Coupling, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REVERSED_LEFT = 0.7  # part of the residual variance that is left with one torque reversed
+FEW_STEPS = 30  # of the iteration towards gains: right descriptions converge in fewer, wrong ones may take hundreds
+
 REVERSED_CHANNELS = "reversed channels"
 
 
@@ -69,12 +72,13 @@ def other_columns(fit: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged."""
     if (unaltered := at_middle(fit)) is None:
         return None
+    trial = replace(unaltered, solve=partial(likeliest, steps=FEW_STEPS)) if fit.free_gains else unaltered
     remains, explained, readings = LEFT, None, list(_readings(fit))
     for number, (joints, order, signs, shift, text, advice) in enumerate(readings):
         progress("other signs, zeros and orders of columns", number, len(readings))
         along = [_read_otherwise(at, order, signs, shift) for at in middle_windows(fit)]
         try:
-            other = refitted(unaltered, dataset=fit.dataset.reduced(along=along))
+            other = refitted(trial, dataset=fit.dataset.reduced(along=along))
         except GtauError:  # its loops do not close
             continue
         if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:

@@ -16,7 +16,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains, Solution, Solve
 from gtau.estimation.estimators.least_squares import plain_fit, scarcity, with_given, wls
-from gtau.estimation.estimators.newton import solve
+from gtau.estimation.estimators.newton import STEPS, solve
 from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.factors import KNOWN, MODEL
 from gtau.estimation.regression.problem import Problem
@@ -25,13 +25,13 @@ MISFIT = 0.25  # share of a joint's current that is unexplained, gains estimated
 HIDDEN_KNOWN = 0.01  # share of the known parameters' torque that nothing unknown explains: below, a refusal names it
 
 
-def likeliest(problem: Problem) -> Solution:
+def likeliest(problem: Problem, steps: int = STEPS) -> Solution:
     """Iterate from 2SLS towards the maximum of the likelihood, converged or not.
 
     Friction terms are chosen by this: a UR10e's pair with a current halved in one run does not converge with all of
     them, but does with the ones that the data support, and the cause is then named.
     """
-    return solve(problem, two_stage(problem).values, problem.weights, True)
+    return solve(problem, two_stage(problem).values, problem.weights, True, steps)
 
 
 def ml(problem: Problem) -> Solution:
