@@ -109,12 +109,12 @@ def _readings(fit: Fit) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.ndarra
 
 def _read_otherwise(at: SampleWindow, order: np.ndarray, signs: np.ndarray, shift: np.ndarray) -> SampleWindow:
     """Exchange, turn and shift the joints' columns of a window, positions and commands alike; commands do not shift."""
-    channels = np.append(order, np.arange(len(order), at.command.shape[1]))
-    turned = np.append(signs, np.ones(len(channels) - len(order)))
+    beyond = at.command.shape[1] - len(order)  # sensors and wrenches stay
+    channels, turned = np.append(order, len(order) + np.arange(beyond)), np.append(signs, np.ones(beyond))
     moved = {name: getattr(at, name)[:, order] * signs for name in ("q", "qd", "qdd")}
     moved |= {name: getattr(at, name)[:, channels] * turned for name in ("command", "command_d", "command_dd")}
     moved["q"] += shift
-    return replace(at, usable=at.usable[:, channels], part_of=None, **moved)
+    return replace(at, usable=at.usable[:, channels[: at.usable.shape[1]]], part_of=None, **moved)
 
 
 def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:

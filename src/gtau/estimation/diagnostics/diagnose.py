@@ -48,6 +48,7 @@ FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, effects fit the noi
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
 LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
 HARMLESS_SHARE = 0.3  # share of the residual variance that a description explains, up to which it is information
+SURE = 0.01  # part of the residual variance that a description leaves, below which no further one is tried
 LARGE_SHARE = 0.1  # the same of physics that is larger than a motor can be, and of measured wrenches
 
 FEW_ROWS = "too few rows for tests"
@@ -119,9 +120,12 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         contradicting = () if odd else contradicting
         refit: EstimatedEffect | None = None
         if not findings:
-            explained = any(not effect.beyond for effect in contradicting)
-            others = _other_descriptions(fit, misfit, lacking, missing, explained, (*effects, *causes), progress)
+            others = _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress)
             refit = _best_described(chain([loads], others))
+            explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
+            if refit or (misfit and not explained):
+                last = (describe(fit, progress) for describe in (columns.other_columns,))
+                refit = _best_described(chain([refit], last))
         if refit:
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
         elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
@@ -158,18 +162,11 @@ def _contradicting(
 
 
 def _other_descriptions(
-    fit: Fit,
-    misfit: bool,
-    lacking: bool,
-    missing: bool,
-    explained: bool,
-    effects: Sequence[EstimatedEffect],
-    progress: Progress,
+    fit: Fit, misfit: bool, lacking: bool, missing: bool, effects: Sequence[EstimatedEffect], progress: Progress
 ) -> Iterator[EstimatedEffect | None]:
     """Fit the data with other descriptions of robot and logs.
 
-    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit; columns of joints, where
-    no small error of the description has ``explained`` it.
+    Each is tried where the residual is large, or autocorrelated, as that takes seconds a fit.
     """
     if misfit or lacking:
         yield descriptions.other_body(fit)
@@ -186,8 +183,6 @@ def _other_descriptions(
     yield max((other for other in others if other is not None), key=lambda other: other.share, default=None)
     if misfit:
         yield columns.angle_from_another_link(fit, progress)
-    if misfit and not explained:
-        yield columns.other_columns(fit, progress)
 
 
 def _best_described(tried: Iterable[EstimatedEffect | None]) -> EstimatedEffect | None:
@@ -200,7 +195,7 @@ def _best_described(tried: Iterable[EstimatedEffect | None]) -> EstimatedEffect 
         remains = other.cause.values["remains"]
         if best is None or remains < best.cause.values["remains"]:
             best = other
-        if remains < descriptions.MENDED:
+        if remains < SURE:
             break
     return best
 
@@ -214,9 +209,16 @@ def explained_failure(system: System, progress: Progress) -> str:
         if held := columns_of_effort(middle_rows(fit)):
             joints = listed(joint for finding in held for joint in finding.joints)
             return f"the iteration of the drive gains did not converge; joint {joints}: {held[0]}."
-        other = descriptions.other_body(fit) or descriptions.other_loads(fit)
-        other = other or columns.angle_from_another_link(fit, progress)
-        other = other or columns.other_columns(fit, progress)
+        other = _best_described(
+            described
+            for describe in (
+                descriptions.other_body,
+                descriptions.other_loads,
+                lambda fit: columns.angle_from_another_link(fit, progress),
+                lambda fit: columns.other_columns(fit, progress),
+            )
+            if (described := describe(fit))
+        )
     except GtauError:
         return ""
     if other is None:
