@@ -21,7 +21,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.verdict import contradiction, motors, unexplained_shares
 from gtau.estimation.effects.effect import EstimatedEffect
-from gtau.estimation.effects.estimate import contradictions, estimate_effects
+from gtau.estimation.effects.estimate import contradictions, effects_beside
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.estimators.newton import degrees_of_freedom
@@ -97,7 +97,7 @@ def noise_beside_effects(fit: Fit) -> np.ndarray:
 
     A description beyond the range of its columns explains nothing.
     """
-    result = estimate_effects(fit)
+    result = effects_beside(fit)
     if result is None or any(effect.beyond for effect in contradictions(result)):
         return fit.solution.sigma
     return result.rows.fit.solution.sigma * [noise.std for noise in result.mixed.model.noise]
