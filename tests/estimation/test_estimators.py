@@ -13,10 +13,8 @@ import scipy.optimize
 from gtau.estimation.estimators import newton
 from gtau.estimation.estimators.essential import essential_parameters
 from gtau.estimation.estimators.estimator import Solution
-from gtau.estimation.estimators.least_squares import ols, wls
+from gtau.estimation.estimators.least_squares import ols, tls, two_stage, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.estimators.total_least_squares import tls
-from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.factors import delayed, leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.parameter import Parameter

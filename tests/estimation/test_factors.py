@@ -11,9 +11,8 @@ from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Solution
-from gtau.estimation.estimators.least_squares import ols, wls
+from gtau.estimation.estimators.least_squares import ols, tls, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.estimators.total_least_squares import tls
 from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.regression.factors import Factors, reduce_run

@@ -18,10 +18,10 @@ from gtau.estimation.compare import to_document
 from gtau.estimation.estimators import estimator_of, estimators
 from gtau.estimation.estimators.essential import prune_friction_terms
 from gtau.estimation.estimators.estimator import Gains
+from gtau.estimation.estimators.least_squares import two_stage
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import one_step
 from gtau.estimation.estimators.physical_consistency import standard_unknowns
-from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.model.home import load_robot

@@ -1,4 +1,4 @@
-"""The estimators by name, a file each; a new one is a file and a line here, in another distribution an entry point.
+"""The estimators by name; a new one is a file and a line here, in another distribution an entry point.
 
 Names are cheap to import, for the help of the command line; the estimators themselves are imported on first use.
 """
@@ -20,8 +20,8 @@ PLACES = {
     "huber": "huber.HUBER",
     "iv": "instrumental_variables.IV",
     "didim": "didim.DIDIM",
-    "2sls": "two_stage.TWO_STAGE",
-    "tls": "total_least_squares.TLS",
+    "2sls": "least_squares.TWO_STAGE",
+    "tls": "least_squares.TLS",
     "wls": "least_squares.WLS",
     "ols": "least_squares.OLS",
 }

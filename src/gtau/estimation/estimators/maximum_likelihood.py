@@ -15,9 +15,8 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains, Solution, Solve
-from gtau.estimation.estimators.least_squares import plain_fit, scarcity, with_given, wls
+from gtau.estimation.estimators.least_squares import plain_fit, scarcity, two_stage, with_given, wls
 from gtau.estimation.estimators.newton import STEPS, solve
-from gtau.estimation.estimators.two_stage import two_stage
 from gtau.estimation.regression.factors import KNOWN, MODEL
 from gtau.estimation.regression.problem import Problem
 

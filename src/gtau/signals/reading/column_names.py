@@ -332,3 +332,40 @@ def _ordered(labels: Iterable[str], in_order: bool) -> list[str]:
     numbers = {label: int(digits[-1]) for label in labels if (digits := re.findall(r"\d+", label))}
     numbered = not in_order and len({*numbers.values()}) == len(labels)
     return sorted(labels, key=numbers.__getitem__) if numbered else labels
+
+
+def topics_of(columns: Sequence[str]) -> list[str]:
+    """List the topics of a bag by its columns, the longest first."""
+    topics = [name.removesuffix("/received") for name in columns if re.fullmatch("/.*/received", name)]
+    return sorted(topics, key=len, reverse=True)
+
+
+def of_topics(names: Sequence[ColumnName], topics: Sequence[str], main: str | None) -> list[ColumnName]:
+    """Select the columns of a topic, and of topics like it where each of them has one joint."""
+    by_topic = {topic: [name for name in names if topic_of(name.name, topics) == topic] for topic in topics}
+    fields = {topic: [*map(_field, some, [topic] * len(some))] for topic, some in by_topic.items()}
+    chosen = by_topic.get(main or "", [])
+    alike = [topic for topic in topics if main and sorted(fields[topic]) == sorted(fields[main])]
+    if len(alike) < 2 or len({name.label for name in chosen if name.kind == "position"}) != 1:
+        return chosen
+    alike = [str(main), *(topic for topic in reversed(topics) if topic in alike and topic != main)]
+    parts = zip(*(topic.split("/") for topic in alike), strict=False)
+    places = [k for k, words in enumerate(parts) if len({*words}) == len(alike)]
+    if not places:
+        return chosen
+    labels = {topic: topic.split("/")[places[0]] for topic in alike}
+    return [
+        name if name.kind == "time" else replace(name, label=labels[topic], stem=field)
+        for topic in alike
+        for name, field in zip(by_topic[topic], fields[topic], strict=True)
+    ]
+
+
+def _field(name: ColumnName, topic: str) -> str:
+    """Write the field of a column of a topic, without the joint in it."""
+    return name.name.removeprefix(f"{topic}/").replace(name.label, "#") if name.label else name.name[len(topic) + 1 :]
+
+
+def topic_of(name: str, topics: Sequence[str]) -> str:
+    """Find the topic of a column, empty where it is of none."""
+    return next((topic for topic in topics if name.startswith(f"{topic}/")), "")
