@@ -13,13 +13,7 @@ from gtau.errors import GtauError
 from gtau.excitation.clearance import Clearance
 from gtau.excitation.information import Information, Window, information_of
 from gtau.excitation.prior import PriorModel
-from gtau.excitation.trajectory import (
-    FourierSeries,
-    Pullback,
-    SmoothRegressor,
-    approach_duration,
-    smooth_regressor,
-)
+from gtau.excitation.trajectory import FourierSeries, Pullback, SmoothRegressor, approach_duration, smooth_regressor
 from gtau.model.base_parameters import BaseParameters
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.model.kinematics import configuration_rates, frames

@@ -23,16 +23,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Fit, FitSystem, Gains, Solution, Solve
-from gtau.estimation.estimators.newton import (
-    Weigh,
-    finish,
-    least_squares,
-    one_step,
-    residuals,
-    solve,
-    squared,
-    stacked,
-)
+from gtau.estimation.estimators.newton import Weigh, finish, least_squares, one_step, residuals, solve, squared, stacked
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import delayed_signal, leave_one_out, modelled, triangle
 from gtau.estimation.regression.problem import Problem

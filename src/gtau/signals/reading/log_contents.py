@@ -33,7 +33,6 @@ from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.reading.samples import refuse_short, register_of
 from gtau.signals.reading.units import COMMON
 
-
 ROWS = 200_000  # of a log that are evaluated
 LARGEST = 1e100  # of a number that is evaluated, so that squares of it stay finite; reading refuses far smaller ones
 # Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
