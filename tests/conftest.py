@@ -28,7 +28,7 @@ def shared() -> Path:
 @pytest.fixture
 def two_estimators(monkeypatch: pytest.MonkeyPatch) -> None:
     """``gtau compare`` with two estimators, where a test is about its page or its input."""
-    monkeypatch.setattr("gtau.estimation.compare.NAMES", ("ml", "wls"))
+    monkeypatch.setattr("gtau.estimation.identify.NAMES", ("ml", "wls"))
 
 
 @pytest.fixture

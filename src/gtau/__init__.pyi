@@ -1,6 +1,6 @@
 from .campaigns.campaign import CampaignState as CampaignState, campaign as campaign
 from .errors import GtauError as GtauError
-from .estimation.compare import EstimatorComparison as EstimatorComparison
+from .estimation.identify import EstimatorComparison as EstimatorComparison
 from .estimation.results.estimate import Estimate as Estimate, TorqueError as TorqueError
 from .estimation.results.payload_body import PayloadBody as PayloadBody, PayloadEstimate as PayloadEstimate
 from .estimation.results.result import IdentifiedModel as IdentifiedModel

@@ -111,7 +111,8 @@ def unreadable(sentence: str, error: OSError) -> GtauError:
 def missing_extra(purpose: str, package: str, extra: str) -> GtauError:
     """Make the error for a ``package`` that is not installed, with the commands that install it as an ``extra``."""
     return GtauError(
-        f"{purpose} needs the package {package}, which is not installed; install it with: {install_command(extra)}."
+        f"{purpose} needs the package {package}, which is not installed; install it with: "
+        f"pip install 'gtau[{extra}]' (in a clone: pip install '.[{extra}]')."
     )
 
 
@@ -122,8 +123,3 @@ def needing(purpose: str, package: str, extra: str) -> Iterator[None]:
         yield
     except ImportError:
         raise missing_extra(purpose, package, extra) from None
-
-
-def install_command(extra: str) -> str:
-    """Name the command that installs an ``extra``, from the package index and in a clone."""
-    return f"pip install 'gtau[{extra}]' (in a clone: pip install '.[{extra}]')"

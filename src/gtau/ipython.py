@@ -8,7 +8,7 @@ SHOWN = {
     "Named": "gtau.estimation.results.estimate",
     "PayloadEstimate": "gtau.estimation.results.payload_body",
     "Prediction": "gtau.uses.prediction",
-    "EstimatorComparison": "gtau.estimation.compare",
+    "EstimatorComparison": "gtau.estimation.identify",
     "CheckedExperiment": "gtau.estimation.check_logs",
 }
 """Classes that have a page in :mod:`gtau.report.plots`, with their modules."""

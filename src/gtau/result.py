@@ -11,8 +11,8 @@ import numpy as np
 from gtau.documents.validation import FUNCTION, MASSES, NUMBER, PATH, TEXT, TRUTH, takes
 from gtau.errors import GtauError, UnknownName, spelled
 from gtau.estimation import check_logs
-from gtau.estimation.compare import EstimatorComparison, compare as compare_estimators
 from gtau.estimation.experiment_runs import ACCURACY, options_of
+from gtau.estimation.identify import EstimatorComparison, compare as compare_estimators
 from gtau.estimation.results import model_file
 from gtau.estimation.results.estimate import Estimate, TorqueError
 from gtau.estimation.results.result import IdentifiedModel, estimates_frame

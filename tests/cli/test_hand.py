@@ -87,7 +87,7 @@ def test_logs_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = ["check", "empty.csv", "loaded.csv", "--robot", "five-bar", "--payload", "loaded.csv=1.2", "--out", "out"]
     printed = " ".join(CliRunner().invoke(app, command).stdout.partition("written: ")[0].split())
     assert in_python(printed).replace("out/experiment.yaml", "the draft") == " ".join(checked.summary().split())
-    monkeypatch.setattr("gtau.estimation.compare.NAMES", ("ml",))
+    monkeypatch.setattr("gtau.estimation.identify.NAMES", ("ml",))
     compared = gtau.compare(["empty.csv", "loaded.csv"], **stated)
     assert compared.rows[0].gains == pytest.approx(result.gains, rel=1e-6)
     assert [note.what for note in compared.notes] == [

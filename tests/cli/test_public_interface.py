@@ -17,7 +17,7 @@ from programs import wait_until
 
 import gtau
 from gtau.cli.console import progress_lines
-from gtau.estimation.compare import EstimatorComparison, MethodRow
+from gtau.estimation.identify import EstimatorComparison, MethodRow
 from gtau.findings import Grade
 from gtau.report.gains import comparison_page
 from gtau.report.render.terminal import plain

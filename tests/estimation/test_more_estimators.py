@@ -14,7 +14,6 @@ from five_bar_logs import CHI, EXPERIMENT, GAINS, JOINTS, STEEL, Plant, pair, wr
 from typer.testing import CliRunner
 
 from gtau.cli.commands import app
-from gtau.estimation.compare import to_document
 from gtau.estimation.estimators import estimator_of, estimators
 from gtau.estimation.estimators.essential import prune_friction_terms
 from gtau.estimation.estimators.estimator import Gains
@@ -22,6 +21,7 @@ from gtau.estimation.estimators.least_squares import two_stage
 from gtau.estimation.estimators.maximum_likelihood import ml
 from gtau.estimation.estimators.newton import one_step
 from gtau.estimation.estimators.physical_consistency import standard_unknowns
+from gtau.estimation.identify import comparison_document
 from gtau.estimation.regression.assembly import all_terms
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.model.home import load_robot
@@ -209,7 +209,7 @@ def test_compare(tmp_path: Path, few: bool, request: pytest.FixtureRequest) -> N
     said: list[str] = []
     compared = compare(experiment, progress=lambda stage, *_: said.append(stage))
     assert {stage.partition(" (")[0] for stage in said} >= set(names)
-    document, shown = to_document(compared), comparison_table(compared)
+    document, shown = comparison_document(compared), comparison_table(compared)
     assert document["joints"] == list(JOINTS)
     assert [each["method"] for each in document["estimators"]] == names
     for each in document["estimators"]:

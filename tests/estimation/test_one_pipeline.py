@@ -33,7 +33,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ["ml", *(pytest.param(m, marks=pytest.mark.slow) for m in NAMES if m != "ml")],
 )
 def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gtau.estimation.compare.NAMES", (method,))
+    monkeypatch.setattr("gtau.estimation.identify.NAMES", (method,))
     (row,) = compare(experiment).rows
     if row.refusal:
         with pytest.raises(GtauError, match=re.escape(row.refusal)):

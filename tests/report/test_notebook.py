@@ -15,7 +15,7 @@ from five_bar_logs import JOINTS, Plant, write_experiment
 
 import gtau
 from gtau.errors import GtauError
-from gtau.estimation.compare import EstimatorComparison, MethodRow
+from gtau.estimation.identify import EstimatorComparison, MethodRow
 from gtau.findings import Grade
 from gtau.ipython import SHOWN, html, register
 from gtau.report.motion import distances_panels

@@ -153,7 +153,7 @@ def text_of(reports: Path, command: str) -> str:
     if not file.exists():
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(reports)
-            patch.setattr("gtau.estimation.compare.NAMES", ("ml", "wls"))
+            patch.setattr("gtau.estimation.identify.NAMES", ("ml", "wls"))
             patch.setattr("sys.argv", ["gtau", *COMMANDS[command].split()])
             done = CliRunner().invoke(app, COMMANDS[command].split())
         assert done.exit_code == 0, done.stderr

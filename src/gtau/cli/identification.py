@@ -142,7 +142,7 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
     hold(out)
     experiment, guessed = experiment_of(sources, stated, out)
     with said_if_refused(guessed), progress_bar() as progress:
-        from gtau.estimation.compare import compare as run, to_document
+        from gtau.estimation.identify import compare as run, comparison_document
         from gtau.report.evidence import inputs_of
         from gtau.report.gains import comparison_page
         from gtau.report.render.html import write_report
@@ -153,7 +153,7 @@ def compare(sources: Sources, stated: LogOptions, out: ReportFolder = None, json
     page, written = comparison_page(comparison, described.expected_gains), [experiment] if guessed else []
     if out is not None:
         written.append(write_report(page, folder_of(out), seconds(), inputs_of(experiment, described)))
-    answer(json_, lambda: to_document(comparison), lambda: page, written)
+    answer(json_, lambda: comparison_document(comparison), lambda: page, written)
 
 
 Experiments = Annotated[

@@ -79,14 +79,9 @@ def symmetric_order(robot: Robot, names: Sequence[Parameter]) -> list[Parameter]
     return [name for name in order if name in names]
 
 
-def belongs_to_drive(name: Parameter, joint: str) -> bool:
-    """Return whether a standard parameter is a drive parameter."""
-    return name.kind in DRIVE and name.body == joint
-
-
 def seen_by_sensor(names: Sequence[Parameter], joint: str) -> np.ndarray:
     """Mark the standard parameters measured by a joint torque sensor with 1, parameters of the drive with 0."""
-    return np.array([not belongs_to_drive(name, joint) for name in names], dtype=float)
+    return np.array([name.kind not in DRIVE or name.body != joint for name in names], dtype=float)
 
 
 @takes(idm=("gtau.InverseDynamics(robot)", (InverseDynamics,)), seed=WHOLE, sensors=NAMES, progress=FUNCTION)

@@ -36,10 +36,8 @@ REGULAR = CONDITION / 10  # condition number of regular poses
 
 
 def _range(joint: Joint, length: float) -> tuple[float, float]:
-    if joint.limits.position is not None:
-        return joint.limits.position
     reach = np.pi if joint.turns else length
-    return joint.home - reach, joint.home + reach
+    return joint.limits.position or (joint.home - reach, joint.home + reach)
 
 
 def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, condition: float = REGULAR) -> Motion:

@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from gtau.estimation.compare import EstimatorComparison
 from gtau.estimation.experiment_runs import ACCURACY
+from gtau.estimation.identify import EstimatorComparison
 from gtau.estimation.results.conclusions import reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.estimation.results.payload_body import PayloadEstimate

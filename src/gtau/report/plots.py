@@ -13,7 +13,7 @@ from gtau.documents.files import write_atomically
 from gtau.documents.validation import Accepted, takes
 from gtau.errors import GtauError
 from gtau.estimation.check_logs import CheckedExperiment
-from gtau.estimation.compare import EstimatorComparison
+from gtau.estimation.identify import EstimatorComparison
 from gtau.estimation.results.estimate import Named
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel

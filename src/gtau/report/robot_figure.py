@@ -27,7 +27,6 @@ LETTERS = 14  # most letters of a name in the key
 DRIVEN, PASSIVE = (8.2, RED), (6.1, "page")  # size and colour of marks
 # number of corners of marks, turn as a share of a corner, and radius as a share of the size
 OUTLINES = {"disc": (24, 0.0, 0.5), "square": (4, 0.5, 0.71), "diamond": (4, 0.0, 0.71), "hexagon": (6, 0.0, 0.5)}
-COILS = 8  # turns of a spring
 PARALLEL = 1e-6  # tolerance of a cosine
 FLAT = 0.05  # share of its size below which a robot is drawn from the front
 TIP = 0.25  # m, of an arm whose length no file states
@@ -38,7 +37,7 @@ def sketch_of(robot: Robot) -> Sketch:
 
     Pale lines are the base, grey lines the travel of prismatic joints, blue lines links, and filled faces platforms;
     the body with the payload is green, with the axes of its frame. Discs are revolute joints with their axes, squares
-    prismatic joints; driven joints are red and named. Diamonds close loops, zigzags are springs. The strip below holds
+    prismatic joints; driven joints are red and named. Diamonds close loops. The strip below holds
     the axes of the base, a scale and a key.
     """
     largest = scene_of(robot)
@@ -142,8 +141,8 @@ def _draw_robot(pen: Pen, scene: Scene) -> None:
         pen.mark(scene.on_page(centre), ("disc" if joint.turns else "square", size, fill), label=words)
     pen.triad(scene.on_page(place), 0.13 * reach * scene.view @ R, GREEN)
     for spring in robot.springs:
-        start, end = (scene.on_page(attached(side, frames)[1]) for side in (spring.a, spring.b))
-        pen.line(zigzag(start, end, 0.025 * reach), INK, label="spring")
+        ends = np.array([attached(side, frames)[1] for side in (spring.a, spring.b)])
+        pen.line(scene.on_page(ends), INK, label="spring")
     for closure in robot.closures:
         pen.mark(scene.on_page(attached(closure.a, frames)[1]), ("diamond", 6.0, ORANGE), label="closes a loop")
 
@@ -367,16 +366,6 @@ def link_lines(robot: Robot, joints: list[Joint], frames: dict[str, Frame]) -> l
     if robot.tool not in drawn:
         lines.append((robot.tool, np.array([p, p + R @ rigid_body(robot.inertias, robot.tool).center])))
     return [(body, line) for body, line in lines if np.linalg.norm(line[1] - line[0]) > 1e-6]
-
-
-def zigzag(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
-    """Return a zigzag (points, 2) between two points (2,), straight at both ends."""
-    along = end - start
-    length = max(float(np.linalg.norm(along)), 1e-12)
-    across = width / length * np.array([-along[1], along[0]])
-    shares = np.concatenate([[0.0, 0.2], np.linspace(0.25, 0.75, COILS), [0.8, 1.0]])
-    sides = np.concatenate([[0.0, 0.0], (-1.0) ** np.arange(COILS), [0.0, 0.0]])
-    return np.asarray(start + shares[:, None] * along + sides[:, None] * across)
 
 
 def foot_of(joint: Joint, frames: dict[str, Frame]) -> np.ndarray:

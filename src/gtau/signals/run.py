@@ -147,11 +147,6 @@ class Run:
         return self.log.side
 
     @property
-    def temperature(self) -> SideValues | None:
-        """Temperatures, if they were logged."""
-        return self.side.get("temperature")
-
-    @property
     def base(self) -> tuple[str, ...]:
         """The six joints of a floating base, whose columns of ``command`` are 0; empty for a fixed one."""
         return tuple(channel.joint for channel in self.channels if channel.kind == BASE)

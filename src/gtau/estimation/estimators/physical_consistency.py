@@ -24,7 +24,6 @@ from gtau.estimation.regression.assembly import known_values
 from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.factors import triangle
 from gtau.estimation.regression.priors import theta_equations
-from gtau.estimation.regression.problem import Problem
 from gtau.robots.geometry import characteristic_length, extent, longest_placement
 from gtau.robots.parameter import BASIS, DISSIPATING, KINDS, Parameter, ball_row, pseudo_inertia
 from gtau.robots.robot import INERTIAL, STANDARD_GRAVITY, STIFFNESS, Robot
@@ -97,7 +96,10 @@ def constrained_least_squares(R: np.ndarray, y: np.ndarray, rigid: RigidBodies) 
     # unknowns (x / unit, e) with e = R x - y, so that R^T R is never formed
     rows = [hstack([csc_array(R * rigid.unit), -diags_array(np.ones(r))])]
     right, cones = [y], [clarabel.ZeroConeT(r)]
-    limits, ends = _inequalities(rigid)
+    # bounds and balls, as rows A z <= end of the scaled unknowns z
+    unit, eye, low, high = rigid.unit, np.eye(c), np.isfinite(rigid.lower), np.isfinite(rigid.upper)
+    limits = np.concatenate([-eye[low], eye[high], -rigid.within * unit])
+    ends = np.concatenate([-rigid.lower[low] / unit[low], rigid.upper[high] / unit[high], np.zeros(len(rigid.within))])
     if len(ends):
         rows.append(hstack([csc_array(limits), csc_array((len(ends), r))]))
         right.append(ends)
@@ -118,14 +120,6 @@ def constrained_least_squares(R: np.ndarray, y: np.ndarray, rigid: RigidBodies) 
             "check the bounds under 'priors' and the known parameters of the payloads."
         )
     return np.asarray(solved.x)[:c] * rigid.unit
-
-
-def _inequalities(rigid: RigidBodies) -> tuple[np.ndarray, np.ndarray]:
-    """Write bounds and balls as rows ``A z <= end`` of the scaled unknowns z, (k, c) and (k,)."""
-    unit, eye = rigid.unit, np.eye(len(rigid.unit))
-    low, high = np.isfinite(rigid.lower), np.isfinite(rigid.upper)
-    ends = [-rigid.lower[low] / unit[low], rigid.upper[high] / unit[high], np.zeros(len(rigid.within))]
-    return np.concatenate([-eye[low], eye[high], -rigid.within * unit]), np.concatenate(ends)
 
 
 def _pseudo_inertias(rigid: RigidBodies) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -157,7 +151,10 @@ def standard_unknowns(system: System, solution: Solution, priors: Mapping[str, P
     robot, problem = system.dataset.robot, system.unreduced
     bodies, names, S = _regrouped(system)
     length = characteristic_length(robot)
-    mass = _mass_scale(robot, problem, solution, length)
+    # the mass that the largest rms torque would hold against gravity, kg
+    levers = [length if robot.joint(joint).turns else 1.0 for joint in problem.joints]
+    held = (np.abs(solution.gains) * problem.signal)[: len(levers)] / levers
+    mass = float(np.max(held) / STANDARD_GRAVITY)
     unit = np.array([natural_size(name, robot, mass, length, problem.channels) for name in names])
     centre, std = np.zeros(len(names)), LOOSE * unit
     link, moment = mass / len(robot.bodies), (SLENDER * length) ** 2
@@ -220,13 +217,6 @@ def within_reach(robot: Robot, bodies: Sequence[Body], count: int) -> np.ndarray
         middle, radius, ends = extent(robot, body.name)
         row[body.places] = ball_row(middle, radius + (LAST_OVERHANG if ends else OVERHANG) * longest)
     return rows
-
-
-def _mass_scale(robot: Robot, problem: Problem, solution: Solution, length: float) -> float:
-    """Compute the mass that the largest rms torque would hold against gravity, kg."""
-    levers = [length if robot.joint(joint).turns else 1.0 for joint in problem.joints]
-    torques = (np.abs(solution.gains) * problem.signal)[: len(levers)]
-    return float(np.max(torques / levers) / STANDARD_GRAVITY)
 
 
 def natural_size(name: Parameter, robot: Robot, mass: float, length: float, channels: Sequence[Channel] = ()) -> float:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -43,14 +45,6 @@ class Structure:
     def changed(self, term: str, value: Any) -> Structure:
         """Return the structure with another value of a term."""
         return replace(self, **{term: value})
-
-
-def with_term(structure: Structure, joint: FrictionJoint, term: str) -> list[Structure]:
-    """List a joint's structures with a term; several if it has a value."""
-    if term in SHAPE_OF:
-        return [structure.changed(term, float(value)) for value in joint.tried(term)]
-    possible = {"load": joint.motor is not None, "temperature": joint.warm}
-    return [structure.changed(term, True)] if possible[term] else []
 
 
 def parameter_columns(structure: Structure, joint: FrictionJoint) -> dict[str, np.ndarray]:
@@ -217,7 +211,9 @@ def choose(group: FrictionGroup) -> tuple[FrictionFit, FrictionFit, dict[tuple[i
             return _needed(group, refine(group, best), evidence), plain, evidence
         _, t, key, best = max(offers, key=lambda offer: offer[0])
         evidence[key] = t
-        best = _refined(group, best)
+        for s, term in product(range(len(group.joints)), SHAPE_OF):  # widths and speeds again, given this term
+            if getattr(best.structures[s], term) is not None:
+                best = min([best, *_with(group, best, s, term)], key=lambda fit: float(fit.errors.sum()))
 
 
 def _needed(group: FrictionGroup, candidate: FrictionFit, evidence: dict[tuple[int, str], float]) -> FrictionFit:
@@ -261,20 +257,15 @@ def _possible(group: FrictionGroup, candidate: FrictionFit, s: int) -> bool:
 
 
 def _with(group: FrictionGroup, candidate: FrictionFit, s: int, term: str) -> list[FrictionFit]:
-    structures = with_term(candidate.structures[s], group.joints[s], term)
-    return [fit(group, _changed(candidate, s, structure)) for structure in structures]
+    """Fit a candidate with a term of a joint; several times if the term has a value."""
+    structure, joint = candidate.structures[s], group.joints[s]
+    possible = {"load": joint.motor is not None, "temperature": joint.warm}
+    values: Iterable[float] = map(float, joint.tried(term)) if term in SHAPE_OF else [True] * possible[term]
+    return [fit(group, _changed(candidate, s, structure.changed(term, value))) for value in values]
 
 
 def _changed(candidate: FrictionFit, s: int, structure: Structure) -> tuple[Structure, ...]:
     return (*candidate.structures[:s], structure, *candidate.structures[s + 1 :])
-
-
-def _refined(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
-    """Choose widths and speeds again, given the terms added since."""
-    for s, term in ((s, term) for s in range(len(group.joints)) for term in SHAPE_OF):
-        if getattr(candidate.structures[s], term) is not None:
-            candidate = min([candidate, *_with(group, candidate, s, term)], key=lambda fit: float(fit.errors.sum()))
-    return candidate
 
 
 def refine(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:

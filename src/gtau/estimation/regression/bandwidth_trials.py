@@ -42,7 +42,12 @@ FEWEST = 4  # rows of half the stretches for each column
 
 def best_of_trials(equations: Equations, runs: Sequence[Run], preparation: Preparation) -> Preparation:
     """Lower the cut-off and the bandwidth of a preparation where parameters found behind it predict clearly worse."""
-    cutoffs = _cutoffs(runs, preparation)
+    lowest = max(LOWEST, cutoff_at_ends(float(np.mean([len(run.time) / run.rate for run in runs]))))
+    cutoffs = [preparation.cutoff]
+    lower = min(preparation.cutoff or HIGHEST_CUTOFF * preparation.rate, 2 * HIGHEST) / 2
+    while lower >= lowest:
+        cutoffs.append(lower)
+        lower /= 2
     if len(cutoffs) == 1:
         return preparation
     try:
@@ -55,16 +60,6 @@ def best_of_trials(equations: Equations, runs: Sequence[Run], preparation: Prepa
     cutoff = cutoffs[int(np.argmin(errors))]
     assert cutoff is not None
     return replace(preparation, cutoff=cutoff, bandwidth=min(preparation.bandwidth, cutoff / LEAST_WIDTH))
-
-
-def _cutoffs(runs: Sequence[Run], preparation: Preparation) -> list[float | None]:
-    lowest = max(LOWEST, cutoff_at_ends(float(np.mean([len(run.time) / run.rate for run in runs]))))
-    tried = [preparation.cutoff]
-    cutoff = min(preparation.cutoff or HIGHEST_CUTOFF * preparation.rate, 2 * HIGHEST) / 2
-    while cutoff >= lowest:
-        tried.append(cutoff)
-        cutoff /= 2
-    return tried
 
 
 def _errors(

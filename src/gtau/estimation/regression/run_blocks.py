@@ -124,8 +124,11 @@ class PreparedRuns(tuple[PreparedRun, ...]):
             size = sum(map(len, stretches)) // pieces
             if run.preparation.decimator.outputs(size) == 0:
                 continue
-            kept = _middle(stretches, size * pieces)
-            middle = joined([run.samples(stretch.start, stretch.stop) for stretch in kept])
+            ends = np.cumsum([0, *map(len, stretches)]).tolist()
+            first = (ends[-1] - size * pieces) // 2  # sample of all stretches, in the middle
+            shifts = [(stretch, first - at) for stretch, at in zip(stretches, ends, strict=False)]
+            kept = [stretch[max(begin, 0) : max(begin + size * pieces, 0)] for stretch, begin in shifts]
+            middle = joined([run.samples(stretch.start, stretch.stop) for stretch in kept if stretch])
             cuts = range(0, size * pieces, size)
             windows += [(number, replace(middle[at : at + size], part_of=(middle, at))) for at in cuts]
         self._windows[pieces] = windows
@@ -189,14 +192,6 @@ def _moving(prepared: PreparedRun, wanted: int, longest_rest: int) -> list[range
         if width == len(prepared) or sum(map(len, stretches)) >= wanted:
             return stretches
         width = min(2 * width, len(prepared))
-
-
-def _middle(stretches: Sequence[range], count: int) -> list[range]:
-    ends = np.cumsum([0, *map(len, stretches)]).tolist()
-    first = (ends[-1] - count) // 2
-    shifts = zip(stretches, ends, strict=False)
-    cut = [stretch[max(first - at, 0) : max(first + count - at, 0)] for stretch, at in shifts]
-    return [stretch for stretch in cut if stretch]
 
 
 def usable_rows(windows: Windows, prepared: Sequence[PreparedRun]) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -173,8 +174,12 @@ def _numbers(vector: Estimates, name: Parameter) -> tuple[float | None, float | 
 def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Parameter, Estimate]:
     base = fit.dataset.base
     robot = fit.dataset.robot
-    between_runs = _between_runs(fit.system, fit.solution.theta)
-    parameters = {}
+    parameters, differences = {}, defaultdict[str, list[float]](list)  # between runs, of friction that may drift
+    for name, value in zip(fit.system.problem.parameters, fit.solution.theta.tolist(), strict=True):
+        if name.run is not None:
+            differences[Parameter(name.kind, name.body)].append(value)
+    # they add up to zero over all runs, and the last is not listed
+    between_runs = {name: float(np.std([*values, -sum(values)], ddof=1)) for name, values in differences.items()}
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
         made = Estimate(name, None, None, unit)
@@ -228,16 +233,6 @@ def sensor_estimates(
         residual = TorqueError(joint, sigma[k], signal[k], torque_unit(robot, joint))
         sensors.append(SensorEstimate(joint, parameters, delay_estimate, residual, ratio, channel.kind))
     return tuple(sensors)
-
-
-def _between_runs(system: System, theta: np.ndarray) -> dict[str, float]:
-    """Compute the standard deviation between runs of friction that may drift."""
-    differences: dict[str, list[float]] = {}
-    for name, value in zip(system.problem.parameters, theta.tolist(), strict=True):
-        if name.run is not None:
-            differences.setdefault(Parameter(name.kind, name.body), []).append(value)
-    # the differences of all runs add up to zero, and the last is not listed
-    return {name: float(np.std([*values, -sum(values)], ddof=1)) for name, values in differences.items()}
 
 
 def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Finding]) -> tuple[PayloadEstimate, ...]:

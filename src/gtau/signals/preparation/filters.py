@@ -257,7 +257,8 @@ class Decimator:
         ends = [(0, 0)] * (columns.ndim - 1)
         seen = np.pad(columns, [*ends, lacking], mode="edge")[..., first + lacking[0] - self.support :]
         whole = count + 2 * self.support
-        size = fast_length(whole)
+        unit = 1 << max(whole.bit_length() - 5, 0)
+        size = -(-whole // unit) * unit  # at most a sixteenth longer, which is quick to transform
         product = np.fft.rfft(seen[..., :whole], size) * np.fft.rfft(self.kernel, size)
         return np.fft.irfft(product, size)[..., 2 * self.support : whole]
 
@@ -279,9 +280,3 @@ def decimation_factor(rate: float, bandwidth: float, most: int = MAX_FACTOR) -> 
     twice the bandwidth.
     """
     return int(min(max(PASSED / 2 * rate // (2 * bandwidth), 1), most))
-
-
-def fast_length(length: int) -> int:
-    """Return the length (at least this one, at most a sixteenth longer) of a quick Fourier transform."""
-    unit = 1 << max(length.bit_length() - 5, 0)
-    return -(-length // unit) * unit

@@ -172,10 +172,7 @@ def write_draft(draft: Draft, file: Path) -> None:
     """Write the experiment file of a draft, and the robot file from a bag, replacing unedited drafts alone."""
     folder = folder_of(file.parent)
     texts = {} if draft.urdf is None else {folder / URDF: draft.urdf}
-    _write(texts | {file: _sealed(draft_text(draft, folder))}, file)
-
-
-def _write(texts: Mapping[Path, str], file: Path) -> None:
+    texts[file] = _sealed(draft_text(draft, folder))
     written = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""
     edited = SEAL not in written or written != _sealed(written.rpartition(SEAL)[0])
     for path, text in texts.items():
@@ -230,8 +227,8 @@ def draft_text(draft: Draft, folder: Path) -> str:
     """Write the experiment file of a draft for ``folder``, each finding with its reason, guesses marked ``CHECK``."""
     doubt = _question(draft, "robot", "unmatched") or "the other joints are held at home" * ("joints" in draft.robot)
     file = draft.robot.get("file", "NAME-OR-FILE")
-    if "file" in draft.robot and draft.urdf is None:
-        file = _entry_of(file, folder)
+    if "file" in draft.robot and draft.urdf is None and Path(file).exists():
+        file = _relative(Path(file), folder)
     robot = {**draft.robot, "file": file} if "file" in draft.robot and len(draft.robot) > 1 else file
     lines = [
         f"# Drafted by gtau from {counted(len(draft.logs), 'log')}. Edit the lines marked CHECK, then run gtau check.",
@@ -353,11 +350,6 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
     return tuple(
         Finding(DRAFT, text=text, advice=advice, grade=Grade.INFORMATION, source=str(file)) for text, advice in notes
     )
-
-
-def _entry_of(robot: str, folder: Path) -> str:
-    """Return the path of a robot's file from a folder, or the robot's name."""
-    return _relative(Path(robot), folder) if Path(robot).exists() else robot
 
 
 def _units(draft: Draft) -> Iterator[str]:
