@@ -23,7 +23,7 @@ from gtau.excitation.design import Design, check, redesign
 from gtau.excitation.design_file import DesignFile, make_task
 from gtau.excitation.forecast import sampled_run
 from gtau.excitation.prior import DesignPrior
-from gtau.excitation.task import DesignProblem, Point, along
+from gtau.excitation.task import DesignProblem, along
 from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
@@ -196,21 +196,17 @@ def played_again(task: DesignProblem, used: list[Round], refusal: GtauError, pro
         if round_.played is None or x.size != task.series.size:
             continue
         series = round_.motion["series"]
-        played = _as_played(task, round_.folder, round_.played.speed)
+        speed = round_.played.speed  # at which it was played
+        columns = [f"{kind}_{joint}" for kind in ("q", "qd", "qdd") for joint in task.model.actuated]
+        log = read_log(round_.folder / CSV, ("t", *columns)).arrays()
+        q, qd, qdd = np.array([log[name] for name in columns]).reshape(3, -1, len(log["t"]))
+        joints = np.stack([q, speed * qd, speed**2 * qdd, 0 * q])
+        played = along(task, joints, (log["t"][1] - log["t"][0]) / speed)
         torques = [np.abs(played.W @ load).max(axis=1) for load in task.information.cautious]
         torque = np.maximum(task.limits.torque, (1 + 1e-3) * np.max(torques, axis=0))
-        slowed = replace(task.series, base_frequency=round_.played.speed / series["period"])
+        slowed = replace(task.series, base_frequency=speed / series["period"])
         limits = replace(task.limits, torque=torque)
         again = replace(task, series=slowed, repetitions=series["repetitions"], limits=limits)
         if improved := redesign(again, x, progress):
             return improved, f"the next motion repeats round {round_.folder.name} with other parts, because {refusal}"
     raise refusal
-
-
-def _as_played(task: DesignProblem, folder: Path, speed: float) -> Point:
-    """Evaluate the motion of a round at the ``speed`` at which it was played."""
-    columns = [f"{kind}_{joint}" for kind in ("q", "qd", "qdd") for joint in task.model.actuated]
-    log = read_log(folder / CSV, ("t", *columns)).arrays()
-    table = np.array([log[name] for name in columns]).reshape(3, -1, len(log["t"]))
-    joints = np.stack([table[0], speed * table[1], speed**2 * table[2], 0 * table[0]])
-    return along(task, joints, (log["t"][1] - log["t"][0]) / speed)

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 WIDTH = 80
 EXPERIMENTS = (".yaml", ".yml")  # endings of experiment files
-
-
 Sources = Annotated[list[Path], argument("EXPERIMENT.yaml|LOG...", "Experiment file, or logs.")]
 
 

@@ -135,7 +135,14 @@ def _value(node: ast.expr, names: Mapping[str, Any]) -> Any:
             first, second = _value(left, names), _value(right, names)
             return OPERATORS[type(sign)](first, _number(second) if isinstance(sign, ast.Div) else second)
         case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in FUNCTIONS:
-            return _call(name, [_number(_value(argument, names)) for argument in arguments])
+            values, count = [_number(_value(argument, names)) for argument in arguments], 2 if name == "atan2" else 1
+            if len(values) != count:
+                raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}, not {len(values)}")
+            try:
+                return FUNCTIONS[name](*values)
+            except ValueError:
+                shown = ", ".join(f"{value:g}" for value in values)
+                raise ValueError(f"{name}({shown}) is not defined") from None
         case ast.Call(func=ast.Name(id=name)):
             raise ValueError(unknown(f"function '{name}'", name, FUNCTIONS))
         case ast.Tuple():
@@ -153,13 +160,3 @@ def _number(value: Any) -> Any:
     if any(value.coef[1:]):
         raise ValueError(ALONE)
     return float(value.coef[0])
-
-
-def _call(name: str, arguments: list[float]) -> float:
-    count = 2 if name == "atan2" else 1
-    if len(arguments) != count:
-        raise ValueError(f"{name} takes {count} value{'s' if count > 1 else ''}, not {len(arguments)}")
-    try:
-        return FUNCTIONS[name](*arguments)
-    except ValueError:
-        raise ValueError(f"{name}({', '.join(f'{value:g}' for value in arguments)}) is not defined") from None

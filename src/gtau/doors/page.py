@@ -274,7 +274,6 @@ class Cards:
                 ui.label("First choose a robot and drop logs.").classes("soft")
                 return
             consistent = ui.checkbox("also find physically consistent parameters, which simulators need")
-
             arguments = ("identify", project.file.name, "--out=result")
             self.button("Identify", lambda: self.command(*arguments, *["--consistent"] * consistent.value))
             refusal_of(project.answers.get("identify"))

@@ -6,13 +6,14 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.diagnose import Examination, estimates_of
 from gtau.estimation.diagnostics.effort import MISFIT_TRIED, columns_of_effort, middle_rows
+from gtau.estimation.diagnostics.geometry import GeometryTest
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
     doubtful_commands,
@@ -44,9 +45,6 @@ from gtau.signals.preparation.prepared_run import Preparation, PreparedRun
 from gtau.signals.reading.experiment import Experiment, LoggedRun
 from gtau.signals.run import Run
 from gtau.signals.storage import Store, block_size
-
-if TYPE_CHECKING:
-    from gtau.estimation.diagnostics.geometry import GeometryTest
 
 WEIGHING = "weighing"  # kind of the note on logs without a payload of known mass
 

@@ -6,10 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
 from gtau.errors import GtauError
+from gtau.estimation.diagnostics.geometry import GeometryTest
 from gtau.estimation.estimators import estimator_of
 from gtau.estimation.regression.priors import inertia_priors
 from gtau.findings import Finding, Grade
@@ -20,9 +21,6 @@ from gtau.robots.robot import Robot
 from gtau.signals.reading.experiment import Experiment, LoggedRun, check_robot, read_experiment
 from gtau.signals.reading.statements import Drive, Prior, StatedGain, as_priors
 from gtau.signals.run import Run, read_parts
-
-if TYPE_CHECKING:
-    from gtau.estimation.diagnostics.geometry import GeometryTest
 
 ACCURACY = 0.03  # half the relative width of a gain's 95 % interval
 

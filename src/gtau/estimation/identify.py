@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from time import perf_counter
@@ -40,7 +40,7 @@ from gtau.findings import Finding, Grade, listed
 from gtau.model.program import single_threaded_blas
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter, gain_unit
-from gtau.signals.reading.statements import Drive, data_sheet_notes
+from gtau.signals.reading.statements import data_sheet_notes
 from gtau.signals.run import Run
 
 if TYPE_CHECKING:
@@ -60,8 +60,10 @@ def identify_subject(subject: Subject, progress: Progress = silent) -> Identifie
     geometry = geometry_of(experiment, experiment.runs, dataset.model, progress) if experiment else None
     beside = [*([geometry.note] if geometry else []), *smoothed_commands(dataset.runs)]
     beside += command_lag(dataset, system)
-    notes = (*beside, *_data_sheet_notes(experiment.drives if experiment else {}, result), *result.notes)
-    return result.replaced(geometry=geometry, notes=notes)
+    gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
+    estimates = {str(name): (one.value, one.std) for name, one in (gains | dict(result.parameters)).items()}
+    beside += data_sheet_notes(experiment.drives if experiment else {}, result.robot, estimates)
+    return result.replaced(geometry=geometry, notes=(*beside, *result.notes))
 
 
 def _identified(
@@ -195,13 +197,6 @@ def _consistent_bodies(
         reason, _, advice = str(refusal).rstrip(".").partition("; ")
         text = f"physically consistent parameters were not found: {reason}"
         return None, (Finding(NO_BODIES, text=text, advice=advice, shown_as="model"),)
-
-
-def _data_sheet_notes(drives: Mapping[str, Drive], result: IdentifiedModel) -> tuple[Finding, ...]:
-    gains = {Parameter("gain", joint): gain for joint, gain in result.drive_gains.items() if gain.std is not None}
-    estimates = gains | dict(result.parameters)
-    values = {str(name): (estimate.value, estimate.std) for name, estimate in estimates.items()}
-    return data_sheet_notes(drives, result.robot, values)
 
 
 # All estimators on the same logs

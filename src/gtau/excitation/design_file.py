@@ -139,7 +139,6 @@ class DesignFile(Keys):
 RISE = 0.3  # s, assumed time to the speed limit for a joint without a limit of acceleration
 TURN = np.pi  # rad, reach of a joint without position limits
 
-
 EXAMPLE = "{robot: %s, rate: 1000, runs: [{payload: none}, {payload: {name: disc, mass: 1}}]}"  # a design file
 
 

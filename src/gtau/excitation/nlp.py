@@ -61,15 +61,8 @@ def objective(point: Point, criterion: Criterion, on_regressor: bool) -> tuple[f
     """Compute the logarithm of a criterion of the information or the regressor, and its gradient by x."""
     if on_regressor:
         value, F, f = criterion(triangle(point.W.reshape(-1, point.W.shape[2])))
-        by_joints = point.by_joints(2 * (point.W @ F * f) @ F.T)
-    else:
-        value, F, f = criterion(information(point))
-        by_joints = _by_information(point, F, f)
-    return value, point.to_rows(by_joints).sum(axis=0)
-
-
-def _by_information(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
-    """Differentiate a criterion of the information by q, qd and qdd, (3, n, N)."""
+        return value, point.to_rows(point.by_joints(2 * (point.W @ F * f) @ F.T)).sum(axis=0)
+    value, F, f = criterion(information(point))
     info, step, counts = point.task.information, point.grid.step, _counts(point)
     by_W, by_counts = np.zeros_like(point.W), np.zeros_like(counts)
     for run, A in enumerate(point.jacobians):
@@ -79,7 +72,7 @@ def _by_information(point: Point, F: np.ndarray, f: np.ndarray) -> np.ndarray:
     by_joints = point.by_joints(by_W)
     by_weights = by_counts * (info.counts * step)[:, None]
     by_joints[1] += point.task.window(step).back(point.joints[1], by_weights)
-    return by_joints
+    return value, point.to_rows(by_joints).sum(axis=0)
 
 
 class Programme:

@@ -36,7 +36,6 @@ ARM = 0.05
 COULOMB, VISCOUS, ROTOR = 0.1, 0.3, 0.0125
 STATES = 200
 
-
 FilePath = Annotated[Path, AfterValidator(lambda path, info: beside(info.context or Path(), path))]
 
 

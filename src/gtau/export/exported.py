@@ -142,7 +142,6 @@ def export_model(
     if samples and not export.simulates:
         simulated = ", ".join(name for name in homes(*HOME) if find(*HOME, name, Export).simulates)
         raise GtauError(f"draws are models for simulators ({simulated}), not for '{kind}'; leave out --samples.")
-
     if into is not None and (Path(out) / Path(into).name).resolve() == Path(into).resolve():
         raise GtauError(f"{into} would be overwritten; choose another folder for --out.")
 

@@ -27,7 +27,7 @@ from gtau.errors import needing
 from gtau.estimation.results.result import IdentifiedModel
 from gtau.export.exported import Export, Exported, written
 from gtau.model.loops import CONDITION, CONTRACTION
-from gtau.uses.identified import OUTPUTS, Functions, Identified, functions, identified, notes_on
+from gtau.uses.identified import OUTPUTS, Identified, functions, identified, notes_on
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -68,7 +68,13 @@ def c_files(model: Identified) -> dict[str, str]:
     if TAKEN_IN_C.fullmatch(model.name):
         model = replace(model, name=f"robot_{model.name}")
     fields = _fields(model) | _fields_of_c(model)
-    fields["kernels"] = _c_kernels(fields["made"])
+    made, helpers, bodies = fields["made"], dict[str, None](), []
+    for function in filter(None, (made.step, made.last_step)):
+        outputs = ("moved", "size", "condition")[: function.n_out()]
+        bodies.append(_c_kernel(function, ("c",), outputs, helpers))
+    for function in made.outputs.values():
+        bodies.append(_c_kernel(function, ("c", "qd", "qdd", "p"), ("out",), helpers))
+    fields["kernels"] = "\n\n".join([*helpers, *bodies, ""])
     parts = {"model": "", "controller": "_controller", "observer": "_observer"}
     files = {f"{model.name}{end}.{kind}": f"{part}.{kind}" for part, end in parts.items() for kind in "hc"}
     files |= {name: name for name in ("example.c", "CMakeLists.txt")}
@@ -175,21 +181,10 @@ def _comment(k: int, model: Identified) -> str:
     return comment.replace("*/", "* /").replace("/*", "/ *")
 
 
-def _c_kernels(made: Functions) -> str:
-    """Generate all functions as C: CasADi's code of each, with its arguments called by their names."""
-    helpers: dict[str, None] = {}
-    bodies = []
-    for function in filter(None, (made.step, made.last_step)):
-        outputs = ("moved", "size", "condition")[: function.n_out()]
-        bodies.append(_c_kernel(function, ("c",), outputs, helpers))
-    for function in made.outputs.values():
-        bodies.append(_c_kernel(function, ("c", "qd", "qdd", "p"), ("out",), helpers))
-    return "\n\n".join([*helpers, *bodies, ""])
-
-
 def _c_kernel(
     function: ca.Function, inputs: tuple[str, ...], outputs: tuple[str, ...], helpers: dict[str, None]
 ) -> str:
+    """Generate CasADi's C code of a function, with its arguments called by their names; add to its ``helpers``."""
     generator = ca.CodeGenerator("kernel.c", {"with_header": False, "include_math": False})
     generator.add(function)
     text = generator.dump()

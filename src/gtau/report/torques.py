@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,10 +14,8 @@ from gtau.report.evidence import RunEvidence
 from gtau.report.motion import TIME, payload_words
 from gtau.report.page import Column, ColumnOf, Kind, Page, Section, Table, Text, joint_label, table_of
 from gtau.robots.parameter import torque_unit
+from gtau.uses.external_torques import TorquesAlongLog
 from gtau.uses.prediction import Prediction
-
-if TYPE_CHECKING:
-    from gtau.uses.external_torques import TorquesAlongLog
 
 REVERSALS = (
     "Raw: against the measured torque. In band: both behind the low-pass filter of the identification, with reversals. "

@@ -83,7 +83,6 @@ class Pose:
 
 Placement = Mdh | Pose
 
-
 WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 """Components of a wrench, N m and N."""
 

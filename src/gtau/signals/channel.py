@@ -74,7 +74,6 @@ VOLTS, SHARES, AMPERES = ("V", "mV"), ("1", "%", "‰"), ("A", "mA")
 SI = {"mV": 1e-3, "%": 1e-2, "‰": 1e-3, "mA": 1e-3, "deg": np.pi / 180, "mm": 1e-3}
 """Factors of units of side signals, other than 1, to SI units."""
 
-
 SIDE_SIGNALS = (
     SideSignal(
         "temperature",

@@ -240,32 +240,26 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
     robot, runs, payloads = system.dataset.robot, system.dataset.runs, []
     for carried in system.payloads:
         payload, known = carried.payload, known_values(carried.payload)
-        sums = _sums(carried, vector, robot)
+        sums = {}
+        for kind, value in known.items():
+            stated = payload.mass_std or None if kind == "m" else None
+            sums[kind] = Estimate(kind, value, stated, unit_of(kind, robot, robot.tool), kind)
+        for name in carried.unknown:
+            if (kind := name.kind) not in sums:
+                unit, (number, std, freedom) = unit_of(kind, robot, robot.tool), _numbers(vector, name)
+                verdict = parameter_verdict(number, std)
+                regrouping = carried.regrouping(name)
+                sums[kind] = Estimate(kind, number, std, unit, regrouping, verdict=verdict, freedom=freedom)
         estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
         if (mass := estimates.get("m")) and payload.center is not None:
             unit = unit_of("mx", robot, robot.tool)
             moments = zip(FIRST_MOMENTS, payload.center, strict=True)
             estimates |= {kind: _first_moment(kind, mass, at, unit) for kind, at in moments}
         weighed = None if "m" in known else _weighed(robot, carried, vector)
-        verdict = masses.get(payload.name) or _possible(mass)
+        judged = masses.get(payload.name) or _possible(mass)
         run = runs[carried.run].name
-        payloads.append(PayloadEstimate(payload.name, run, estimates, frozenset(known), verdict, weighed))
+        payloads.append(PayloadEstimate(payload.name, run, estimates, frozenset(known), judged, weighed))
     return tuple(payloads)
-
-
-def _sums(carried: PayloadColumns, vector: Estimates, robot: Robot) -> dict[str, Estimate]:
-    estimates = {}
-    for kind, known in known_values(carried.payload).items():
-        stated = carried.payload.mass_std or None if kind == "m" else None
-        estimates[kind] = Estimate(kind, known, stated, unit_of(kind, robot, robot.tool), kind)
-    for name in carried.unknown:
-        if (kind := name.kind) not in estimates:
-            value, std, freedom = _numbers(vector, name)
-            verdict = parameter_verdict(value, std)
-            unit = unit_of(kind, robot, robot.tool)
-            regrouping = carried.regrouping(name)
-            estimates[kind] = Estimate(kind, value, std, unit, regrouping, verdict=verdict, freedom=freedom)
-    return estimates
 
 
 def _possible(mass: Estimate | None) -> Finding:

@@ -11,7 +11,7 @@ import re
 import shlex
 import sys
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup, escape
 
-from gtau.documents.files import write_atomically
+from gtau.documents.files import digest_of, write_atomically
 from gtau.report.chart import MINUS, NOT_USED, Chart, Panel, envelope
 from gtau.report.page import BADGES, NUMERIC, Column, Facts, Item, Kind, Page, Section, Table, Text
 from gtau.report.render.svg import svg_of, svg_of_robot
@@ -249,21 +249,11 @@ def stamped(
 
 def _fingerprint(path: Path) -> tuple[str, str]:
     """Return size and SHA-256 of a file or of the files in a folder."""
-    if path.is_dir():
-        parts = sorted(part for part in path.iterdir() if part.is_file())
-        return f"{len(parts)} files", _digest(parts)
-    return (_size(path.stat().st_size), _digest([path])) if path.is_file() else ("–", "no longer exists")
-
-
-def _digest(paths: Iterable[Path]) -> str:
-    digest = sha256()
-    for path in paths:
-        if path.stat().st_size > LARGEST:
-            return f"not computed: larger than {_size(LARGEST)}"
-        with path.open("rb") as file:
-            while part := file.read(1 << 20):
-                digest.update(part)
-    return digest.hexdigest()
+    if not path.exists():
+        return "–", "no longer exists"
+    sizes = [part.stat().st_size for part in (path.rglob("*") if path.is_dir() else [path]) if part.is_file()]
+    shown = f"{len(sizes)} files" if path.is_dir() else _size(sum(sizes))
+    return shown, digest_of(path) if sum(sizes) <= LARGEST else f"not computed: larger than {_size(LARGEST)}"
 
 
 def _size(size: float) -> str:

@@ -193,7 +193,10 @@ def read_par(path: str | Path) -> Robot:
 
 def _robot(text: str, path: Path) -> Robot:
     name = re.search(r"\(\*\s*Robotname\s*=\s*'([^']*)'\s*\*\)", text)
-    entries = _entries(_without_comments(text))
+    text = re.sub(r"\(\*(?:(?!\(\*).)*?\*\)", "", text, flags=re.DOTALL)
+    if "(*" in text:
+        raise GtauError("a comment begins with '(*' and does not end with '*)'; close it.")
+    entries = _entries(text)
     links, joints, count = (_integer(entries, key) for key in ("NL", "NJ", "NF"))
     for key in ("is_mobile", "is_floating"):
         if entries.get(key.lower(), "0") not in ("0", "false", "False"):
@@ -222,13 +225,6 @@ def _robot(text: str, path: Path) -> Robot:
     file = RobotFile(path.name, notes, home_given=links == joints)
     title = name[1] if name and name[1] else path.stem
     return Robot(title, tuple(tree), closures=closures, gravity=gravity, file=file)
-
-
-def _without_comments(text: str) -> str:
-    text = re.sub(r"\(\*(?:(?!\(\*).)*?\*\)", "", text, flags=re.DOTALL)
-    if "(*" in text:
-        raise GtauError("a comment begins with '(*' and does not end with '*)'; close it.")
-    return text
 
 
 def _entries(text: str) -> dict[str, str]:

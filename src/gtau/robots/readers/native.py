@@ -19,8 +19,25 @@ from gtau.robots.robot import SPRING_WORDS, Attachment, Coupling, Joint, Platfor
 
 
 def read_native(path: str | Path) -> Robot:
-    """Read a robot file (YAML); ``docs/lookup/robot-file.md`` explains the format."""
-    return _with_exact_angles(_robot(read_yaml(path)))
+    """Read a robot file (YAML); ``docs/lookup/robot-file.md`` explains the format.
+
+    Rounded angles of placements are replaced by the exact ones, with a note.
+    """
+    robot = _robot(read_yaml(path))
+    changes: dict[str, float] = {}
+
+    def exact(name: str, placement: Placement) -> Placement:
+        meant, change = exact_placement(placement)
+        changes[name] = max(change, changes.get(name, 0.0))
+        return meant if change else placement
+
+    def end(at: Attachment) -> Attachment:
+        return Attachment(at.body, exact(at.body, at.placement))
+
+    joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
+    closures = tuple(replace(tie, a=end(tie.a), b=end(tie.b)) for tie in robot.closures)
+    notes = short_angles_note(changes)
+    return replace(robot, joints=joints, closures=closures).noted(*notes) if notes else robot
 
 
 def parse_native(text: str, path: str | Path) -> Robot:
@@ -50,24 +67,6 @@ def _robot(document: Document) -> Robot:
             springs=tuple(spring.spring(name) for name, spring in entry.springs.items()),
             file=RobotFile(entry.source, tuple(entry.notes), constants=tuple(constants.items())),
         )
-
-
-def _with_exact_angles(robot: Robot) -> Robot:
-    """Replace rounded angles of placements by the exact ones, with a note."""
-    changes: dict[str, float] = {}
-
-    def exact(name: str, placement: Placement) -> Placement:
-        meant, change = exact_placement(placement)
-        changes[name] = max(change, changes.get(name, 0.0))
-        return meant if change else placement
-
-    def end(at: Attachment) -> Attachment:
-        return Attachment(at.body, exact(at.body, at.placement))
-
-    joints = tuple(replace(joint, placement=exact(joint.name, joint.placement)) for joint in robot.joints)
-    closures = tuple(replace(tie, a=end(tie.a), b=end(tie.b)) for tie in robot.closures)
-    notes = short_angles_note(changes)
-    return replace(robot, joints=joints, closures=closures).noted(*notes) if notes else robot
 
 
 def _constants(document: Document) -> dict[str, float]:

@@ -63,8 +63,14 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     robot = _read(source.file, source)
     with errors_at(source.file):
         six = drawn_base(robot) if len(robot.joints) > 6 and not robot.floating else ()
-        if source.base == FLOATING:
-            robot = _floating(robot, six)
+        if source.base == FLOATING and six:
+            note = (
+                f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
+            )
+            robot = float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]).noted(note)
+        elif source.base == FLOATING and not robot.floating:
+            in_use = any(joint.name == "base" for joint in robot.joints)
+            robot = float_base(robot, "floating_base" if in_use else "base")
         elif isinstance(source.base, Base):
             robot = _fixed(robot, six or robot.base, source.base)
         if source.joints or source.held:
@@ -79,15 +85,6 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
         if source.base is None and not robot.floating and len(robot.joints) > 6 and (six := drawn_base(robot)):
             raise GtauError(f"{listed(six)} have no motor and carry the rest, as a base that floats; {BASE_ADVICE}.")
         return robot
-
-
-def _floating(robot: Robot, six: Sequence[str]) -> Robot:
-    """Let the base float, in place of the ``six`` joints that represent it in the file, if any."""
-    if six:
-        note = f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
-        return float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]).noted(note)
-    in_use = any(joint.name == "base" for joint in robot.joints)
-    return robot if robot.floating else float_base(robot, "floating_base" if in_use else "base")
 
 
 def _fixed(robot: Robot, six: Sequence[str], base: Base) -> Robot:

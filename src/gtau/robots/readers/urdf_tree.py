@@ -60,7 +60,11 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
     between; the last one has the joint's name.
     """
     with errors_at(path):
-        root = _parse(path)
+        root = read_xml(path)
+        if root.tag != "robot":
+            raise GtauError(f"the outermost element is <{root.tag}>, not <robot>; give a URDF file.")
+        if any("/xacro}" in str(element.tag) or str(element.tag).startswith("xacro.") for element in root.iter()):
+            raise GtauError("the file holds xacro macros; end its name in .xacro, so that they are expanded.")
         refuse_many(len(root.findall("joint")), "joints")
         edges = [_edge(element, base) for element in root.findall("joint")]
         links = [attribute(element, "name", "a link") for element in root.findall("link")]
@@ -84,15 +88,6 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
             names = some_of([f"'{coupling.joint}' to '{coupling.ratios[0][0]}'" for coupling in in_gazebo], 4)
             notes.append(f"joints coupled as a plugin of <gazebo> moves them, without <mimic>: {names}")
         return UrdfTree(root.get("name") or path.stem, tuple(joints), tuple(couplings), frames, root, notes)
-
-
-def _parse(path: Path) -> Element:
-    root = read_xml(path)
-    if root.tag != "robot":
-        raise GtauError(f"the outermost element is <{root.tag}>, not <robot>; give a URDF file.")
-    if any("/xacro}" in str(element.tag) or str(element.tag).startswith("xacro.") for element in root.iter()):
-        raise GtauError("the file holds xacro macros; end its name in .xacro, so that they are expanded.")
-    return root
 
 
 def _edge(element: Element, base: BaseChoice) -> _Edge:

@@ -83,7 +83,11 @@ def _decimated(
         # Accelerations beyond the signal are noise. 12 bits at 50 Hz (signal to 6 Hz): rows to 10 Hz put a gain 2.5 %
         # off. Ten UR10e, 18 bits at 200 Hz (to 8.5 Hz): squares of z are 2.8 with rows to 27 Hz, 0.8 to 8.9 Hz.
         # A base tracked to 3 Hz, joints to 5 Hz: rows to 6.7 Hz put the first gain 9 % off, to 3.3 Hz 2.2 %.
-        end = _end_of_signal(runs[0], run_spectra)
+        ends = dict[bool, float]()  # where noise takes over: in positions of joints, or before that in a base's pose
+        for joint, spectrum in (pair for joints in run_spectra for pair in zip(runs[0].joints, joints, strict=True)):
+            if spectrum.moves:
+                ends[joint in runs[0].base] = max(spectrum.end, ends.get(joint in runs[0].base, 0.0))
+        end = min(ends.values())
         given = runs[0].log.settings.bandwidth is not None
         least, most = (filters.decimation_factor(rate, f, LARGEST_FACTOR) for f in (end / 2, bandwidth))
         factor = _affordable(runs, run_spectra, preparation, 1 if given else least, most)
@@ -93,16 +97,6 @@ def _decimated(
         highest = max(cutoff, ABOVE_ROWS * decimator.cutoff(rate))
         cutoff = filters.below_nyquist(highest, rate, min(run.updates for run in runs))
     return replace(preparation, decimator=decimator, cutoff=cutoff)
-
-
-def _end_of_signal(run: Run, run_spectra: Sequence[Sequence[JointSpectrum]]) -> float:
-    """Find where noise takes over, Hz: in the positions of the joints, or before that in the pose of a base."""
-    ends = dict[bool, float]()
-    for joints in run_spectra:
-        for joint, spectrum in zip(run.joints, joints, strict=True):
-            if spectrum.moves:
-                ends[joint in run.base] = max(spectrum.end, ends.get(joint in run.base, 0.0))
-    return min(ends.values())
 
 
 def moving_spectra(run: Run) -> tuple[JointSpectrum, ...]:

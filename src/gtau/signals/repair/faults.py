@@ -43,7 +43,6 @@ SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 
 # and the current varies by 0.12 to 1.2.
 FROZEN_TIME, FROZEN_QUANTA, FROZEN_SPEED, FROZEN_CURRENT = 0.1, 10.0, 0.15, 0.1
 
-
 Glitches = Mapping[tuple[int, int], float]
 """Positions expected in place of outliers, by the numbers of sample and joint."""
 
