@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from gtau.report.plots import Plots
     from gtau.uses.external_torques import TorquesAlongLog
 
-
 OF_ALL = {"progress": FUNCTION, "prior_inertias": NUMBER, "robot": PATH, "payload": MASSES}
 
 

@@ -26,7 +26,7 @@ from gtau.progress import Progress
 if TYPE_CHECKING:
     from gtau.report.page import Page
 
-METHODS = "|".join(NAMES)
+METHOD = "|".join(NAMES)  # metavar of the option
 
 
 def option(metavar: str, text: str, *names: str, **more: Any) -> Any:

@@ -10,18 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gtau.cli.console import (
-    METHODS,
-    Json,
-    ReportFolder,
-    answer,
-    argument,
-    hold,
-    option,
-    progress_bar,
-    refusing,
-    seconds,
-)
+from gtau.cli.console import METHOD, Json, ReportFolder, answer, argument, hold, option, progress_bar, refusing, seconds
 from gtau.cli.interruption import stop_request
 from gtau.cli.logs import LogOptions, Sources, experiment_of, said_if_refused
 from gtau.documents.files import folder_of, write_atomically
@@ -47,7 +36,7 @@ class EstimationOptions:
     method: Annotated[
         str | None,
         option(
-            METHODS,
+            METHOD,
             "Estimator ('gtau docs verdicts'). Default: ml; tls with --as-paper; wls for torques that nothing tests.",
         ),
     ] = None
@@ -165,7 +154,7 @@ Experiments = Annotated[
 def fleet(
     experiments: Experiments,
     out: Annotated[Path, option("DIR", "Folder for report.html, models and table.")] = Path("fleet"),
-    method: Annotated[str, option(METHODS, "Estimator of drive gains.")] = "ml",
+    method: Annotated[str, option(METHOD, "Estimator of drive gains.")] = "ml",
     jobs: Annotated[int | None, option("N", "Processes; default: one for each core.", min=1)] = None,
     dask: Annotated[str | None, option("ADDRESS", "Dask scheduler (tcp://host:8786), or 'local'.")] = None,
     json_: Json = False,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gtau.cli.console import (
-    METHODS,
+    METHOD,
     Json,
     XacroArguments,
     answer,
@@ -152,7 +152,7 @@ def check(
     out: Annotated[
         Path | None, option("DIR", "Folder for report.html and distances to singularities. Default: no files.")
     ] = None,
-    method: Annotated[str | None, option(METHODS, "Estimator that will identify.")] = None,
+    method: Annotated[str | None, option(METHOD, "Estimator that will identify.")] = None,
     json_: Json = False,
 ) -> None:
     """Check the logs before identifying: errors, warnings, and repairs.

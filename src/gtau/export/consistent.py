@@ -98,15 +98,13 @@ def differences(model: ConsistentModel, expressed: Mapping[str, float]) -> tuple
     )
 
 
-UNLOGGED = "at any speed, as none is logged"  # of a joint in a loop, whose line is constant
-
-
 def friction_notes(model: ConsistentModel) -> list[str]:
     """Note where exported friction is a straight line instead of the identified one, and where it is extrapolated."""
     law, notes = model.result.friction_law, []
     if model.straight:
-        within = ((joint, f"up to {law.logged(joint)}" if law.fastest(joint) else UNLOGGED) for joint in model.straight)
-        listed = ", ".join(map(" ".join, within))
+        unlogged = "at any speed, as none is logged"  # of a joint in a loop, whose line is constant
+        ends = {joint: f"up to {law.logged(joint)}" if law.fastest(joint) else unlogged for joint in model.straight}
+        listed = ", ".join(map(" ".join, ends.items()))
         notes.append(
             "friction that bends, or has negative coefficients that would propel a joint, is no straight line: "
             f"damping and friction are the straight line nearest to it within the logged speeds ({listed}), "

@@ -47,10 +47,20 @@ def select_joints(robot: Robot, patterns: Sequence[str], held: Mapping[str, floa
 
 def hold_joints(robot: Robot, positions: Mapping[str, float], why: str) -> Robot:
     """Hold joints at ``positions``, rad or m, and the joints coupled to them; note which joints and ``why``."""
-    positions = _with_coupled(robot, positions)
-    shown = [f"'{name}' at {position:z.4g}" for name, position in positions.items()]
+    known, settled = dict(positions), False
+    while not settled:
+        settled = True
+        for coupling in robot.couplings:
+            terms = coupling.terms
+            unknown_joints = [name for name in terms if name not in known]
+            if len(unknown_joints) == 1:
+                factor = terms.pop(unknown_joints[0])
+                rest = sum(term * known[name] for name, term in terms.items())
+                known[unknown_joints[0]] = (coupling.offset - rest) / factor
+                settled = False
+    shown = [f"'{name}' at {position:z.4g}" for name, position in known.items()]
     note = f"{len(shown)} joint{'s' * (len(shown) > 1)} held {why} (rad, m): {some_of(shown, NAMED)}"
-    return lock_joints(robot, positions).noted(note)
+    return lock_joints(robot, known).noted(note)
 
 
 def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
@@ -70,7 +80,6 @@ def lock_joints(robot: Robot, positions: Mapping[str, float]) -> Robot:
             heavy.add(at.body)
     if not joints:
         raise GtauError(f"robot '{robot.name}': all joints are held; hold fewer of them.")
-
     closures, springs = _carried_ends(robot, carried)
     tool = carried[robot.named_tool].body if robot.named_tool else ""
     return replace(
@@ -111,23 +120,6 @@ def _heavy(joint: Joint) -> Joint:
     if joint.has_mass:
         return joint
     return replace(joint, parameters="all" if joint.parameters == "drive" else "inertial")
-
-
-def _with_coupled(robot: Robot, positions: Mapping[str, float]) -> dict[str, float]:
-    """Complete the positions of held joints by those determined through couplings."""
-    known = dict(positions)
-    settled = False
-    while not settled:
-        settled = True
-        for coupling in robot.couplings:
-            terms = coupling.terms
-            unknown_joints = [name for name in terms if name not in known]
-            if len(unknown_joints) == 1:
-                factor = terms.pop(unknown_joints[0])
-                rest = sum(term * known[name] for name, term in terms.items())
-                known[unknown_joints[0]] = (coupling.offset - rest) / factor
-                settled = False
-    return known
 
 
 def _couplings(robot: Robot, positions: Mapping[str, float]) -> Iterator[Coupling]:

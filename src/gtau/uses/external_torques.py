@@ -88,13 +88,8 @@ class WrenchAlongLog:
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """Columns of a table: value, half 95 % interval and visibility of each component."""
-        columns: dict[str, np.ndarray] = {}
-        for k, name in enumerate(WRENCH):
-            columns |= {
-                name: self.wrench[:, k],
-                f"{name}_interval": self.interval[:, k],
-                f"{name}_seen": self.seen[:, k],
-            }
+        parts = {"": self.wrench, "_interval": self.interval, "_seen": self.seen}
+        columns = {f"{name}{end}": part[:, k] for k, name in enumerate(WRENCH) for end, part in parts.items()}
         return columns | {"wrench_directions": self.directions, "wrench_usable": self.usable}
 
     @property
@@ -153,7 +148,9 @@ def wrench_along_log(
     spread = residual**2 + (relative * external) ** 2  # the second part: relative error of the model
     length = characteristic_length(result.robot)
     scale = np.repeat([0.0 if force_only else 1.0 / length, 1.0], 3)  # of unknowns: forces, and moments over a length
-    at_frame = _to_body(placement) * scale
+    R, p = placement.rotation, placement.position
+    arm = np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
+    at_frame = np.block([[R, arm @ R], [np.zeros((3, 3)), R]]) * scale  # to the wrench at the body's frame
     turning = [result.robot.joint(joint).turns for joint in prediction.joints]
     rows = np.where(turning, length, 1.0)  # torques over a length are forces too
     parts, first = [], 0
@@ -167,13 +164,6 @@ def wrench_along_log(
     wrench = np.where(seen, value * scale, np.nan)
     half = np.where(seen, NORMAL * std * scale, np.nan)
     return WrenchAlongLog(called, prediction.time, wrench, half, seen, directions, np.all(prediction.keep, axis=1))
-
-
-def _to_body(placement: Placement) -> np.ndarray:
-    """Compute the matrix (6, 6) from a wrench at a frame placed on a body to the wrench at the body's frame."""
-    R, p = placement.rotation, placement.position
-    arm = np.array([[0.0, -p[2], p[1]], [p[2], 0.0, -p[0]], [-p[1], p[0], 0.0]])
-    return np.block([[R, arm @ R], [np.zeros((3, 3)), R]])
 
 
 def _along(result: IdentifiedModel, run: Run) -> Iterator[tuple[np.ndarray, np.ndarray]]:

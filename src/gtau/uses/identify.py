@@ -31,7 +31,7 @@ from gtau.signals.reading.drafting import (
     to_weigh,
     with_sensors,
 )
-from gtau.signals.reading.experiment import Experiment, Recording, read_experiment
+from gtau.signals.reading.experiment import Experiment, read_experiment
 from gtau.signals.reading.formats import listed
 from gtau.signals.reading.logs import find_columns
 from gtau.signals.reading.samples import WHOLE, Part
@@ -192,7 +192,11 @@ def drafted(
     """
     known = model.recording if model and not (stated.columns or stated.preset) else None
     recording = known if known and stated.kind in (None, known.signals.kind) else None
-    lacking = _lacking(logs[0], recording) if recording else []
+    lacking: list[str] = []
+    if recording:
+        signals, columns = recording.signals, find_columns(logs[0]).columns
+        needed = (*signals.time_columns, *signals.position.values(), *signals.measured)
+        lacking = [name for name in needed if name not in columns]
     read = draft_as(recording, logs, robot, stated.masses) if recording and not lacking else None
     draft = read or draft_logs(logs, robot, stated=stated)
     if lacking and "joints" in draft.open:
@@ -220,13 +224,6 @@ def drafted(
                 f"drive gains; state it by --payload {log.name}={readings[0]:g} (0 for none)."
             )
     return draft
-
-
-def _lacking(log: Path, recording: Recording) -> list[str]:
-    """List the columns of a recording that a log lacks."""
-    signals, columns = recording.signals, find_columns(log).columns
-    needed = (*signals.time_columns, *signals.position.values(), *signals.measured)
-    return [name for name in needed if name not in columns]
 
 
 def _names(model: IdentifiedModel) -> dict[str, str]:

@@ -97,16 +97,10 @@ class Prediction:
         """
         import polars as pl
 
-        columns = {"t": self.time}
-        for j, joint in enumerate(self.joints):
-            columns |= {
-                f"motor_{joint}": self.measured[:, j],
-                f"model_{joint}": self.predicted[:, j],
-                f"external_{joint}": self.predicted[:, j] - self.measured[:, j],
-                f"usable_{joint}": self.keep[:, j],
-                f"valid_{joint}": self.valid[:, j],
-            }
-        return pl.DataFrame(columns)
+        parts = {"motor": self.measured, "model": self.predicted, "external": self.predicted - self.measured}
+        parts |= {"usable": self.keep, "valid": self.valid}
+        columns = ((f"{name}_{joint}", j, part) for j, joint in enumerate(self.joints) for name, part in parts.items())
+        return pl.DataFrame({"t": self.time} | {name: part[:, j] for name, j, part in columns})
 
 
 def torque_errors(prediction: Prediction, robot: Robot, bandwidth: float) -> tuple[TorqueError, ...]:

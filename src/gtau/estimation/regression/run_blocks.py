@@ -70,7 +70,15 @@ class PreparedRuns(tuple[PreparedRun, ...]):
         the first of every group.
         """
         numbers, spans = np.arange(len(self)), np.zeros((len(self), 2))
-        step, paths = _paths(self)
+        strides = [-(-len(run) // LONGEST) for run in self]
+        step = max(stride / run.run.rate for run, stride in zip(self, strides, strict=True))
+        paths = []  # positions (N, n) at steps of one length (s)
+        for run, stride in zip(self, strides, strict=True):
+            at = np.arange(0, len(run), stride)
+            time = rows_at(run.time, at) - run.time[0]
+            position = rows_at(run.run.position, run.kept.start + at)
+            instants = np.arange(0.0, time[-1] + step / 2, step)
+            paths.append(np.column_stack([np.interp(instants, time, column) for column in position.T]))
         groups = list[list[tuple[int, float]]]()
         for k, other in enumerate(self):
             for members in groups:
@@ -133,20 +141,6 @@ class PreparedRuns(tuple[PreparedRun, ...]):
             windows += [(number, replace(middle[at : at + size], part_of=(middle, at))) for at in cuts]
         self._windows[pieces] = windows
         return windows
-
-
-def _paths(prepared: Sequence[PreparedRun]) -> tuple[float, list[np.ndarray]]:
-    """Sample the positions (N, n) of all runs at steps of one length (s), which comes first."""
-    strides = [-(-len(run) // LONGEST) for run in prepared]
-    step = max(stride / run.run.rate for run, stride in zip(prepared, strides, strict=True))
-    q = []
-    for run, stride in zip(prepared, strides, strict=True):
-        at = np.arange(0, len(run), stride)
-        time = rows_at(run.time, at) - run.time[0]
-        position = rows_at(run.run.position, run.kept.start + at)
-        instants = np.arange(0.0, time[-1] + step / 2, step)
-        q.append(np.column_stack([np.interp(instants, time, joint_position) for joint_position in position.T]))
-    return step, q
 
 
 def _lag(a: np.ndarray, b: np.ndarray, moves: np.ndarray) -> int | None:

@@ -64,10 +64,9 @@ def read_robot(source: str | Path | RobotSource) -> Robot:
     with errors_at(source.file):
         six = drawn_base(robot) if len(robot.joints) > 6 and not robot.floating else ()
         if source.base == FLOATING and six:
-            note = (
-                f"{listed(six)} were taken as the floating base '{six[-1]}', as they have no motor and carry the rest"
-            )
-            robot = float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1]).noted(note)
+            taken = f"{listed(six)} were taken as the floating base '{six[-1]}'"
+            robot = float_base(lock_joints(robot, dict.fromkeys(six, 0.0)), six[-1])
+            robot = robot.noted(f"{taken}, as they have no motor and carry the rest")
         elif source.base == FLOATING and not robot.floating:
             in_use = any(joint.name == "base" for joint in robot.joints)
             robot = float_base(robot, "floating_base" if in_use else "base")

@@ -1,10 +1,10 @@
 """URDF files: geometry and limits of serial arms and trees, and of loops, in the file or described beside it.
 
-Loops are written in the elements
-``<loop>`` (generalized_rbda), ``<loop_joint>`` (Isaac Sim), ``<drake:ball_constraint>`` or a ``<joint>`` that Gazebo
-adds to its model; what ties links otherwise is refused by name. Or they are in a YAML file, as in the Gepetto models of
-parallel robots: ``closed_loop`` lists pairs of frames that a loop ties, ``type`` their kind (``3d`` or ``6d``, the
-default), ``name_mot`` the motors, and ``joint_name`` with ``joint_type`` joints that a URDF cannot describe.
+Loops are written in the elements ``<loop>`` (generalized_rbda), ``<loop_joint>`` (Isaac Sim),
+``<drake:ball_constraint>`` or a ``<joint>`` that Gazebo adds to its model; what ties links otherwise is refused by
+name. Or they are in a YAML file, as in the Gepetto models of parallel robots: ``closed_loop`` lists pairs of frames
+that a loop ties, ``type`` their kind (``3d`` or ``6d``, the default), ``name_mot`` the motors, and ``joint_name`` with
+``joint_type`` joints that a URDF cannot describe.
 """
 
 from __future__ import annotations

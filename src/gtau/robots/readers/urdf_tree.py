@@ -70,8 +70,12 @@ def read_urdf_tree(path: Path, types: Mapping[str, str], base: BaseChoice = None
         links = [attribute(element, "name", "a link") for element in root.findall("link")]
         links += [WORLD] * (WORLD not in links and any(edge.parent == WORLD for edge in edges))
         ordered = _depth_first(links, edges)
-        if base == FLOATING:
-            _check_floating(ordered)
+        first = [edge.name for edge in ordered if edge.parent == ordered[0].parent]
+        for edge in ordered if base == FLOATING else ():
+            if edge.element.get("type") in LOOSE and first != [edge.name]:
+                raise GtauError(
+                    f"joint '{edge.name}' floats and does not carry the whole robot; give the file of the robot alone."
+                )
         joints, frames = _moving(ordered, types)
         couplings = [coupling for edge in ordered if (coupling := _mimic(edge))]
         moving = {joint.name for joint in joints}
@@ -114,16 +118,6 @@ def _edge(element: Element, base: BaseChoice) -> _Edge:
             raise GtauError(f"joint '{name}' has no <{tag} link=...>; add it.")
         ends.append(attribute(end, "link", f"<{tag}> of joint '{name}'"))
     return _Edge(name, KINDS[kind], ends[0], ends[1], *origin_of(element.find("origin"), f"joint '{name}'"), element)
-
-
-def _check_floating(ordered: list[_Edge]) -> None:
-    """Refuse a floating joint that does not connect the root link to the whole tree."""
-    root = ordered[0].parent if ordered else ""
-    for edge in ordered:
-        if edge.element.get("type") in LOOSE and (edge.parent != root or sum(e.parent == root for e in ordered) > 1):
-            raise GtauError(
-                f"joint '{edge.name}' floats and does not carry the whole robot; give the file of the robot alone."
-            )
 
 
 def _depth_first(links: list[str], edges: list[_Edge]) -> list[_Edge]:
