@@ -172,7 +172,7 @@ def dask_workers(
 
         def submit(function: Function, item: Any) -> Future[Any]:
             # Not client.get_executor(): it takes a result whose worker dies as it arrives for an exception.
-            task = client.submit(_work, version("gtau"), function, item, pure=False)
+            task = client.submit(_work, installed(), function, item, pure=False)
             answer = Future[Any]()
             client.loop.add_callback(_hand_on, task, answer)
             return answer
@@ -209,7 +209,12 @@ def check_workers(client: Client, address: str, patience: float) -> None:
             f"the Dask scheduler '{address}' has no workers; start some with 'dask worker {address} --nthreads 1'."
         ) from None
     for worker, theirs in client.run(version, "gtau", on_error="return").items():
-        _check_version(worker, theirs, version("gtau"))
+        _check_version(worker, theirs, installed())
+
+
+def installed() -> str:
+    """Return the version of gtau in this process."""
+    return version("gtau")
 
 
 def _check_version(worker: str, theirs: object, ours: str) -> None:
@@ -225,7 +230,7 @@ def _work(expected: str, function: Function, item: Any) -> Any:
     """Process an item on a worker, which may have joined after :func:`check_workers`."""
     from distributed import get_worker
 
-    _check_version(get_worker().address, version("gtau"), expected)
+    _check_version(get_worker().address, installed(), expected)
     with _ONE_AT_A_TIME:
         return function(item)
 

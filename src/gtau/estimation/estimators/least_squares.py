@@ -6,11 +6,14 @@ alike; it is there for comparison. All noise is the current's, of its own standa
 
     e_j = v(t - d_j) - (W_theta theta + known) / g_j .
 
-``2sls``, the start of maximum likelihood, replaces currents by their projections on their own joint's regressor.
-Choose it for a cross-check: it is consistent with noisy currents, needs no iteration, and shares no weights with the
-others. ``tls`` assumes equal noise in every column of ``W_tot = [-W_theta  V_tau  -known]``, with all unknowns of
-``chi_tot = [theta g 1]`` on one side. Choose it to follow the paper, or to compare with published results: on real
-logs its assumption seldom holds, and gains may be absurd where maximum likelihood gives accurate ones.
+Choose ``2sls`` for a cross-check: with currents replaced by their projections on their own joint's regressor, it is
+consistent with noisy currents, needs no iteration, and shares no weights with the others. Maximum likelihood starts
+from it.
+
+Choose ``tls`` to follow the paper, or to compare with published results: it assumes equal noise in every column of
+``W_tot``. On real logs this seldom holds, and gains may be absurd where maximum likelihood gives accurate ones.
+``W_tot = [-W_theta  V_tau  -known]`` and ``chi_tot = [theta g 1]``: all unknowns are on one side, and the known
+payload fixes the scale.
 """
 
 from __future__ import annotations
