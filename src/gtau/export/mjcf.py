@@ -87,7 +87,15 @@ def _spec(mujoco: ModuleType, model: ConsistentModel) -> tuple[Any, dict[str, fl
             expressed.pop(Parameter("off", joint.name), None)
     _draw(mujoco, robot, spec)
     _add_couplings(mujoco, spec, robot)
-    _add_actuators(mujoco, spec, model)
+    for motor in robot.actuated:  # torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl
+        gear = model.gains[motor]
+        bias = -model.of("off", motor) / gear  # the current that cancels the offset, A
+        actuator = spec.add_actuator(name=motor, target=motor, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gear[0] = gear
+        actuator.gainprm[0] = 1.0
+        if bias:
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.biasprm[0] = bias
     return spec, expressed
 
 
@@ -120,19 +128,6 @@ def _add_couplings(mujoco: ModuleType, spec: Any, robot: Robot) -> None:
         )  # fmt: skip
         tie.data[:2] = coupling.offset, ratio
         tie.data[2:5] = 0.0
-
-
-def _add_actuators(mujoco: ModuleType, spec: Any, model: ConsistentModel) -> None:
-    """Add one actuator per motor: torque = gear (ctrl + bias), with the drive gain as gear and the current as ctrl."""
-    for joint in model.result.robot.actuated:
-        gear = model.gains[joint]
-        bias = -model.of("off", joint) / gear  # the current that cancels the offset, A
-        actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        actuator.gear[0] = gear
-        actuator.gainprm[0] = 1.0
-        if bias:
-            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-            actuator.biasprm[0] = bias
 
 
 def _text(mujoco: ModuleType, spec: Any, comments: Sequence[Any]) -> str:

@@ -206,7 +206,10 @@ def drafted(
             source=logs[0],
         )
     draft = to_weigh(draft) if weigh else with_sensors(draft)
-    draft = replace(draft, names={} if model is None else _names(model))
+    if model is not None:  # its payloads are meant by the names that drafts make of masses, where one has such a mass
+        names = {load.name: drafted_name(model.payload(load.name).get("m", 0.0)) for load in model.payloads}
+        known_as = {made: name for name, made in names.items() if name != made and [*names.values()].count(made) == 1}
+        draft = replace(draft, names=known_as)
     if "file" not in draft.robot:
         raise GtauError(
             f"{logs[0]} does not name its robot; give it by --robot ROBOT, a catalog name (gtau robot) or the path "
@@ -224,12 +227,6 @@ def drafted(
                 f"drive gains; state it by --payload {log.name}={readings[0]:g} (0 for none)."
             )
     return draft
-
-
-def _names(model: IdentifiedModel) -> dict[str, str]:
-    """Name the payloads of a model by the names that drafts make of their masses, if one alone has such a mass."""
-    made = {name: drafted_name(model.payload(name).get("m", 0.0)) for name in {load.name for load in model.payloads}}
-    return {draft: name for name, draft in made.items() if name != draft and [*made.values()].count(draft) == 1}
 
 
 @takes(logs=NAMES, robot=PATH, payload=MASSES, preset=TEXT, columns=MAPPING, kind=TEXT)
