@@ -48,6 +48,6 @@ def test_compare_says_what_identify_says(method: str, experiment: Path, monkeypa
 
 
 def test_the_command_line_offers_every_estimator() -> None:
-    from gtau.cli.console import METHODS
+    from gtau.cli.console import METHOD
 
-    assert METHODS.split("|") == list(NAMES) == [each.name for each in estimators().values()]
+    assert METHOD.split("|") == list(NAMES) == [each.name for each in estimators().values()]

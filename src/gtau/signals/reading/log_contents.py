@@ -15,17 +15,7 @@ from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading import column_names
-from gtau.signals.reading.column_names import (
-    MEASURED,
-    POSE,
-    ColumnName,
-    Group,
-    has_word,
-    of_topics,
-    parse_column_name,
-    topic_of,
-    topics_of,
-)
+from gtau.signals.reading.column_names import MEASURED, POSE, ColumnName, Group, has_word, parse_column_name
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import LogTable
 from gtau.signals.reading.formats.columnar import data_set
@@ -94,12 +84,12 @@ class LogContents:
             time = first if _grows(values[first[0]]) and np.ptp(values[first[0]]) else ()
             unnamed, velocity = _unnamed_groups(table, values, time, len(joints))
             return cls(table, values, time, unnamed, velocity=velocity)
-        topics, elsewhere = topics_of(table.columns), list[str]()
+        topics, elsewhere = column_names.topics_of(table.columns), list[str]()
         if len(topics) > 1:
-            suitable = (topic_of(group.first, topics) for group in groups if group.kind in kinds)
+            suitable = (column_names.topic_of(group.first, topics) for group in groups if group.kind in kinds)
             main = next((topic for topic in suitable if topic not in but), None)
             positions = [name for name in names if name.kind == "position" and not name.reference]
-            names = of_topics(names, topics, main) or names[:1]
+            names = column_names.of_topics(names, topics, main) or names[:1]
             groups, known = column_names.grouped(names), {name.label for name in names}
             elsewhere = [name.name for name in positions if name.label not in known]
         wanted = [name for name in names if name.kind not in (None, "other")] or names
@@ -156,11 +146,13 @@ class LogContents:
 
     def command_topic(self, robot: Robot | None) -> LogContents | None:
         """Return the commands of a bag whose positions are in this topic."""
-        topics, positions = topics_of(self.table.columns), self.group("position")
-        tried = {topic_of(column, topics) for column in positions.columns.values()} if positions else {*topics}
+        topics, positions = column_names.topics_of(self.table.columns), self.group("position")
+        tried = (
+            {column_names.topic_of(column, topics) for column in positions.columns.values()} if positions else {*topics}
+        )
         while len(tried) < len(topics):
             topic = LogContents.read(self.table.path, robot, COMMANDS, but=tried)
-            read = {topic_of(name, topics) for name in topic.values}
+            read = {column_names.topic_of(name, topics) for name in topic.values}
             if topic.command_group() or read <= tried:
                 return topic if topic.command_group() else None
             tried |= read
