@@ -156,39 +156,42 @@ def solve(
     # the pattern of nonzeros, at a point without symmetry
     rows, columns = np.nonzero(jacobian(x).T)[::-1]
     pattern = ca.Sparsity.triplet(len(low), len(x), rows.tolist(), columns.tolist())
-    scalar, slope, values = (ca.Sparsity.dense(size, 1) for size in (1, len(x), len(low)))
-    results = {"x": len(x), "f": 1, "g": len(low), "lam_x": len(x), "lam_g": len(low)}
-    f = _Function(errors, [len(x)], [scalar], lambda x: [programme.value(x)[0]])
-    g = _Function(errors, [len(x)], [values], lambda x: [limits(x)])
-    f_slope = _Function(errors, [len(x), 0], [scalar, slope], programme.value)
-    g_slopes = _Function(errors, [len(x), 0], [values, pattern], lambda x: [limits(x), jacobian(x)[rows, columns]])
-    polled = [results.get(name, 0) for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))]
-    ended = _Function(errors, polled, [scalar], lambda _: [bool(errors) or stop()])  # after every iteration
-    symbol = ca.MX.sym("x", len(x))
     again: Mapping[str, Any] = near if near is not None and near["lam_g0"].numel() == len(low) else {}
-    solver = ca.nlpsol(
-        "design",
-        "ipopt",
-        {"x": symbol, "f": f(symbol), "g": g(symbol)},
-        {
-            "no_nlp_grad": True,
-            "grad_f": f_slope,
-            "jac_g": g_slopes,
-            "iteration_callback": ended,
-            "print_time": False,
-            "show_eval_warnings": False,
-            "ipopt": {**IPOPT, **(AGAIN if again else {})},
-        },
-    )
-    solution = _solution(solver, {**again, "x0": x, "lbg": low, "ubg": high}, errors)
+
+    def solved() -> Mapping[str, ca.DM]:
+        scalar, slope, values = (ca.Sparsity.dense(size, 1) for size in (1, len(x), len(low)))
+        results = {"x": len(x), "f": 1, "g": len(low), "lam_x": len(x), "lam_g": len(low)}
+        f = _Function(errors, [len(x)], [scalar], lambda x: [programme.value(x)[0]])
+        g = _Function(errors, [len(x)], [values], lambda x: [limits(x)])
+        f_slope = _Function(errors, [len(x), 0], [scalar, slope], programme.value)
+        g_slopes = _Function(errors, [len(x), 0], [values, pattern], lambda x: [limits(x), jacobian(x)[rows, columns]])
+        polled = [results.get(name, 0) for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))]
+        ended = _Function(errors, polled, [scalar], lambda _: [bool(errors) or stop()])  # after every iteration
+        symbol = ca.MX.sym("x", len(x))
+        solver = ca.nlpsol(
+            "design",
+            "ipopt",
+            {"x": symbol, "f": f(symbol), "g": g(symbol)},
+            {
+                "no_nlp_grad": True,
+                "grad_f": f_slope,
+                "jac_g": g_slopes,
+                "iteration_callback": ended,
+                "print_time": False,
+                "show_eval_warnings": False,
+                "ipopt": {**IPOPT, **(AGAIN if again else {})},
+            },
+        )
+        return solver(**{**again, "x0": x, "lbg": low, "ubg": high})
+
+    solution = _in_thread(single_threaded_blas()(solved), errors)
     return {f"{name}0": solution[name] for name in ("x", "lam_x", "lam_g")}
 
 
-def _solution(solver: ca.Function, start: Mapping[str, Any], errors: list[BaseException]) -> Mapping[str, ca.DM]:
-    """Call the solver, which ends at the first of the ``errors``, and raise that."""
-    # CasADi clears an exception of Ctrl-C in the main thread; the solver's libraries are loaded only now
+def _in_thread(solved: Callable[[], Mapping[str, ca.DM]], errors: list[BaseException]) -> Mapping[str, ca.DM]:
+    """Solve, which ends at the first of the ``errors``, and raise that; CasADi loses Ctrl-C in the main thread."""
     with ThreadPoolExecutor(1) as thread:
-        solution = thread.submit(single_threaded_blas()(solver), **start)
+        solution = thread.submit(solved)
         try:
             wait([solution])
         except BaseException as error:
