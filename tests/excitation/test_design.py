@@ -418,6 +418,10 @@ def test_ctrl_c_in_the_solver_ends_a_search(tmp_path: Path, capfd: pytest.Captur
             threading.Timer(0.01, signal.raise_signal, [signal.SIGINT]).start()
         return False
 
-    with pytest.raises(KeyboardInterrupt):
-        excite(task, starts=50, stop=stop)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            excite(task, starts=50, stop=stop)
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capfd.readouterr() == ("", "")
