@@ -4,9 +4,11 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
@@ -40,7 +42,10 @@ class Server:
         arguments = [sys.executable, "-m", "gtau", "app", str(folder), "--no-browser"]
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        self.process = subprocess.Popen(arguments, env=environment, text=True, **pipes)  # NiceGUI serves no test
+        heed = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # what jobs in the background start ignores it
+        self.process = subprocess.Popen(  # NiceGUI serves no test
+            arguments, env=environment, text=True, preexec_fn=heed, **pipes
+        )
         self.address = re.search(r"http://\S+", self.process.stdout.readline())[0]
         self.origin, self.token = self.address.split("/?token=")
         for _ in range(100):
