@@ -40,7 +40,7 @@ from gtau.robots.robot import Coupling, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REVERSED_LEFT = 0.7  # part of the residual variance that is left with one torque reversed
-FEW_STEPS = 30  # of the iteration towards gains: right descriptions converge in fewer, wrong ones may take hundreds
+FEW_STEPS = 30  # of the iteration: the right readings of eight experiments are found; 400 took 68 s on a Rokae, not 12
 
 REVERSED_CHANNELS = "reversed channels"
 

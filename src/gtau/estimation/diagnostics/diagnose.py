@@ -123,9 +123,8 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             others = _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress)
             refit = _best_described(chain([loads], others))
             explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
-            if refit or (misfit and not explained):
-                last = (describe(fit, progress) for describe in (columns.other_columns,))
-                refit = _best_described(chain([refit], last))
+            if refit.cause.values["remains"] >= SURE if refit else misfit and not explained:
+                refit = _best_described([refit, columns.other_columns(fit, progress)])
         if refit:
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
         elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
