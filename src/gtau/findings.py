@@ -213,7 +213,7 @@ def percent(share: float, spec: str = ".2g") -> str:
     """Write a share in per cent, or "more than 1000 %" above ten times the whole."""
     if abs(share) > MOST_PERCENT / 100:
         return f"more than {MOST_PERCENT:g} %"
-    text = format(100 * share, spec)
+    text = format(100 * share, spec if abs(share) < 1 else spec[: spec.index(".")] + ".0f")
     return f"{text if text.strip('+-0.') else text.lstrip('-')} %"
 
 

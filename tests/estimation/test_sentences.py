@@ -40,7 +40,7 @@ def test_a_description_is_refuted_with_its_size(size: float, unit: str, sized: s
 
 
 @pytest.mark.parametrize(
-    ("move", "own"), [(-0.045, "-4.5 %"), (-1.2, "-1.2e+02 %, which reverses its sign"), (-23.0, "more than 1000 %")]
+    ("move", "own"), [(-0.045, "-4.5 %"), (-1.2, "-120 %, which reverses its sign"), (-23.0, "more than 1000 %")]
 )
 def test_what_a_description_does_to_a_gain(move: float, own: str) -> None:
     gain = SimpleNamespace(random_half=0.1)

@@ -68,7 +68,7 @@ def scarcity(problem: Problem) -> str:
     """Count equations and unknowns, and advise how to get more equations."""
     rows = int(problem.total_rows.sum())
     unknowns = len(problem.parameters) + 2 * len(problem.joints)
-    return f"after filtering there are {rows} equations for {unknowns} unknowns; log longer runs, at a higher rate, "
+    return f"after filtering there are {rows} equations for {unknowns} unknowns; log faster and longer motions, "
 
 
 def with_given(solver: Callable[[Problem, np.ndarray], Solution], gains: np.ndarray | None) -> Solve:
