@@ -352,6 +352,15 @@ def test_a_bag_with_commands_in_another_topic(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.command[:, 1], 0.75 * V[1:, 1] + 0.25 * V[:-1, 1], atol=1e-6)
 
 
+def test_what_feeds_a_drive_is_not_its_motor(tmp_path: Path) -> None:
+    header = "t,q1,q2,i1,i2,duty1,duty2,supply_voltage1,supply_voltage2,bus_current1,bus_current2"
+    log = save(tmp_path / "log.csv", header, TIME, Q, V, Q, 24 + 0 * Q, np.abs(V))
+    draft = discover([log], load_robot("five-bar"), "five-bar")
+    assert draft.signals.command == {"left": "i1", "right": "i2"}
+    held = {"duty": "duty", "supply_voltage": "supply_voltage", "supply_current": "bus_current"}
+    assert draft.unused.side == {key: {"left": f"{name}1", "right": f"{name}2"} for key, name in held.items()}
+
+
 def test_temperatures_and_poses_are_offered_as_comments(tmp_path: Path) -> None:
     """Neither is used unasked; without the comment sign the line is one that a file may hold."""
     header = "t,q1,q2,i1,i2,motor_temp_1,motor_temp_2,tcp_x,tcp_y"

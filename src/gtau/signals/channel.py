@@ -70,6 +70,8 @@ class SideSignal:
 
 VOLTAGE = "beside currents it gives the drive gains without a payload"
 VOLT_WORDS = frozenset(["voltage", "voltages", "volt", "volts", "电压", "電壓", "電圧", "전압"])
+VOLT_BUSES = frozenset(["vbus", "vdc", "ubus"])
+SUPPLY = VOLT_BUSES | {"supply", "bus", "ibus", "battery"}  # what feeds a drive, not its motor
 VOLTS, SHARES, AMPERES = ("V", "mV"), ("1", "%", "‰"), ("A", "mA")
 SI = {"mV": 1e-3, "%": 1e-2, "‰": 1e-3, "mA": 1e-3, "deg": np.pi / 180, "mm": 1e-3}
 """Factors of units of side signals, other than 1, to SI units."""
@@ -83,8 +85,10 @@ SIDE_SIGNALS = (
     ),
     SideSignal("voltage", VOLTS, VOLT_WORDS, VOLTAGE, slow=False),
     SideSignal("duty", SHARES, frozenset(["duty", "pwm"]), f"times supply_voltage, {VOLTAGE}", slow=False),
-    SideSignal("supply_voltage", VOLTS, frozenset(["vbus", "vdc", "ubus"]), f"times duty, {VOLTAGE}", slow=False),
-    SideSignal("supply_current", AMPERES, frozenset(["ibus"]), "over duty it is the motor's current", slow=False),
+    SideSignal("supply_voltage", VOLTS, VOLT_WORDS | VOLT_BUSES, f"times duty, {VOLTAGE}", slow=False),
+    SideSignal(
+        "supply_current", AMPERES, frozenset(["current", "ibus"]), "over duty it is the motor's current", slow=False
+    ),
     SideSignal(
         "goal",
         units=("rad", "deg", "m", "mm"),

@@ -18,7 +18,7 @@ from difflib import SequenceMatcher
 from gtau.errors import GtauError
 from gtau.findings import counted
 from gtau.robots.robot import Robot
-from gtau.signals.channel import SIDE_SIGNALS
+from gtau.signals.channel import SIDE_SIGNALS, SUPPLY
 from gtau.signals.reading.units import WrittenUnit, read_unit, split_unit
 
 WORDS: dict[str, frozenset[str]] = {
@@ -44,7 +44,8 @@ WORDS: dict[str, frozenset[str]] = {
         "误差 誤差 오차 偏差 편차",
     }.items()
 }
-WORDS["other"] |= frozenset[str]().union(*(signal.words for signal in SIDE_SIGNALS)) - WORDS["time"]  # temps
+SIDE = frozenset[str]().union(SUPPLY, *(signal.words for signal in SIDE_SIGNALS))
+WORDS["other"] |= SIDE - WORDS["time"] - WORDS["current"]  # temps
 PRECEDENCE: tuple[str, ...] = ("other", "acceleration", "velocity", "current", "torque", "position", "motor", "time")
 REFERENCE, MEASURED = WORDS["reference"], WORDS["measured"]
 POSE = frozenset(["pose", "tcp", "mocap", "cartesian", "flange", "tracker", "quaternion", "quat"])

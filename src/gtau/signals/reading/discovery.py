@@ -13,7 +13,7 @@ from gtau.documents.validation import read_group
 from gtau.errors import GtauError, errors_at
 from gtau.pages import page
 from gtau.robots.robot import Robot
-from gtau.signals.channel import SENSOR, SIDE_SIGNALS
+from gtau.signals.channel import SENSOR, SIDE_SIGNALS, SUPPLY
 from gtau.signals.reading.column_names import POSE, Group, has_word, matched, renamed_labels
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats import listed
@@ -293,7 +293,8 @@ def _unused(
         used = used | set(group.columns.values())
     side: dict[str, Any] = {}
     for signal in SIDE_SIGNALS:
-        names = [name for name in columns if has_word(name, signal.words)]
+        supplied = signal.key.startswith("supply")
+        names = [name for name in columns if has_word(name, signal.words) and has_word(name, SUPPLY) == supplied]
         if len(names) == len(signals.position):
             side[signal.key] = dict(zip(signals.position, names, strict=True))
         elif len(names) == 1:  # more are ambiguous
