@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+import polars as pl
 import pytest
 from engines import Mujoco, Pinocchio, closed_torques, random_parameters, tree_torques
 from numpy.testing import assert_allclose
@@ -267,6 +268,17 @@ def test_samples_of_other_shapes_are_refused():
         idm.torques(*np.zeros((3, 1, 3)), np.zeros(7))
     with pytest.raises(GtauError, match="zz_99"):
         idm.torques(*np.zeros((3, 1, 3)), {"zz_99": 1.0})
+
+
+def test_samples_that_are_no_numbers_or_of_other_joints():
+    model = InverseDynamics(load_robot("five-bar"))
+    table = pl.DataFrame({"right": [0.1, 0.2], "left": [0.3, 0.4]})
+    np.testing.assert_array_equal(model.samples(table)[0], [[0.3, 0.4], [0.1, 0.2]])
+    for wrong in ("abc", {"left": [0.1]}, table.rename({"left": "elbow"})):
+        with pytest.raises(GtauError, match="no array of numbers, or a table without columns left, right"):
+            model.samples(wrong)
+    with pytest.raises(GtauError, match="a value of 'right' is not finite at sample 1"):
+        model.samples(np.array([[0.0, 1.0], [0.0, np.inf]]))
 
 
 def test_one_state_is_one_row_of_states():

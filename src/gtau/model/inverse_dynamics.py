@@ -321,14 +321,22 @@ class InverseDynamics:
 
     def samples(self, *arrays: np.ndarray) -> list[np.ndarray]:
         """Check arrays (N, n), one column per actuated joint, and return them as (n, N); raises GtauError."""
-        n = len(self.actuated)
-        samples = [np.asarray(array, dtype=float) for array in arrays]
+        n, joints = len(self.actuated), list(self.actuated)
+        try:  # a table's columns are taken by their names
+            tables = (array[joints] if hasattr(array, "columns") else array for array in arrays)
+            samples = [np.asarray(array, dtype=float) for array in tables]
+        except Exception as error:
+            names = ", ".join(joints)
+            raise GtauError(f"q, qd or qdd is no array of numbers, or a table without columns {names}.") from error
         if samples[0].ndim != 2 or samples[0].shape[1] != n or len({array.shape for array in samples}) > 1:
             shapes = ", ".join(str(array.shape) for array in samples)
             raise GtauError(
                 f"q, qd and qdd have the shapes {shapes}; give each as (N, {n}), a column for each of the joints "
                 f"{', '.join(self.actuated)}."
             )
+        if broken := next((at for array in samples for at in np.argwhere(~np.isfinite(array)).tolist()), None):
+            sample, joint = broken
+            raise GtauError(f"a value of '{joints[joint]}' is not finite at sample {sample}; leave such samples out.")
         return [array.T for array in samples]
 
     def _vector(self, chi: Mapping[str, float] | np.ndarray) -> np.ndarray:
