@@ -112,8 +112,11 @@ class Result(IdentifiedModel):
         """Compute the Coriolis matrix C(q, qd), (N, n, n), by Christoffel's symbols: dM/dt - 2 C is skew-symmetric."""
         return np.asarray(identified.coriolis(self, q, qd, as_payload(payload)))
 
-    def predict(self, run: Run) -> Prediction:
-        """Predict torques along ``run``, beside the raw measured ``v g_tau``; raises GtauError if it does not suit."""
+    def predict(self, run: Run | str | Path) -> Prediction:
+        """Predict torques along a run, or the path of a log like the model's, beside the measured ``v g_tau``.
+
+        Raises GtauError where the log does not suit.
+        """
         return predict(self, run)
 
     def external_torques(
@@ -135,7 +138,7 @@ class Result(IdentifiedModel):
         at = None if frame is None else frame_on(self.robot.tool, frame, robot)
         return torques_along_log(self, run, at, force_only, observer)
 
-    def validate(self, run: Run) -> tuple[TorqueError, ...]:
+    def validate(self, run: Run | str | Path) -> tuple[TorqueError, ...]:
         """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
         return validate(self, run)
 

@@ -146,14 +146,20 @@ def test_compare_takes_a_robot_with_runs_and_priors_are_mappings(folder: Path) -
             use(3)  # type: ignore[arg-type]
         with pytest.raises(gtau.GtauError, match=r"read each log with gtau\.read_run"):
             use(robot, ["free.csv"])  # type: ignore[list-item]
+        with pytest.raises(gtau.GtauError, match=r"'prior_gains' names 'lft', .*; did you mean 'left'"):
+            use(robot, runs, prior_gains={"lft": 2.4})
         with pytest.raises(gtau.GtauError, match="unknown key 'deviation'"):
             use(robot, runs, priors={"m_left": {"value": 1.0, "deviation": 0.4}})
 
 
-def test_a_path_in_the_place_of_a_run(result: gtau.Result) -> None:
-    for use in (result.validate, result.predict):
-        with pytest.raises(gtau.GtauError, match=r"this takes a run, not a str; read the log with gtau\.read_run"):
-            use("free.csv")  # type: ignore[arg-type]
+def test_a_path_in_the_place_of_a_run(result: gtau.Result, folder: Path) -> None:
+    assert result.recording is not None
+    run = gtau.read_run(folder / "free.csv", result.recording.signals)
+    assert result.validate(folder / "free.csv") == result.validate(run)
+    with pytest.raises(gtau.GtauError, match=r"no\.csv cannot be read"):
+        result.predict("no.csv")
+    with pytest.raises(gtau.GtauError, match=r"this takes a run, not a list; read the log with gtau\.read_run"):
+        result.predict(["free.csv"])  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

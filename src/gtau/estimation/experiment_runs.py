@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gtau.documents.validation import MAPPING, NUMBER, expect, read_group
-from gtau.errors import GtauError
+from gtau.errors import GtauError, UnknownName, meant
 from gtau.estimation.diagnostics.geometry import GeometryTest
 from gtau.estimation.estimators import estimator_of
 from gtau.estimation.regression.priors import inertia_priors
@@ -112,7 +112,7 @@ def describe(source: Source, runs: Sequence[Run] | None = None, options: Options
             raise GtauError("a robot alone cannot be identified; give its runs too.")
         if not all(isinstance(run, Run) for run in runs):
             raise GtauError(OF_RUNS)
-        return Subject(source, runs, _with_inertias(options, source))
+        return Subject(source, runs, _for_robot(options, source))
     if runs is not None:
         given = "an experiment" if isinstance(source, Experiment) else f"'{source}'"
         named = "gtau.load_robot(...)" if isinstance(source, Experiment) else f"gtau.load_robot({str(source)!r})"
@@ -132,10 +132,14 @@ def describe(source: Source, runs: Sequence[Run] | None = None, options: Options
     }
     written = {name: value for name, value in written.items() if getattr(options, name) is None}
     options = replace(options, drives=experiment.drives, **written)
-    return Subject(robot, (), _with_inertias(options, robot), experiment)
+    return Subject(robot, (), _for_robot(options, robot), experiment)
 
 
-def _with_inertias(options: Options, robot: Robot) -> Options:
+def _for_robot(options: Options, robot: Robot) -> Options:
+    """Check the names of prior gains, and add priors of the file's inertias."""
+    if unknown := next((joint for joint in options.prior_gains or {} if joint not in robot.actuated), None):
+        hint = meant(unknown, robot.actuated, f"its joints with a motor are {', '.join(robot.actuated)}.")
+        raise UnknownName(f"'prior_gains' names '{unknown}', which robot '{robot.name}' does not have; {hint}")
     if options.prior_inertias is None:
         return options
     return replace(options, priors={**inertia_priors(robot, options.prior_inertias), **(options.priors or {})})

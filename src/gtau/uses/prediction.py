@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from gtau.signals.preparation.bandwidth import position_noise
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF, Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.statements import Payload
-from gtau.signals.run import Run, taper
+from gtau.signals.run import Run, read_run, taper
 from gtau.signals.storage import spans
 
 if TYPE_CHECKING:
@@ -155,8 +156,10 @@ OF_JOINTS = ("predicted", "measured", "friction", "keep", "valid")
 NOISY = 2.0  # times the least error: noise then dominates, and higher cut-offs are not tried
 
 
-def suited(result: IdentifiedModel, run: Run) -> Run:
-    """Order the columns of a run as the model's joints; raises GtauError if it has other commands."""
+def suited(result: IdentifiedModel, run: Run | str | Path) -> Run:
+    """Order the columns of a run, or of a log like the model's, as its joints; raises GtauError."""
+    if isinstance(run, (str, Path)) and result.recording is not None:
+        run = read_run(run, result.recording.signals, units=result.recording.units)
     if not isinstance(run, Run):
         raise GtauError(
             f"this takes a run, not a {type(run).__name__}; read the log with gtau.read_run(log, signals), with "
@@ -171,7 +174,7 @@ def suited(result: IdentifiedModel, run: Run) -> Run:
     return run
 
 
-def prepared_for(result: IdentifiedModel, run: Run) -> tuple[PreparedRun, range]:
+def prepared_for(result: IdentifiedModel, run: Run | str | Path) -> tuple[PreparedRun, range]:
     """Prepare all samples of a run as for identification, and mark those in which the robot moves."""
     run = suited(result, run)
     check_wrenches(result.robot, run)
@@ -179,7 +182,7 @@ def prepared_for(result: IdentifiedModel, run: Run) -> tuple[PreparedRun, range]
     return replace(prepared, kept=range(len(run.time))), prepared.kept
 
 
-def predict(result: IdentifiedModel, run: Run, external: np.ndarray | None = None) -> Prediction:
+def predict(result: IdentifiedModel, run: Run | str | Path, external: np.ndarray | None = None) -> Prediction:
     """Predict torques at every sample of a run, with the measured ones; see :meth:`gtau.Result.predict`.
 
     ``external`` (N, n) are torques of the environment on the joints, N m or N, which load their friction.
@@ -293,7 +296,7 @@ def torques(
     return torques_along(result, model.motion(q, qd, qdd), chi).T
 
 
-def validate(result: IdentifiedModel, run: Run) -> tuple[TorqueError, ...]:
+def validate(result: IdentifiedModel, run: Run | str | Path) -> tuple[TorqueError, ...]:
     """Compute torque errors of each joint on a run; see :meth:`gtau.Result.validate`."""
     return torque_errors(predict(result, run), result.robot, result.preparation.bandwidth)
 
