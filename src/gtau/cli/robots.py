@@ -186,7 +186,7 @@ def tutorial(
     written = write_tutorial(out)
     answer(json_, lambda: {"files": [str(path) for path in written]}, written=written)
     if not json_:
-        typer.echo(f"next: cd {out} && gtau init empty_*.csv loaded_1200g.csv --robot five-bar")
+        typer.echo(f"next: {f'cd {out} && ' * (out != Path())}gtau init empty_*.csv loaded_1200g.csv --robot five-bar")
 
 
 @refusing

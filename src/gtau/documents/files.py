@@ -44,7 +44,10 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
         if not isinstance(error, OSError):
             raise
         why = error.strerror
-        raise GtauError(f"{path} cannot be written ({why}); choose another folder or free some space.") from None
+        advice = (
+            "make its folder" if isinstance(error, FileNotFoundError) else "choose another folder or free some space"
+        )
+        raise GtauError(f"{path} cannot be written ({why}); {advice}.") from None
 
 
 def in_csv(table: pl.DataFrame) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs
 
+from gtau.documents.files import folder_of
 from gtau.doors.command import within
 from gtau.errors import GtauError, needing
 
@@ -67,8 +68,7 @@ def serve(folder: Path, port: int, show: bool) -> None:
         from gtau.doors.page import LARGEST, draw
         from gtau.doors.project import Project
 
-    if not folder.is_dir():
-        raise GtauError(f"{folder} is not a folder; make it, or give another one.")
+    folder_of(folder)
     port = port or _free_port()
     token, project = secrets.token_urlsafe(24), Project(folder.resolve())
     app.add_middleware(Guard, token=token, port=port, largest=LARGEST)

@@ -67,9 +67,7 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
     head = f"payload '{payload.name}' in {payload.frame}, weighed by gtau"
     if unseen := ", ".join(payload.unseen):
         head += f"; {unseen} not measured"
-        notes.append(
-            f"the motion does not show {unseen} of '{payload.name}': they are taken from a compact body, not measured"
-        )
+        notes.append(f"the motion does not show {unseen} of '{payload.name}', taken from a compact body instead")
     texts = writer(identifier(payload.name), _rounded(payload, payload.rigid), " ".join(head.split()))
     return Exported(written(Path(out), texts), tuple(notes))
 

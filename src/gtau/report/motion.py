@@ -68,7 +68,7 @@ def singularities_section(nearest: Sequence[NearestPose]) -> Section | None:
         (Column("at, s", Kind.NUMBER), "time"),
         (Column("pose, rad or m", wide=True), _pose),
     )
-    words = "1 at best, 0 at a singular pose; of type 1 motors move and the tool stands still, orientation included."
+    words = "1 at best, 0 at a singular pose; at one of type 1 a motor can move while the tool stands still."
     return Section("Distance to singular poses", listed, Text(words, style="soft"))
 
 

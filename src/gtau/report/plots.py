@@ -11,7 +11,7 @@ import numpy as np
 
 from gtau.documents.files import write_atomically
 from gtau.documents.validation import Accepted, takes
-from gtau.errors import GtauError
+from gtau.errors import GtauError, spelled
 from gtau.estimation.check_logs import CheckedExperiment
 from gtau.estimation.identify import EstimatorComparison
 from gtau.estimation.results.estimate import Named
@@ -85,7 +85,9 @@ def plot(shown: IdentifiedModel | Prediction | Run | Robot) -> Figure:
             return figure_of(_run_chart(shown))
         case Robot():
             return robot_figure(shown)
-    raise GtauError(f"a {type(shown).__name__} has no figure; give a result, a prediction, a run or a robot.")
+    raise GtauError(
+        f"an object of type {type(shown).__name__} has no figure; give a result, a prediction, a run or a robot."
+    )
 
 
 def _prediction_chart(prediction: Prediction) -> Chart:
@@ -128,6 +130,7 @@ def view(shown: object) -> Page:
     return Page("", Section("", Text(repr(shown), style="command")))
 
 
+@spelled()
 @dataclass(frozen=True, eq=False, repr=False)
 class Plots:
     """Figures of a result, as :class:`matplotlib.figure.Figure`, which a notebook shows and ``savefig`` writes.
@@ -142,8 +145,10 @@ class Plots:
         names = [name for name in dir(self) if not name.startswith("_") and name != "result"]
         return f"figures of {self.result.robot.name!r}: {', '.join(names)}"
 
-    def __call__(self) -> Figure:
+    def __call__(self, *joint: str) -> Figure:
         """Draw the drive gains, and the torques of the joint that fits worst along the first run."""
+        if joint:
+            raise GtauError(f"the overview takes no joint; did you mean plot.torques({joint[0]!r})?")
         gains = gains_chart(self.result.drive_gains, {})
         worst = max(self.result.residuals, key=lambda error: error.relative, default=None)
         panels = () if gains is None else gains.panels
@@ -192,8 +197,9 @@ class Plots:
         panels = tuple(panel for panel in chart.panels if panel.title in shown)
         return figure_of(replace(chart, panels=panels, columns=min(len(panels), 2)))
 
-    def residuals(self, joint: str, run: str | Run | None = None) -> Figure:
-        """Draw a joint's residuals along a run, with histogram and spectrum."""
+    def residuals(self, joint: str | None = None, run: str | Run | None = None) -> Figure:
+        """Draw residuals of a joint, or of the one that fits worst, along a run, with histogram and spectrum."""
+        joint = joint or max(self.result.residuals, key=lambda error: error.relative).joint
         evidence, prediction, _ = self._evidence(joint, run)
         evidence = replace(evidence, prediction=prediction.in_band)
         robot = self.result.robot
@@ -243,7 +249,8 @@ class Plots:
         runs = {run.name: run for run in self.result.data}
         if not runs:
             raise GtauError(
-                "a result that was loaded from a file has no runs; give one, run=gtau.read_run(log, signals)."
+                "a result that was loaded from a file has no runs; give one, run=gtau.read_run(log, "
+                "result.recording.signals)."
             )
         if name is not None and name not in runs:
             raise GtauError(f"there is no run '{name}'; choose from {', '.join(runs)}.")

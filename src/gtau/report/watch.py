@@ -247,7 +247,7 @@ def fleet_lines(folder: Path) -> list[dict[str, str]]:
 def fleet_page(lines: Sequence[Mapping[str, str]]) -> Page:
     """List the robots of a fleet, the most urgent first."""
     waiting = sum(line["state"] in STATES[:2] for line in lines)
-    words = f"{waiting} of {len(lines)} robots need attention." if waiting else f"All {len(lines)} robots are OK."
+    words = f"Robots that need attention: {waiting} of {len(lines)}." if waiting else f"All {len(lines)} robots are OK."
     robots = Table([Column(title) for title in lines[0]], [[*line.values()] for line in lines], name="robots-table")
     verdict = Text(words, (NO_SAFETY_FUNCTION,), "bad" if waiting else "good")
     return Page("Watching a fleet", Section("Verdict", verdict, id="verdict"), Section("Robots", robots, id="robots"))
