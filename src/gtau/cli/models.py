@@ -69,7 +69,7 @@ def validate(
         if is_log(sources[0]):
             described = described.model_copy(update={"runs": (), "validation": described.runs})
         if not described.validation:
-            raise GtauError(f"{experiment} has no validation runs; list them under 'validation'.")
+            raise GtauError(f"{experiment} keeps no run for validation; list one under 'validation'.")
         read, unread = read_validation(described, progress)
         if not read:
             raise GtauError(f"{unread[0]}.")

@@ -94,7 +94,9 @@ def svg_of(panel: Panel, alone: bool, title: str = "") -> str:
     """Draw a panel without its title as SVG, wider where it stands ``alone``; screen readers read ``title`` first."""
     width = WIDE if alone else NARROW
     columns, rows = panel.x.names.values(), panel.y.names.values()
-    left = 10 + LETTER * (size_of_names(panel.y) * max(map(len, rows)) if rows else 55)
+    words = rows or _scales(panel, (0.0, 1.0), (1.0, 0.0))[1].ticks().values()
+    letters = (size_of_names(panel.y) if rows else SIZE) * max(map(len, words), default=0)
+    left = 10 + LETTER * (letters if rows else max(letters, 55))
     left, right, top = min(left, 0.6 * width), width - 10, 22.0 if panel.y.label else 8.0
     upright = sum(len(name) + 1 for name in columns) > LEVEL
     below = LETTER * size_of_names(panel.x) * max(map(len, columns)) if upright else 10
