@@ -291,7 +291,7 @@ EXPERIMENTS = [
     ),
     Case(
         "no validation runs",
-        "has no validation runs; list them under 'validation'",
+        "keeps no run for validation; list one under 'validation'",
         experiment((EXPERIMENT[EXPERIMENT.index("validation") :], "")),
         ("validate", "model.json", "experiment.yaml"),
     ),
