@@ -177,18 +177,20 @@ def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
 
 
 def _impossible(rows: EffectRows, mixed: MixedFit) -> list[int]:
-    """List the effects with a shared column whose size is impossible by several standard deviations."""
-    sizes, stds = mixed.at.common, np.sqrt(np.diag(mixed.at.covariance))
-    first = mixed.model.unknowns + len(rows.in_runs[0])
-    return [
-        number
-        for number, layout in enumerate(rows.layouts)
-        if layout.effect.shared and not layout.effect.in_runs and mixed.log_s[number] > BOUNDS[0]
-        for column, k in zip(
-            layout.columns, range(first + layout.places.start, first + layout.places.stop), strict=True
-        )
-        if sizes[k] * mixed.sizes[number] * column.plausible < column.least - IMPOSSIBLE * stds[k] * mixed.sizes[number]
-    ]
+    """List the effects with a column whose size is impossible by several standard deviations."""
+    first, variances, impossible = mixed.model.unknowns + len(rows.in_runs[0]), np.diag(mixed.at.covariance), []
+    for number, layout in enumerate(rows.layouts):
+        if layout.effect.in_runs or mixed.log_s[number] <= BOUNDS[0]:
+            continue
+        places = layout.places
+        sizes, variance = mixed.at.own_effects[:, places], mixed.at.variance[:, places]
+        if layout.effect.shared:
+            places = slice(first + places.start, first + places.stop)
+            sizes, variance = mixed.at.common[places], variances[places]
+        scale = mixed.sizes[number] * np.array([column.plausible for column in layout.columns])
+        if np.any(scale * (sizes + IMPOSSIBLE * np.sqrt(variance)) < [column.least for column in layout.columns]):
+            impossible.append(number)
+    return impossible
 
 
 def estimated_effects(result: Mixed) -> tuple[EstimatedEffect, ...]:

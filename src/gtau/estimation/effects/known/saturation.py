@@ -31,4 +31,4 @@ def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
 
 
 UNIT = f"of itself up to {LARGE:g} times the rms current"
-EFFECT = Effect("saturation", _torques, lambda fit: [EffectColumn(PLAUSIBLE, UNIT)], _say)
+EFFECT = Effect("saturation", _torques, lambda fit: [EffectColumn(PLAUSIBLE, UNIT, least=0.0)], _say)
