@@ -21,8 +21,9 @@ LAG = 0.008
 
 def _torques(at: FitWindow) -> Torques:
     rate, filtered = at.window.run.rate, at.unmoved.copy()
-    past = np.exp(-1 / (LAG * rate))
-    recur(np.array([[1 - past, 0.0, 0.0, -past, 0.0]]), filtered)
+    lags = np.maximum(LAG, -at.fit.solution.delays[: len(filtered)])  # a filter delays by its lag
+    for row, past in zip(filtered, np.exp(-1 / (lags * rate)).tolist(), strict=True):
+        recur(np.array([[1 - past, 0.0, 0.0, -past, 0.0]]), row[None])
     _, change = differentiate(filtered.T, rate)
     return at.decimated(change.T[None])
 
