@@ -71,6 +71,18 @@ def test_a_torque_constant_that_falls_has_its_size_and_its_gain_is_right(runs: l
     assert abs(gain / GAINS[0] - 1) < 0.4 * abs(plain / GAINS[0] - 1)
 
 
+def test_a_torque_constant_that_rises_is_no_effect(runs: list[Run]) -> None:
+    assert "saturation" not in {effect.effect for effect in estimated_effects(mixed(falling(runs, -0.02)))}
+
+
+def test_a_filter_has_the_shape_of_its_delay(runs: list[Run]) -> None:
+    past = np.exp(-1 / (0.02 * runs[0].rate))
+    filtered = currents(runs, lambda run: lfilter([1 - past], [1, -past], run.command, axis=0))
+    result = mixed(filtered)
+    gains = result.values[result.rows.fit.system.problem.gain_rows]
+    np.testing.assert_allclose(gains, GAINS, rtol=0.004)
+
+
 def test_delays_that_effects_hardly_move_keep_their_value_and_deviation(runs: list[Run]) -> None:
     result = mixed(runs)
     delays, plain = result.fit.system.problem.unknowns.delays, result.fit.solution

@@ -28,7 +28,9 @@ STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
 
 # Standard deviations beyond a possible size, from which an effect stands for something else and is left out: elastic
 # joints at 7 (a five-bar at 250 Hz, whose drives hold the current from sample to sample: gains 0.9 % off with them, and
-# 0.2 without) and 4 (dVRK); at most 3.0 in other shared logs, and none in simulated elastic joints.
+# 0.2 without) and 4 (dVRK); at most 3.0 in other shared logs, and none in simulated elastic joints. Torque constants
+# that rise with the current at 12 to 28 (a delta with backlash, or gears that lose a share of all torque: gains 5.0 and
+# 2.1 % off with them, 2.0 and 0.7 without); at most 1.2 in eight measured experiments.
 IMPOSSIBLE = 3.5
 # Standard deviations of the jackknife by which effects move a delay, as derivatives of currents hold their noise: 1.6
 # (lost in noise of 5 % at 20 Hz), 2 (Orthoglide, whose delays were right before), 9 (presliding over 1.5 mrad).

@@ -1,7 +1,7 @@
 """A low-pass filter of the current: beside its delay, the second derivative of the torque behind such a filter.
 
 The torque is the model's: the measured current is correlated with its own noise. Beside the delay ``T``, a filter
-``1 / (1 + s T)`` adds about ``(s T)^2 / 2 / (1 + s T)``: the shape is taken at one ``T``, and its size is estimated.
+``1 / (1 + s T)`` adds about ``(s T)^2 / 2 / (1 + s T)``: the shape is taken at the delay, and its size is estimated.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from gtau.model.kernel import recur
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1e-4  # s2: a filter of 14 ms (experience)
-# s: lags of 2, 5, 10 and 15 ms leave gains of a five-bar and a 3-RRR 0.03, 0.05, 0.14 and 0.5 % off; 5 ms here 0.03,
-# 0.02, 0.3 and 1.0, and without the filter 0.02, 0.3, 1.7 and 2.5.
+# s, at least: lags of 5, 10, 15 and 20 ms leave gains of two five-bars 0.16, 0.06, 1.0 and 2.7 % off at most, of two
+# 3-RRR 0.09, 1.0, 5.2 and 5.0; with the shape of 8 ms for all 0.16, 0.03, 26 and 63, and 0.09, 1.5, 2.8 and 7.2.
 LAG = 0.008
 
 
