@@ -22,8 +22,10 @@ from gtau.cli.console import (
     seconds,
 )
 from gtau.cli.interruption import stop_request
+from gtau.cli.logs import said_if_refused
 from gtau.documents.files import folder_of
 from gtau.errors import GtauError
+from gtau.findings import Finding
 
 RobotFile = Annotated[
     str | None,
@@ -82,7 +84,8 @@ def robot(
         from gtau.report.render.charts import robot_figure, save_figure
 
         save_figure(robot_figure(described), figure)
-    with progress_bar() as progress:
+    saved = () if save is None else (Finding("file", text=f"{save} is written"),)
+    with said_if_refused(saved), progress_bar() as progress:
         model = InverseDynamics(described)
         parameters = base_parameters(model, progress=progress)
     document = partial(robot_document, model, parameters)
