@@ -88,6 +88,13 @@ def test_sums_that_no_body_has_become_a_body_near_them() -> None:
     assert abs(values[0] - chi[0]) < 0.02
 
 
+def test_sums_far_from_those_of_any_body_are_doubted() -> None:
+    chi = chi_of()
+    assert not body(exact(np.eye(10), chi), FRAME).doubt
+    chi[INERTIAL.index("xx") : INERTIAL.index("zz")] = 0.0  # moments about its origin without inertia
+    assert "no rigid body has what was weighed" in body(exact(np.eye(10), chi), FRAME).doubt
+
+
 def test_what_the_motion_does_not_show_is_not_a_value() -> None:
     """A joint turning about z feels zz, mx and my; with gravity's m beside it, nothing of cz and the other inertias."""
     sums = np.eye(10)[[INERTIAL.index(kind) for kind in ("zz", "mx", "my", "m")]]

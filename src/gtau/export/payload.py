@@ -68,6 +68,8 @@ def export_payload(payload: PayloadBody, kind: str, out: str | Path) -> Exported
     if unseen := ", ".join(payload.unseen):
         head += f"; {unseen} not measured"
         notes.append(f"the motion does not show {unseen} of '{payload.name}', taken from a compact body instead")
+    if payload.doubt:
+        notes.append(payload.doubt)
     texts = writer(identifier(payload.name), _rounded(payload, payload.rigid), " ".join(head.split()))
     return Exported(written(Path(out), texts), tuple(notes))
 

@@ -149,7 +149,8 @@ def bodies_section(bodies: Sequence[PayloadBody]) -> Section | None:
         )
         lost = f"The motion does not show {', '.join(body.unseen)}." if body.unseen else ""
         what = Text(f"In {body.frame}; inertia about the centre of mass, +- half a 95 % interval. {lost}".strip())
-        parts.append(Section(f"Payload '{body.name}' of run {body.run}", what, shown if shown.rows else None))
+        doubt = Text(f"{body.doubt[0].upper()}{body.doubt[1:]}.", style="bad") if body.doubt else None
+        parts.append(Section(f"Payload '{body.name}' of run {body.run}", what, doubt, shown if shown.rows else None))
     return Section("For a controller", *parts, id="controller") if parts else None
 
 
