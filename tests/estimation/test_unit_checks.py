@@ -13,10 +13,13 @@ from five_bar_logs import GAINS, STEEL, Plant, five_bar
 from gravity_logs import logged, scara
 
 from gtau.estimation.diagnostics.effort import SWAPPED_CHANNELS
+from gtau.estimation.diagnostics.inertia_audit import AuditedParameter, InertiaAudit
+from gtau.estimation.diagnostics.units import _unlike_file
 from gtau.estimation.regression.rows import stop
 from gtau.estimation.results.conclusions import headline, torque_scales
 from gtau.findings import Grade
 from gtau.result import Result, identify
+from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Limits
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
@@ -178,6 +181,15 @@ def test_effects_that_explain_part_of_reversed_torques_leave_them_contradicted(t
     friction = 0.3 * np.std(run.command, axis=0) * np.stack(states, axis=1)
     reversed_run = replace(run, command=-(run.command + friction))
     assert kinds(identify(arm, [reversed_run])) == dict.fromkeys(arm.actuated, "reversed channels")
+
+
+@pytest.mark.parametrize(("other", "out_of_scale"), [("r4", False), ("s2", True)])
+def test_one_link_that_carries_what_the_file_does_not_know_is_no_scale(other: str, out_of_scale: bool) -> None:
+    moments = [
+        AuditedParameter(Parameter(kind, link), link, "kg m", "contradicted", 0.001, 0.05, 0.001)
+        for kind, link in (("mx", "r4"), ("my", other))
+    ]
+    assert bool(list(_unlike_file(InertiaAudit({}, {}, tuple(moments), ())))) == out_of_scale
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1.0])

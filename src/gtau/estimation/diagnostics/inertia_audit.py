@@ -25,6 +25,7 @@ from gtau.robots.robot import INERTIAL
 
 INERTIA_CHANCE = 0.05  # chance that a correct file has any base parameter contradicted, all tests together
 INERTIA_EXPLAINED = 0.95  # share of the torque variance added by the file: links that explain it suffice
+ROUNDING = 1e-9  # of a column of unit norm: less is rounding
 
 ROTORS, PRIOR_INERTIA = "the rotor inertias", "contradictory inertias of the robot's file"
 Standing = Literal["agrees", "contradicted", "not identifiable", "not stated"]
@@ -195,7 +196,7 @@ def _kept(fit: Fit, file: np.ndarray, prior: float) -> dict[Parameter, tuple[flo
     places = fit.system.unreduced.unknowns.at(kept)
     scale = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     T = np.linalg.lstsq(rows[:, places] / scale[places], rows / scale, rcond=None)[0]
-    T = T * scale / scale[places][:, None]
+    T = np.where(np.abs(T) > ROUNDING, T, 0.0) * scale / scale[places][:, None]
     stds = inertia_priors(fit.dataset.robot, prior) if prior else {}
     sigma = np.array([stds[name].std if name in stds else 0.0 for name in fit.dataset.model.parameter_names])
     prior_stds = np.linalg.norm(T[:, : base.count] @ base.matrix * sigma, axis=1)

@@ -264,7 +264,7 @@ def reversed_by_file(fit: Fit, audit: InertiaAudit, estimates: Estimates) -> Ite
     """
     stds = np.sqrt(np.diag(estimates.covariance))
     without = {} if audit.prior else {str(name): stds[place] for name, place in estimates.unknowns.places.items()}
-    identified, stated = _first_moments(audit, without)
+    (identified, stated), _ = _first_moments(audit, without)
     if fit.free_gains or len(stated) < 2 or identified @ stated > -(stated @ stated) / FILE_FACTOR:
         return
     names, kind = motors(fit), fit.kind
@@ -272,26 +272,29 @@ def reversed_by_file(fit: Fit, audit: InertiaAudit, estimates: Estimates) -> Ite
     yield contradiction(REVERSED_CHANNELS, names, text, f"check the signs of the {kind} and position columns")
 
 
-def _first_moments(audit: InertiaAudit, stds: Mapping[str, float]) -> np.ndarray:
-    """List the first moments that differ from zero by ``stds`` or the audit's, from the data and by the file (2, m)."""
+def _first_moments(audit: InertiaAudit, stds: Mapping[str, float]) -> tuple[np.ndarray, set[str]]:
+    """List first moments that differ from zero by ``stds`` or the audit's, of data and file (2, m), and their links."""
     moments = [
-        (audited.value, audited.stated)
+        (audited.value, audited.stated, audited.link)
         for audited in audit.parameters
         if parameter_of(audited.name).kind in FIRST_MOMENTS and audited.value and audited.std and audited.stated
         if abs(audited.value) > NEGATIVE_STD * stds.get(audited.name, audited.std)
     ]
-    return np.reshape(moments, (-1, 2)).T
+    return np.reshape([both for *both, _ in moments], (-1, 2)).T, {link for *_, link in moments}
 
 
 def _unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
-    """Find first moments that are out of scale with the robot's file, by one factor for all."""
-    identified, stated = np.abs(_first_moments(audit, {}))
-    if len(stated) < 2:
+    """Find first moments that are out of scale with the robot's file, by one factor for all.
+
+    One link alone may carry what the file does not know, such as a gripper.
+    """
+    moments, links = _first_moments(audit, {})
+    if len(links) < 2:
         return
+    identified, stated = np.abs(moments)
     factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))
     apart, ratios = max(factor, 1 / factor), np.log(identified / stated / factor)
-    common = np.mean(np.abs(ratios) < np.log(FILE_ALIKE)) >= FILE_SHARE  # no link alone that is far too heavy
-    if apart > OTHER_UNIT or (apart > FILE_FACTOR and common):
+    if apart > FILE_FACTOR and np.mean(np.abs(ratios) < np.log(FILE_ALIKE)) >= FILE_SHARE:
         text = (
             f"the first moments of the links are {factor:.3g} times the first moments in the robot's file (rms of "
             f"{len(stated)})"

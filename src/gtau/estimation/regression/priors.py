@@ -18,7 +18,7 @@ from gtau.robots.robot import INERTIAL, PLAIN_FRICTION, Robot
 from gtau.signals.reading.statements import Payload, Prior
 
 RANK = 1e-9  # of the largest singular value: below it a combination is free of unknown parameters
-ROUNDING = 1e-12  # of the size of a body's parameter: less is rounding of the file's frames
+ROUNDING = 1e-12  # of the size of what is summed, such as a body's parameter: less is rounding
 LEAST = 1e-9  # of the largest eigenvalue of the correlations: smaller ones are rounding
 OWN_BODY = 0.1  # share of the torque of measured wrenches that no parameter explains: below, a tool may cause it
 ANSWERED = 0.1  # share of the squares of the rest to which the currents answer: below, the rest is noise
@@ -53,6 +53,9 @@ def stated_inertias(robot: Robot) -> dict[str, float]:
     inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
     rotors = {Parameter("ia", joint.name) for joint in robot.joints if joint.parameters in ("all", "drive")}
     inertias = {name: stated.get(name, 0.0) for name in inertial}
+    for body in _heavy(robot):
+        sizes = {Parameter(kind, body): size for kind, size in (sizes_of(inertias, body) or {}).items()}
+        inertias |= {name: 0.0 for name, size in sizes.items() if abs(inertias[name]) < ROUNDING * size}
     return inertias | {name: value for name, value in stated.items() if name in rotors}
 
 
@@ -91,8 +94,7 @@ def inertia_priors(robot: Robot, std: float) -> dict[str, Prior]:
     for body in _heavy(robot):
         sizes |= {Parameter(kind, body): size for kind, size in (sizes_of(stated, body) or {}).items()}
     sizes |= {name: value for name, value in stated.items() if parameter_of(name).kind == "ia" and value > 0}
-    exact = {name: 0.0 if abs(stated[name]) < ROUNDING * size else stated[name] for name, size in sizes.items()}
-    return {name: Prior(value=exact[name], std=std * size) for name, size in sizes.items()}
+    return {name: Prior(value=stated[name], std=std * size) for name, size in sizes.items()}
 
 
 def file_sums(model: InverseDynamics, base: BaseParameters) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
