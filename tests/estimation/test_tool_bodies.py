@@ -118,3 +118,21 @@ def test_loads_beside_gains(carried: tuple[bool, ...], declared: tuple[bool, ...
     if found is not None:  # the gains without it are the true ones
         moved = fit.gains * (1 + np.array(list(found.moves.values())) / 100)
         np.testing.assert_allclose(moved, GAINS, rtol=0.01)
+
+
+def test_without_an_empty_run_payloads_are_differences_and_said_to_be() -> None:
+    made, light = Plant(noise=0.01), {kind: value / 3 for kind, value in STEEL.items()}
+    runs = [
+        replace(made.run(name, 8.0, load, seed=seed), payload=Payload(name=name, mass=load["m"]))
+        for seed, (name, load) in enumerate([("light", light), ("steel", STEEL)], start=1)
+    ]
+    result = identify(load_robot("five-bar"), runs)
+    assert {gain.verdict.outcome for gain in result.drive_gains.values()} == {Grade.GOOD}
+    light_mx, steel_mx = (payload.parameters["mx"] for payload in result.payloads)
+    assert steel_mx.value is None
+    assert light_mx.value == pytest.approx(light["mx"] - STEEL["mx"], rel=0.02)
+    assert light_mx.regroups == "mx - mx of run steel"
+    assert "add a run without payload" in str(light_mx.verdict)
+    holding = {name for name, value in result.parameters.items() if "(with the load of run steel)" in value.regroups}
+    assert {"mx_leftR", "zz_leftR", "zz_left_forearmR"} <= holding
+    assert not {"my_left", "fs_left"} & holding

@@ -156,7 +156,8 @@ def estimate(
     bare: Fit | None = plain
     audit = None
     if dataset.robot.inertias:
-        loaded = TOOL_BODIES in {effect.effect for effect in examined.effects}
+        undeclared = TOOL_BODIES in {effect.effect for effect in examined.effects}
+        loaded = undeclared or bool(fit.system.always_carried)
         bare, audit = audit_inertias(plain, estimates, loaded)
     references = (*sensor_contradictions(scales, plain, accuracy), *contradictory_voltages(plain, accuracy))
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy, references)

@@ -235,6 +235,13 @@ class System:
         return tuple(name for name in self.unreduced.parameters if name not in self.problem.parameters)
 
     @property
+    def always_carried(self) -> dict[str, str]:
+        """Parameters of a payload that the robot's hold too, as no run is without payload: kind to run."""
+        loads = {name: self.dataset.runs[load.run].name for load in self.payloads for name in load.unknown}
+        always = all(run.payload is not None for run in self.dataset.runs)
+        return {name.kind: loads[name] for name in self.unexcited if always and name in loads}
+
+    @property
     def stated(self) -> tuple[str, ...]:
         """Names of the parameters with a prior value."""
         return tuple(name for name, prior in self.dataset.priors.items() if prior.value is not None)

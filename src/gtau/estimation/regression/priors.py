@@ -52,7 +52,7 @@ def stated_inertias(robot: Robot) -> dict[str, float]:
         return {}
     inertial = [Parameter(kind, body) for body in _heavy(robot) for kind in INERTIAL]
     rotors = {Parameter("ia", joint.name) for joint in robot.joints if joint.parameters in ("all", "drive")}
-    inertias = {name: stated.get(name, 0.0) for name in inertial}
+    inertias: dict[str, float] = {name: stated.get(name, 0.0) for name in inertial}
     for body in _heavy(robot):
         sizes = {Parameter(kind, body): size for kind, size in (sizes_of(inertias, body) or {}).items()}
         inertias |= {name: 0.0 for name, size in sizes.items() if abs(inertias[name]) < ROUNDING * size}

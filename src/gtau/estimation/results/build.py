@@ -180,6 +180,9 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
             differences[Parameter(name.kind, name.body)].append(value)
     # they add up to zero over all runs, and the last is not listed
     between_runs = {name: float(np.std([*values, -sum(values)], ddof=1)) for name, values in differences.items()}
+    always = fit.system.always_carried
+    of_tool = {Parameter(kind, robot.tool) for kind in always}
+    load = f" (with the load of run {next(iter(always.values()))})" if always else ""
     for name, terms in regrouped(base, fit.dataset.model.parameter_names).items():
         unit = unit_of(name.kind, robot, name.body)
         made = Estimate(name, None, None, unit)
@@ -187,7 +190,7 @@ def _parameters(fit: Fit, vector: Estimates, essential: Problem) -> dict[Paramet
             made = _estimate(vector, name, unit)
         parameters[name] = replace(
             made,
-            regrouping=base.regroupings[name],
+            regrouping=base.regroupings[name] + load * bool(of_tool & terms.keys()),
             between_run_std=between_runs.get(name),
             verdict=judge_parameter(made.value, made.std, terms, brakes(fit, vector, name)),
             essential=name in essential.parameters,
@@ -235,9 +238,18 @@ def sensor_estimates(
     return tuple(sensors)
 
 
+NO_EMPTY_RUN = Finding(
+    "difference of payloads",
+    text="as no run is without payload, it is a difference between payloads",
+    advice="add a run without payload",
+    grade=Grade.NOT_IDENTIFIABLE,
+)
+
+
 def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Finding]) -> tuple[PayloadEstimate, ...]:
     """Collect the payload of every loaded run, with verdicts on known ``masses`` by name of the payload."""
     robot, runs, payloads = system.dataset.robot, system.dataset.runs, []
+    always = system.always_carried
     for carried in system.payloads:
         payload, known = carried.payload, known_values(carried.payload)
         sums = {}
@@ -247,8 +259,9 @@ def payload_estimates(system: System, vector: Estimates, masses: Mapping[str, Fi
         for name in carried.unknown:
             if (kind := name.kind) not in sums:
                 unit, (number, std, freedom) = unit_of(kind, robot, robot.tool), _numbers(vector, name)
-                verdict = parameter_verdict(number, std)
-                regrouping = carried.regrouping(name)
+                verdict, regrouping = parameter_verdict(number, std), carried.regrouping(name)
+                if kind in always and number is not None:
+                    verdict, regrouping = NO_EMPTY_RUN, f"{regrouping} - {kind} of run {always[kind]}"
                 sums[kind] = Estimate(kind, number, std, unit, regrouping, verdict=verdict, freedom=freedom)
         estimates = {kind: sums[kind] for kind in PAYLOAD_KINDS if kind in sums}
         if (mass := estimates.get("m")) and payload.center is not None:

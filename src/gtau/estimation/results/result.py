@@ -205,8 +205,11 @@ class IdentifiedModel:
 
     @property
     def believable(self) -> bool:
-        """Whether some drive gain is good, weak or given, and nothing contradictory: no estimate, payload or sensor."""
-        groups = (self.delays.values(), self.parameters.values(), self.friction.values(), self.payloads, self.sensors)
+        """Whether some drive gain is good, weak or given, and none, nor a delay, payload or sensor, contradictory.
+
+        An impossible parameter contradicts gains where it has an effect on them.
+        """
+        groups = (self.delays.values(), self.payloads, self.sensors)
         verdicts = [judged.verdict for group in groups for judged in group]
         gains = {gain.verdict.outcome for gain in self.drive_gains.values()}
         outcomes = gains | {verdict.outcome for verdict in verdicts}
