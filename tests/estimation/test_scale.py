@@ -24,7 +24,7 @@ from gtau.estimation.estimators.essential import select_friction
 from gtau.estimation.estimators.estimator import Fit, Solution
 from gtau.estimation.estimators.maximum_likelihood import HIDDEN_KNOWN, ML, ml, own_share
 from gtau.estimation.estimators.newton import solve
-from gtau.estimation.preconditions import refuse_repeated
+from gtau.estimation.preconditions import refuse_other_unit, refuse_repeated
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem
 from gtau.findings import Grade
@@ -497,6 +497,13 @@ def test_parts_of_a_log_that_overlap_are_refused() -> None:
     refuse_repeated([part_of_log(0.0, 5.1), part_of_log(5.0, 9.0)])  # as their clocks have it, cut at a dropout
     with pytest.raises(GtauError, match="hold the same samples"):
         refuse_repeated([part_of_log(0.0, 5.0), part_of_log(4.0, 9.0)])
+
+
+def test_a_run_in_another_unit_is_refused() -> None:
+    one, other = part_of_log(0.0, 5.0), part_of_log(5.0, 9.0)
+    refuse_other_unit([one, replace(other, command=50 * other.command)])
+    with pytest.raises(GtauError, match="the currents of run 'from 5' are 9[0-9]* times as large as in run 'from 0'"):
+        refuse_other_unit([one, replace(other, command=1000 * other.command)])
 
 
 def part_of_log(start: float, end: float) -> Run:

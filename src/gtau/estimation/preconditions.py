@@ -24,6 +24,8 @@ from gtau.signals.reading.statements import Prior
 from gtau.signals.run import Run
 
 ALIKE = 1000  # samples that are compared before all are
+LEVEL = 10_000  # samples that show the size of a signal
+UNITS_APART = 100.0  # rms command of a run over that of another, from which one is in mA; up to 1.4 in shared logs
 OVERLAP = 0.25  # s; regular clocks of two parts that a dropout cuts may be as late as time stamps
 
 
@@ -38,6 +40,7 @@ def require_inputs(subject: Subject) -> Estimator:
     options = subject.options
     estimator = estimator_for(subject.options, subject.runs)
     refuse_repeated(subject.runs)
+    refuse_other_unit(subject.runs)
     if options.as_paper and not estimator.in_paper:
         methods = ", ".join(other.name for other in estimators().values() if other.in_paper)
         raise GtauError(
@@ -73,6 +76,19 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
                 f"runs '{one.name}' and '{other.name}' hold the same samples, so {declared}; remove one of them, or "
                 "give the log that was meant."
             )
+
+
+def refuse_other_unit(runs: Sequence[Run]) -> None:
+    """Refuse runs whose currents, or torques, are far larger than in another run; raises GtauError."""
+    commands = (run.command[:: len(run.time) // LEVEL + 1, : len(run.joints)] for run in runs)
+    levels = [float(np.median(np.sqrt(np.mean(part**2, axis=0)))) for part in commands]
+    low, high = int(np.argmin(levels)), int(np.argmax(levels))
+    if levels[high] > UNITS_APART * levels[low] > 0:
+        large, small = (repr(runs[k].name) for k in (high, low))
+        raise GtauError(
+            f"the {runs[0].kind}s of run {large} are {levels[high] / levels[low]:.0f} times as large as in run {small} "
+            "(rms), which looks like another unit; convert the columns of one log."
+        )
 
 
 Attempt = tuple[Estimator, np.ndarray | None]
