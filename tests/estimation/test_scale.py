@@ -502,7 +502,7 @@ def test_parts_of_a_log_that_overlap_are_refused() -> None:
 def test_a_run_in_another_unit_is_refused() -> None:
     one, other = part_of_log(0.0, 5.0), part_of_log(5.0, 9.0)
     refuse_other_unit([one, replace(other, command=50 * other.command)])
-    with pytest.raises(GtauError, match="the currents of run 'from 5' are 9[0-9]* times as large as in run 'from 0'"):
+    with pytest.raises(GtauError, match=r"the currents of run 'from 5' are 9[0-9]* times as large as in run 'from 0'"):
         refuse_other_unit([one, replace(other, command=1000 * other.command)])
 
 
