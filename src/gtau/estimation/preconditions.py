@@ -79,15 +79,16 @@ def refuse_repeated(runs: Sequence[Run]) -> None:
 
 
 def refuse_other_unit(runs: Sequence[Run]) -> None:
-    """Refuse runs whose currents, or torques, are far larger than in another run; raises GtauError."""
+    """Refuse runs whose currents, or torques, are far larger at all joints than in another run; raises GtauError."""
     commands = (run.command[:: len(run.time) // LEVEL + 1, : len(run.joints)] for run in runs)
-    levels = [float(np.median(np.sqrt(np.mean(part**2, axis=0)))) for part in commands]
-    low, high = int(np.argmin(levels)), int(np.argmax(levels))
-    if levels[high] > UNITS_APART * levels[low] > 0:
+    sizes = np.array([np.sqrt(np.mean(part**2, axis=0)) for part in commands])
+    apart = np.min(sizes[:, None] / np.where(sizes > 0, sizes, np.inf), axis=2)
+    high, low = map(int, np.unravel_index(np.argmax(apart), apart.shape))
+    if apart[high, low] > UNITS_APART:
         large, small = (repr(runs[k].name) for k in (high, low))
         raise GtauError(
-            f"the {runs[0].kind}s of run {large} are {levels[high] / levels[low]:.0f} times as large as in run {small} "
-            "(rms), which looks like another unit; convert the columns of one log."
+            f"the {runs[0].kind}s of run {large} are {apart[high, low]:.0f} times as large as in run {small} (rms), "
+            "which looks like another unit; convert the columns of one log."
         )
 
 

@@ -10,7 +10,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -73,38 +74,51 @@ def other_columns(fit: Fit, progress: Progress) -> EstimatedEffect | None:
     if (unaltered := at_middle(fit)) is None:
         return None
     trial = replace(unaltered, solve=partial(likeliest, steps=FEW_STEPS)) if fit.free_gains else unaltered
-    remains, explained, readings = LEFT, None, list(_readings(fit))
-    for number, (joints, order, signs, shift, text, advice) in enumerate(readings):
-        progress("other signs, zeros and orders of columns", number, len(readings))
-        along = [_read_otherwise(at, order, signs, shift) for at in middle_windows(fit)]
-        try:
-            other = refitted(trial, dataset=fit.dataset.reduced(along=along))
-        except GtauError:  # its loops do not close
-            continue
-        if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
-            cause = Finding(COLUMNS, joints, text=text, advice=advice)
-            remains, explained = ratio, described_otherwise(COLUMNS, cause, other, unaltered)
-    progress("other signs, zeros and orders of columns", len(readings), len(readings))
-    return explained
+
+    def read(*reading: np.ndarray) -> Fit | None:
+        along = [_read_otherwise(at, *reading) for at in middle_windows(fit)]
+        return refitted(trial, dataset=fit.dataset.reduced(along=along))
+
+    tried = [(cause, partial(read, *reading)) for cause, *reading in _readings(fit)]
+    return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress)
 
 
-def _readings(fit: Fit) -> Iterator[tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray, str, str]]:
-    """List joints, the order, signs and shifts (n,) of all joints' columns that they may need, words and advice."""
+def _likeliest(
+    unaltered: Fit, tried: Sequence[tuple[Finding, Callable[[], Fit | None]]], stage: str, progress: Progress
+) -> EstimatedEffect | None:
+    """Fit with other descriptions, and return the one that leaves least of the residuals; None where all leave much."""
+    remains, best = LEFT, None
+    for number, (cause, described) in enumerate(tried):
+        progress(stage, number, len(tried))
+        with suppress(GtauError):  # its loops do not close
+            other = described()
+            if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
+                remains, best = ratio, (cause, other)
+    progress(stage, len(tried), len(tried))
+    return None if best is None else described_otherwise(COLUMNS, *best, unaltered)
+
+
+def _readings(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray, np.ndarray]]:
+    """List what columns may be otherwise, with the order, signs and shifts (n,) of all joints' columns then."""
     as_logged, kind = np.arange(len(fit.dataset.model.actuated)), fit.dataset.runs[0].kind
+    unturned, unmoved = np.ones(len(as_logged)), np.zeros(len(as_logged))
     for joint, place in encoders(fit).items():
         chosen = (as_logged == place).astype(float)
         text = f"position and {kind} of '{joint}' with the other sign"
         advice = "check the sign of both columns, and the joint's axis in the robot file"
-        yield (joint,), as_logged, 1 - 2 * chosen, 0 * chosen, text, advice
+        yield Finding(COLUMNS, (joint,), text=text, advice=advice), as_logged, 1 - 2 * chosen, unmoved
         for degrees in (90, -90, 180) if fit.dataset.robot.joint(joint).turns else ():
-            text = f"an error of {degrees} deg in the zero of encoder '{joint}'"
-            shift = np.radians(degrees) * chosen
-            yield (joint,), as_logged, np.ones(len(shift)), shift, text, "add it to the positions, or correct the zero"
+            text, advice = (
+                f"an error of {degrees} deg in the zero of encoder '{joint}'",
+                "add it to the positions, or correct the zero",
+            )
+            cause = Finding(COLUMNS, (joint,), text=text, advice=advice)
+            yield cause, as_logged, unturned, np.radians(degrees) * chosen
     for (one, first), (other, second) in combinations(encoders(fit).items(), 2):
         joints, order = (one, other), as_logged.copy()
         order[[first, second]] = second, first
-        text = f"exchanged positions and {kind}s of {listed(joints)}"
-        yield joints, order, np.ones(len(order)), np.zeros(len(order)), text, "check the order of the joints' columns"
+        text, advice = f"exchanged positions and {kind}s of {listed(joints)}", "check the order of the joints' columns"
+        yield Finding(COLUMNS, joints, text=text, advice=advice), order, unturned, unmoved
 
 
 def _read_otherwise(at: SampleWindow, order: np.ndarray, signs: np.ndarray, shift: np.ndarray) -> SampleWindow:
@@ -119,29 +133,21 @@ def _read_otherwise(at: SampleWindow, order: np.ndarray, signs: np.ndarray, shif
 
 def angle_from_another_link(fit: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find a joint whose angle is measured, and whose motor stands, as in a parallelogram."""
-    unaltered, remains, explained = fit.unrefined, LEFT, None
-    described = list(_with_parallelogram(fit.dataset.robot))
-    gains = None if fit.free_gains else fit.gains
-    for number, (joint, before, robot) in enumerate(described):
-        progress("angles from other links", number, len(described))
-        try:
-            dataset = reduce_runs(robot, fit.dataset.runs, fit.dataset.preparation)
-            system = dataset.system(per_run=len(dataset.runs) > 1)
-            other = fit_by(ml_or_wls(gains), system, fit.free_gains)
-        except GtauError:
-            continue
-        if (ratio := residual_ratio(other, unaltered)) >= remains:
-            continue
+    gains, tried = None if fit.free_gains else fit.gains, []
+
+    def described(robot: Robot) -> Fit:
+        dataset = reduce_runs(robot, fit.dataset.runs, fit.dataset.preparation)
+        return fit_by(ml_or_wls(gains), dataset.system(per_run=len(dataset.runs) > 1), fit.free_gains)
+
+    for joint, before, robot in _with_parallelogram(fit.dataset.robot):
         beside = fit.dataset.robot.joint(before).antecedent
         text = f"an angle of '{joint}' that is measured from '{beside}', as with a parallelogram,"
         advice = (
             "log the angle between the links, or describe the parallelogram in the robot file, as the catalog's "
             f"'palletiser' does: the motor '{joint}' turns beside '{before}', and a rod moves the link"
         )
-        cause = Finding(COLUMNS, (joint,), text=text, advice=advice)
-        remains, explained = ratio, described_otherwise(COLUMNS, cause, other, unaltered)
-    progress("angles from other links", len(described), len(described))
-    return explained
+        tried.append((Finding(COLUMNS, (joint,), text=text, advice=advice), partial(described, robot)))
+    return _likeliest(fit.unrefined, tried, "angles from other links", progress)
 
 
 def _with_parallelogram(robot: Robot) -> Iterator[tuple[str, str, Robot]]:

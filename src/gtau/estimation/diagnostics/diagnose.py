@@ -97,7 +97,6 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             text=f"the tests of the model were skipped, because the robot moves too little ({rows} rows in the middle "
             f"of the runs for {unknowns} unknowns): the intervals cover random errors alone",
             advice="log longer motions",
-            grade=Grade.WARNING,
             shown_as="model",
         )
         return Examination(findings=(few,))

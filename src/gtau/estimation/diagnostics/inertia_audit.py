@@ -19,7 +19,7 @@ from gtau.estimation.estimators.newton import degrees_of_freedom, squared, stack
 from gtau.estimation.regression.factors import MODEL
 from gtau.estimation.regression.priors import file_sums, inertia_priors, sizes_of, stated_inertias
 from gtau.estimation.regression.problem import Estimates
-from gtau.findings import Finding, Grade
+from gtau.findings import Finding
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.robots.robot import INERTIAL
 
@@ -116,7 +116,6 @@ class InertiaAudit:
                 text=f"the inertias of '{link}' in the robot file, used as priors with a standard deviation of "
                 f"{100 * self.prior:.0f} %, contradict the data: {named}{more}",
                 advice="give 'prior_inertias' a larger value, or correct the file",
-                grade=Grade.WARNING,
                 shown_as="model",
             )
 

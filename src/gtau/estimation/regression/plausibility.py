@@ -9,7 +9,7 @@ import numpy as np
 
 from gtau.errors import GtauError, meant
 from gtau.estimation.regression.run_blocks import PreparedRuns
-from gtau.findings import Finding, Grade, clock_advice, write_limits
+from gtau.findings import Finding, clock_advice, write_limits
 from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.robot import Joint, Robot
@@ -107,7 +107,6 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
                 text=f"joint '{joint.name}' goes from {low:z.4g} to {high:z.4g} {unit}, outside its limits "
                 f"{lower:z.4g} to {upper:z.4g} {unit}",
                 advice=f"check the zero of its position, or {write_limits(joint.name)}",
-                grade=Grade.WARNING,
             )
     if joint.limits.velocity is not None and speed > joint.limits.velocity:
         # in many files a placeholder, so no log is refused
@@ -118,7 +117,6 @@ def _judge(run: str, joint: Joint, low: float, high: float, speed: float) -> Ite
             text=f"joint '{joint.name}' moves at {speed:.4g} {unit}/s (rms), {speed / limit:.3g} times its limit of "
             f"{limit:.4g} {unit}/s",
             advice=f"check columns and units; if the limit is a placeholder, {write_limits(joint.name)}",
-            grade=Grade.WARNING,
             shown_as="joint limits",
         )
 

@@ -335,7 +335,6 @@ def near_singularities(nearest: Iterable[NearestPose]) -> list[Finding]:
             text=f"the motion passes within {pose.distance:.2g} of a type 2 singularity at {moment(pose.time, 4)}, "
             "where errors of position and geometry are amplified",
             advice="keep the motion away from that pose",
-            grade=Grade.WARNING,
             source=pose.run,
             time=pose.time,
         )

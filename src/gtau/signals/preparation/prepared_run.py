@@ -296,7 +296,6 @@ def _notes(
             tuple(noisy),
             text=f"position noise contributes much of the rms speed of {shares}: inertias are underestimated",
             advice="move faster, or use --method iv or didim",
-            grade=Grade.WARNING,
             shown_as="position noise",
         )
     if (bandwidth := preparation.bandwidth) > CLOSE_TO_NYQUIST * run.updates:
@@ -305,7 +304,6 @@ def _notes(
             text=f"the bandwidth of the motion, {bandwidth:.3g} Hz, is close to the Nyquist frequency, "
             f"{run.updates / 2:.4g} Hz: speeds and accelerations are inaccurate",
             advice=f"log at {10 * bandwidth:.0f} Hz or more, or move more slowly",
-            grade=Grade.WARNING,
         )
 
 

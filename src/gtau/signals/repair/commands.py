@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade, counted
+from gtau.findings import Finding, counted
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.samples import Ends, Samples, extremes
@@ -214,7 +214,7 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
             if travels[channel.row]:
                 number, advice = round((high - low) / coarse[j]), "log it with more digits"
                 text = f"{what} is rounded to steps of {coarse[j]:.3g}, and its range holds only {number} of them"
-                notes.append(Finding("coarse command", joints, text=text, advice=advice, grade=Grade.WARNING))
+                notes.append(Finding("coarse command", joints, text=text, advice=advice))
             continue
         for level in (float(high), float(low)):
             at, beside = _counts_at(samples.command, j, level)
@@ -231,7 +231,7 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
             text = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
             advice = "log again with smaller accelerations, or a higher limit of the drive"
             share = at / count
-            notes.append(Finding("clipped command", joints, text=text, advice=advice, share=share, grade=Grade.WARNING))
+            notes.append(Finding("clipped command", joints, text=text, advice=advice, share=share))
             clips.append((j, level))
     return clips
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade, counted, moment
+from gtau.findings import Finding, counted, moment
 from gtau.signals.reading.formats import reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
@@ -221,7 +221,7 @@ def _notes(clock: Clock, holds: Holds, count: int, shortest: float, longest: flo
             rate = f"{clock.rate / held.period:.4g} Hz, every {held.period} samples"
             text = f"the {signal} are held: updated at about {rate}; interpolated between updates"
             advice = f"log the {signal} at the rate at which they change"
-            yield Finding("held signal", text=text, advice=advice, grade=Grade.WARNING)
+            yield Finding("held signal", text=text, advice=advice)
         elif held.stale:
             text = f"{held.stale} samples of the {signal} are stale (repeat the previous one): interpolated"
             advice = "log in the controller's own cycle"
