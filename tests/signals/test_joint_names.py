@@ -87,7 +87,6 @@ def test_names_that_differ_in_their_case(tmp_path: Path) -> None:
     [
         ("base_yaw_pos,shoulder_pos,rail_pos,base_yaw_tau,shoulder_tau,rail_tau", "rail_pos, rail_tau"),
         ("base_yaw_pos,shoulder_pos,base_yaw_tau,shoulder_tau,elbow_tau", "elbow_tau"),
-        ("base_yaw_pos,shoulder_pos,elbow_pos,base_yaw_tau,shoulder_tau", "elbow_pos"),
     ],
 )
 def test_columns_that_move_unused_beside_held_joints_are_asked_about_first(
@@ -98,6 +97,14 @@ def test_columns_that_move_unused_beside_held_joints_are_asked_about_first(
     assert tuple(draft.open) == ("unmatched",)
     assert f"columns {unused} move, too, and are not used" in str(guesses(draft, tmp_path)[0])
     assert "CHECK: joints that the log lacks are held at home" in draft_text(draft, tmp_path).split("signals:")[0]
+
+
+def test_a_joint_that_moves_without_a_command_is_not_held_at_home(tmp_path: Path) -> None:
+    header = "base_yaw_pos,shoulder_pos,elbow_pos,base_yaw_tau,shoulder_tau"
+    with pytest.raises(GtauError, match="'elbow_pos' moves, but no torque column is of 'elbow'; log it as well"):
+        discover([save(tmp_path / "a.csv", header)], ARM, "arm.urdf")
+    resting = discover([save(tmp_path / "b.csv", header, "elbow_pos")], ARM, "arm.urdf")
+    assert resting.robot["joints"] == ["base_yaw", "shoulder"]
 
 
 def test_a_further_axis_is_named_and_one_that_never_moves_is_not(tmp_path: Path) -> None:

@@ -137,6 +137,10 @@ def discover(
     positions, commands = _groups(log, command_log, robot)
     with errors_at(paths[0]):
         positions_of, currents, labels, how, by_name = matched(positions, commands, robot)
+        for joint in robot.actuated if robot else ():
+            column = positions.columns.get(joint)
+            if column and joint not in positions_of and not log.is_still(column):
+                raise NoColumns(f"'{column}' moves, but no {commands.kind} column is of '{joint}'; log it as well.")
     clock, why_time, open_ = _clock(log, command_log, positions)
     kind, doubts = _kind(commands, command_log, currents)
     sensors, still = _sensors(command_log, "sensor", labels)
