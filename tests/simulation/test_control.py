@@ -324,10 +324,6 @@ def drive(**keys: float) -> dict:
         ({"runs": [RUN, RUN]}, "two runs are called 'a'"),
         ({"runs": [{**RUN, "name": "../a"}]}, "'../a' names a log"),
         ({"runs": [{**RUN, "weigh": True}]}, "'weigh' is given without 'payload'"),
-        (
-            {"runs": [{**RUN, "payload": {"name": "bar", "mass": 2.0, "parameters": {"mx": 0.7}}}]},
-            "the payload's yy is 0 kg m2, and 0.245 by mass and centre alone",
-        ),
         ({"runs": [{**RUN, "payload": {"name": "p"}}]}, "the payload 'p' has no mass"),
         ({"runs": [{"name": "a", "trajectory": {}}]}, "give one trajectory"),
         ({"runs": [{"name": "a", "trajectory": {"csv": "no.csv"}}]}, "there is no file"),

@@ -29,7 +29,7 @@ from gtau.robots.readers.native import native_text
 from gtau.robots.robot import DAMPING, INERTIAL, Robot
 from gtau.signals.channel import SideValues
 from gtau.signals.reading.experiment import RobotName
-from gtau.signals.reading.statements import CarriedPayload, Payload, no_body
+from gtau.signals.reading.statements import CarriedPayload, Payload
 from gtau.signals.run import Log, Run
 from gtau.simulation import closed_loop, trajectories
 from gtau.simulation.closed_loop import Logged, Supply
@@ -69,11 +69,6 @@ class SimulatedRun(Keys):
             raise ValueError(f"the payload '{self.payload.name}' has no mass; a simulation needs it")
         if self.weigh and self.payload is None:
             raise ValueError("'weigh' is given without 'payload'; add a payload or remove it")
-        moments = dict.fromkeys(("xx", "yy", "zz"), 0.0)  # unlike in a log, those not stated are zero
-        if self.payload and not moments.keys() & self.payload.parameters.keys():
-            problem = no_body(moments | self.payload.parameters, self.payload.mass)
-            if problem:
-                raise ValueError(f"the payload's {problem}; add its moments of inertia")
         return self
 
 
