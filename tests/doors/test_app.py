@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from functools import partial
-from pathlib import Path
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
@@ -327,8 +326,8 @@ def test_without_the_extra_one_sentence_says_what_to_install(tmp_path):
     assert "gtau[app]" in run.stderr
 
 
-def test_a_missing_folder_is_refused(tmp_path):
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "no").write_text("a file")
     run = subprocess.run([sys.executable, "-m", "gtau", "app", str(tmp_path / "no")], capture_output=True, text=True)
     assert run.returncode == 2
-    assert "is not a folder" in run.stderr
-    assert not Path(tmp_path / "no").exists()
+    assert "cannot be made (File exists)" in run.stderr

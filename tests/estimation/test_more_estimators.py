@@ -190,7 +190,7 @@ def test_the_price_of_the_reduction_is_said(identified: Callable[[str], Result])
     result = identified("ml")
     loss = result.statistics["reduction_loss"]
     assert -1 < loss < 6  # with fewer parameters the same squares may make a smaller standard deviation
-    assert f"raises the torque residual of the worst joint by {loss:.2g} %" in " ".join(result.summary().split())
+    assert f"changes the torque residual of the worst joint by {loss:.2g} %" in " ".join(result.summary().split())
 
 
 # The command

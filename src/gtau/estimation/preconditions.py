@@ -25,7 +25,7 @@ from gtau.signals.run import Run
 
 ALIKE = 1000  # samples that are compared before all are
 LEVEL = 10_000  # samples that show the size of a signal
-UNITS_APART = 100.0  # rms command of a run over that of another, from which one is in mA; up to 1.4 in shared logs
+UNITS_APART = 100.0  # ratio of the rms commands of two runs, from which one is in mA; up to 1.4 in shared logs
 OVERLAP = 0.25  # s; regular clocks of two parts that a dropout cuts may be as late as time stamps
 
 

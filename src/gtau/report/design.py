@@ -151,7 +151,6 @@ def design_page(outlook: Outlook) -> Page:
         (Column("allowed"), "allowed"),
         (Column("used, %", Kind.SHARE, decimals=1), "excess"),
     )
-    guards = tuple(f"{guard[0].upper()}{guard[1:]}." for guard in task.guards)
     assumptions = Text("", tuple(outlook.assumed.values())) if outlook.assumed else Text("Nothing was assumed.")
     return Page(
         f"Exciting motion for {outlook.robot.name}",
@@ -162,9 +161,10 @@ def design_page(outlook: Outlook) -> Page:
         Section("Parameters to expect", parameters, hidden, id="parameters", folded=True),
         Section("Limits", limits, id="limits"),
         _masses(outlook),
-        Section("Assumptions", assumptions, Text("", guards), id="assumed"),
+        Section("Assumptions", assumptions, id="assumed"),
         lead=[
             f"The tool moves at up to {outlook.tool[0]:.2g} m/s (frame of '{outlook.robot.tool}').",
+            *(f"{guard[0].upper()}{guard[1:]}." for guard in task.guards),
             f"Criterion: {design.criterion}. Runs: {loads}.",
         ],
     )

@@ -56,7 +56,7 @@ def parameters_section(result: IdentifiedModel) -> Section:
     essential, loss = len(result.essential), result.statistics.get("reduction_loss", 0.0)
     words = (
         f"{essential} of {len(result.parameters)} base parameters are essential; a fit without the other "
-        f"{len(result.parameters) - essential} raises the torque residual of the worst joint by {max(loss, 0):.2g} %. "
+        f"{len(result.parameters) - essential} changes the torque residual of the worst joint by {loss:.2g} %. "
         "A value with a standard deviation above 100 % means nothing alone: only its sum with others is known."
     )
     return Section("Parameters", Text(words), shown, _reference(result), id="parameters")

@@ -54,7 +54,7 @@ class Payload(Keys):
 
     @model_validator(mode="after")
     def _possible(self) -> Payload:
-        if problem := no_body(self.parameters, self.mass):
+        if problem := _no_body(self.parameters, self.mass):
             raise ValueError(f"{problem}, which no body has; correct the parameters (at the frame's origin, SI units)")
         if self.mass is None and "mass_std" in self.model_fields_set:
             raise ValueError("'mass_std' is given without 'mass'; add the mass or remove it")
@@ -71,7 +71,7 @@ class Payload(Keys):
 ROUNDED = 0.01  # of a moment of inertia: what people round
 
 
-def no_body(parameters: Mapping[str, float], mass: float | None) -> str:
+def _no_body(parameters: Mapping[str, float], mass: float | None) -> str:
     """Say which of the inertial parameters (at the frame's origin) no body can have; empty if all are possible."""
     x, y, z = (parameters.get(kind, 0.0) for kind in FIRST_MOMENTS)
     axes = {"xx": ("yy", "zz", "yz", y, z), "yy": ("xx", "zz", "xz", x, z), "zz": ("xx", "yy", "xy", x, y)}
