@@ -98,6 +98,16 @@ def test_the_slope_is_the_derivative_of_the_loss(columns: list[np.ndarray]) -> N
         assert slope[k] == pytest.approx((above - below) / 2e-5, rel=1e-5)
 
 
+def test_sizes_are_as_likely_with_unknowns_of_one_channel_eliminated(columns: list[np.ndarray]) -> None:
+    for channel, rows in enumerate(columns):
+        rows[:, OWN + FREE - 2 :][:, [1 - channel]] = 0.0
+    model = replace(model_of(columns), alone=(0, 1))
+    whole, less = (posterior(model, LOG_S, eliminated) for eliminated in (False, True))
+    assert len(less.common) == len(whole.common) - 2
+    assert less.loss == pytest.approx(whole.loss, rel=1e-7)
+    np.testing.assert_allclose(less.slope, whole.slope, atol=1e-6)
+
+
 def test_the_posterior_is_generalised_least_squares(columns: list[np.ndarray]) -> None:
     model = model_of(columns)
     model = replace(model, noise=NOISE)

@@ -19,6 +19,7 @@ def main() -> None:
     after Ctrl-C (130), SIGHUP (129) or SIGTERM (143).
     """
     gc.set_threshold(200_000)  # imports create many objects and no garbage: collections took a fifth of their time
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # in SciPy's too, loaded later: threads wait for each other
     listen()
     try:
         code = _run()

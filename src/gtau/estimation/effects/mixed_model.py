@@ -127,7 +127,8 @@ class MixedModel:
     products of further equations ``[J | e]`` of the unknowns, of unit variance; ``own_groups`` (m,) and
     ``shared_groups`` the groups of the columns. Before the data the s of each group has a half-normal prior of a
     standard deviation ``prior``, and log s is at most ``largest``, of all groups or each. ``noise`` of each channel is
-    of independent rows of unit variance where it was not found yet.
+    of independent rows of unit variance where it was not found yet. The last of the unknowns act on the channels
+    ``alone``, each on one.
     """
 
     rows: tuple[LagProducts, ...]
@@ -137,12 +138,25 @@ class MixedModel:
     prior: np.ndarray
     noise: tuple[Noise, ...] = ()
     largest: float | np.ndarray = BOUNDS[1]
+    alone: Sequence[int] | np.ndarray = ()
 
     @cached_property
     def grams(self) -> np.ndarray:
         """Products (c, p, p) of the channels' rows with independent noise of unit variance."""
         noise = self.noise or (Noise(),) * len(self.rows)
         return np.array([rows.combined(channel.weights) for channel, rows in zip(noise, self.rows, strict=True)])
+
+    @cached_property
+    def eliminated(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return ``grams`` and ``known`` without the unknowns that act ``alone``, whose log-determinant is the last."""
+        G, end, count = self.grams, len(self.own_groups) + self.unknowns, len(self.alone)
+        elsewhere = np.arange(len(G))[:, None] != self.alone
+        L = np.linalg.cholesky(G[:, end - count : end, end - count : end] + elsewhere[:, None] * np.eye(count))
+        B = np.linalg.solve(L, G[:, end - count : end])
+        kept = np.delete(np.arange(G.shape[1]), np.s_[end - count : end])
+        at = np.append(np.arange(self.unknowns - count), -1)
+        determinant = 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
+        return (G - B.swapaxes(1, 2) @ B)[:, kept[:, None], kept], self.known[at[:, None], at], determinant
 
     @property
     def unknowns(self) -> int:
@@ -199,7 +213,7 @@ class Posterior:
     @property
     def slope(self) -> np.ndarray:
         """Slope of the loss by log s_k: ``m_k - |u_k / s_k|^2 - tr C_kk``, C the posterior covariance of ``u / s``."""
-        model, k = self.model, self.model.unknowns
+        model, k = self.model, len(self.common) - len(self.model.shared_groups)
         own, shared = (1 - self.own_effects**2 - self.variance).sum(axis=0), 1 - self.common[k:] ** 2
         left = np.append(own, shared - np.diag(self.covariance)[k:])
         groups = np.append(model.own_groups, model.shared_groups)
@@ -216,26 +230,27 @@ class Posterior:
         return value, slopes @ self.covariance @ slopes.T + added
 
 
-def posterior(model: MixedModel, log_s: np.ndarray) -> Posterior:
-    """Solve for d and all u at the sizes ``exp(log_s)``."""
+def posterior(model: MixedModel, log_s: np.ndarray, eliminated: bool = False) -> Posterior:
+    """Solve for d and all u at the sizes ``exp(log_s)``; ``eliminated``, without the part of d that acts ``alone``."""
     from scipy.linalg.lapack import dtrtri
 
-    sizes, m, k = np.exp(log_s), len(model.own_groups), model.unknowns
+    grams, known, constant = model.eliminated if eliminated else (model.grams, model.known, 0.0)
+    sizes, m, k = np.exp(log_s), len(model.own_groups), len(known) - 1
     scale = np.concatenate([sizes[model.own_groups], np.ones(k), sizes[model.shared_groups], [1.0]])
     own_sizes, border = scale[:m], scale[m:]
-    A = model.grams[:, :m, :m] * own_sizes[:, None] * own_sizes
+    A = grams[:, :m, :m] * own_sizes[:, None] * own_sizes
     A[:, range(m), range(m)] = (A[:, range(m), range(m)] + 1.0) * (1 + ROUNDING)
     L = np.linalg.cholesky(A)
     root = np.array([dtrtri(factor, lower=1)[0] for factor in L])
-    V = root @ (model.grams[:, :m, m:] * own_sizes[:, None] * border)
+    V = root @ (grams[:, :m, m:] * own_sizes[:, None] * border)
     stacked = V.reshape(-1, len(border))
-    S = model.grams[:, m:, m:].sum(axis=0) * border[:, None] * border - stacked.T @ stacked
+    S = grams[:, m:, m:].sum(axis=0) * border[:, None] * border - stacked.T @ stacked
     count = len(border) - 1
     at = [*range(k), count]
-    S[np.ix_(at, at)] += model.known
+    S[np.ix_(at, at)] += known
     S[range(k, count), range(k, count)] += 1.0
     half, determinant = _inverse_root(S[:count, :count])
-    determinant += 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
+    determinant += constant + 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
     covariance = half @ half.T
     common = -covariance @ S[:count, count]
     square = float(S[count, count] + common @ S[:count, count])
@@ -321,7 +336,7 @@ def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()
 
     def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
         log_s[free] = values
-        at = posterior(model, log_s)
+        at = posterior(model, log_s, eliminated=True)
         return at.loss, at.slope[free]
 
     options = {"maxiter": 60, "ftol": 1e-7, "gtol": 0.02}

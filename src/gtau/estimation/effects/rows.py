@@ -232,11 +232,11 @@ def linear_at(
     n_own, n_shared = len(own_groups), len(shared_groups)
     maps = _channel_maps(fit, values, origin, T.shape[1])
     e_known, J_known = _known(rows, values)
-    square = J_known.T @ J_known
     inside = slice(n_own, n_own + size)
-    for M, part in zip(maps, rows.products, strict=True):
-        square += M[:, :-1].T @ part.plain[inside, inside] @ M[:, :-1]
-    back = _whitening(square[np.ix_(free, free)])
+    channels = zip(maps, rows.products, strict=True)
+    squares = [J_known.T @ J_known, *(M[:, :-1].T @ part.plain[inside, inside] @ M[:, :-1] for M, part in channels)]
+    squares = [square[np.ix_(free, free)] for square in squares]
+    back, alone = _alone_last(_whitening(np.sum(squares, axis=0)), squares)
     unknowns = back.shape[1]
     basis = np.zeros((T.shape[1], unknowns + len(per_run)))
     basis[free, :unknowns] = back
@@ -258,7 +258,7 @@ def linear_at(
     largest = BOUNDS[1] * prior
     if not problem.wrenches:
         largest[:-1][[layout.effect.description for layout in rows.layouts]] = AS_DESCRIBED
-    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, prior, noise, largest)
+    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
     slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
     return model, slopes, origin
 
@@ -302,3 +302,16 @@ def _whitening(square: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(square * inverse * inverse.T)
     kept = values > UNDETERMINED * max(values[-1], 1e-300)
     return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) * inverse)
+
+
+def _alone_last(back: np.ndarray, squares: Sequence[np.ndarray]) -> tuple[np.ndarray, Sequence[int] | np.ndarray]:
+    """Turn orthonormal columns so that unknowns that act on one channel alone come last, and list their channels.
+
+    ``squares`` are the products of all unknowns, those of the known parameters first.
+    """
+    acting, total = np.array([np.diag(square) > 0 for square in squares]), np.sum(squares, axis=0)
+    at = np.flatnonzero((acting.sum(axis=0) == 1) & ~acting[0])
+    Q, R = np.linalg.qr(back.T @ total[:, at], mode="complete")
+    if np.any(np.abs(np.diag(R)) <= RANK * np.sqrt(np.diag(total)[at])):
+        return back, ()  # some depend on each other
+    return back @ np.roll(Q, -len(at), axis=1), acting[1:, at].argmax(axis=0)
