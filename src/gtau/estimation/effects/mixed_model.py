@@ -51,11 +51,6 @@ class LagProducts:
     counts: np.ndarray
     basis: np.ndarray | None = None
 
-    def add(self, other: LagProducts) -> None:
-        """Add the rows of another part of the logs."""
-        self.products[:] += other.products
-        self.counts[:] += other.counts
-
     @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""

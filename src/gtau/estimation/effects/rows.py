@@ -184,7 +184,7 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
     plausible = np.array([column.plausible for _, columns in acting for column in columns])
     weights, gains = weights_of(fit), fit.solution.gains
     driven = fit.system.problem.unknown_gains  # a base that floats, or a sensor, has no drive of its own
-    products: list[LagProducts] = []
+    blocks = []
     for run, window in windows:
         at = FitWindow(fit, run, window)
         A, keep = at.rows(torques)
@@ -193,10 +193,8 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
         rows = np.concatenate([*_placed(layouts, columns, modes[run], driven, False), equations,
                                *_placed(layouts, columns, modes[run], driven, True)], axis=-1)  # fmt: skip
         used = [np.flatnonzero(kept) for kept in keep]
-        parts = [lag_products(block[k], np.diff(k, prepend=-2) != 1) for block, k in zip(rows, used, strict=True)]
-        for total, part in zip(products, parts, strict=False):
-            total.add(part)
-        products = products or parts
+        blocks.append([(block[k], np.diff(k, prepend=-2) != 1) for block, k in zip(rows, used, strict=True)])
+    products = (lag_products(*map(np.concatenate, zip(*parts, strict=True))) for parts in zip(*blocks, strict=True))
     return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
 
 

@@ -232,7 +232,8 @@ class FrictionLaw:
 
 
 def _summed(values: Mapping[str, Any], joint: str, at: Sliding, kinds: Iterable[str]) -> Any:
-    return sum(values.get(Parameter(kind, joint), 0.0) * FORMULAS[kind](at) for kind in kinds)
+    named = ((FORMULAS[kind], values.get(Parameter(kind, joint))) for kind in kinds)
+    return sum((value * formula(at) for formula, value in named if value is not None), 0.0 * at.speed)
 
 
 def transmitted(math: ModuleType, standard: tuple[Parameter, ...], chi: Any) -> list[Any]:
