@@ -98,9 +98,9 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool, 
     triangles = stacked(problem)
     n, end = len(problem.channels), problem.n_theta
     sizes, filled = np.abs(triangles), triangles.any(axis=-1).reshape(-1)
-    J_known = jacobian_of_known(problem, free_gains)
+    J_known, squares = jacobian_of_known(problem, free_gains), squared(triangles, values)
     for _ in range(steps):
-        weights = weigh(squared(triangles, values))
+        weights = weigh(squares)
         e, J = weighted(triangles, values, problem, free_gains, weights)
         J = np.concatenate([J[filled], J_known])
         e = np.concatenate([e[filled], errors_of_known(problem, values)])
@@ -114,7 +114,8 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool, 
         highest = (np.sqrt(before) + rounding) ** 2
         while True:
             after = moved(values, share * step, n)
-            cost = weights**2 @ squared(triangles, after) + np.sum(errors_of_known(problem, after) ** 2)
+            squares = squared(triangles, after)
+            cost = weights**2 @ squares + np.sum(errors_of_known(problem, after) ** 2)
             if share <= 1e-6 or cost <= highest:
                 break
             share /= 2
@@ -122,8 +123,7 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool, 
         smallest = max(CONVERGED * np.sqrt(before / problem.total_rows.sum()), rounding)
         if converged := bool(np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1])):
             break
-    weights = weigh(squared(triangles, values))
-    return replace(finish(problem, values, weights, free_gains), converged=converged)
+    return replace(finish(problem, values, weigh(squares), free_gains), converged=converged)
 
 
 def curvature_of_delays(blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray) -> np.ndarray:

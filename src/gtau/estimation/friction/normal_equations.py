@@ -230,7 +230,7 @@ def normal_equations(
                 if weigh is not None:
                     residuals[k].append(e)
     return tuple(
-        replace(group, G=group.G[group.G.any(axis=(1, 2, 3))], residuals=rows.array())
+        replace(group, G=group.G[np.einsum("kmpp->k", group.G) > 0], residuals=rows.array())
         for group, rows in zip(groups, residuals, strict=True)
     )
 

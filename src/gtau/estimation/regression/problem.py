@@ -234,8 +234,9 @@ class Problem:
     @cached_property
     def units(self) -> tuple[np.ndarray, ...]:
         """Units of the jackknife in turn, (c, ., n_theta + 4): a block, or all blocks in step."""
-        numbers = np.arange(len(self.blocks)) if self.clusters is None else self.clusters
-        together = (self.blocks[numbers == number] for number in np.unique(numbers))
+        if self.clusters is None:
+            return tuple(self.blocks)
+        together = (self.blocks[self.clusters == number] for number in np.unique(self.clusters))
         return tuple(np.concatenate(blocks, axis=1) for blocks in together)
 
     @cached_property
