@@ -44,26 +44,39 @@ class LagProducts:
 
     The first three are at the lags 0, 1 and 2. Three are of the two rows at either end of each stretch, from its end:
     the first with itself, the first with the second, the second with itself. The last is of stretches of a single row.
-    The model's columns are the rows times a ``basis`` (r, p), or the rows themselves.
+    The model's columns are the rows themselves; or, with a ``basis`` (a, M), those behind the first ``a`` times M, the
+    last of these columns behind all others.
     """
 
     products: np.ndarray
     counts: np.ndarray
-    basis: np.ndarray | None = None
+    basis: tuple[int, np.ndarray] | None = None
 
     @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""
-        return self.combined([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return self._of_columns(self.products[0])
 
     def combined(self, weights: Sequence[float]) -> np.ndarray:
         """Add up the products by their ``weights`` (7,): (p, p)."""
-        total = np.tensordot(weights, self.products, 1)
-        return np.asarray(total if self.basis is None else self.basis.T @ total @ self.basis)
+        return self._of_columns(np.tensordot(weights, self.products, 1))
+
+    def _of_columns(self, products: np.ndarray) -> np.ndarray:
+        if self.basis is None:
+            return products
+        own, M = self.basis
+        for _ in range(2):  # times the basis from either side
+            made = products[:, own : own + len(M)] @ M
+            products = np.hstack([products[:, :own], made[:, :-1], products[:, own + len(M) :], made[:, -1:]]).T
+        return products
 
     def squares(self, coefficients: np.ndarray) -> np.ndarray:
         """Sum the products of the residuals, (7,), whose columns are combined by ``coefficients`` (p,)."""
-        along = coefficients if self.basis is None else self.basis @ coefficients
+        along = coefficients
+        if self.basis is not None:
+            own, M = self.basis
+            first, made, others = np.split(coefficients[:-1], [own, own + M.shape[1] - 1])
+            along = np.concatenate([first, M @ np.append(made, coefficients[-1]), others])
         return np.asarray(self.products @ along @ along)
 
 
@@ -114,6 +127,10 @@ def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
     return replace(noise, std=max(std, LEAST_STD))
 
 
+Parts = tuple[np.ndarray, np.ndarray, np.ndarray, float]
+"""Products of own columns (c, m, m), by common ones (c, m, .), and of these (., .); log-determinant of others."""
+
+
 @dataclass(frozen=True, eq=False)
 class MixedModel:
     """Products of the ``rows`` ``[own | J | shared | e]`` of each channel, and the groups whose sizes are found.
@@ -142,8 +159,13 @@ class MixedModel:
         return np.array([rows.combined(channel.weights) for channel, rows in zip(noise, self.rows, strict=True)])
 
     @cached_property
-    def eliminated(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return ``grams`` and ``known`` without the unknowns that act ``alone``, whose log-determinant is the last."""
+    def whole(self) -> Parts:
+        """The products by own and common columns."""
+        return self._parts(self.grams, self.known, 0.0)
+
+    @cached_property
+    def eliminated(self) -> Parts:
+        """The same without the unknowns that act ``alone``."""
         G, end, count = self.grams, len(self.own_groups) + self.unknowns, len(self.alone)
         elsewhere = np.arange(len(G))[:, None] != self.alone
         L = np.linalg.cholesky(G[:, end - count : end, end - count : end] + elsewhere[:, None] * np.eye(count))
@@ -151,7 +173,14 @@ class MixedModel:
         kept = np.delete(np.arange(G.shape[1]), np.s_[end - count : end])
         at = np.append(np.arange(self.unknowns - count), -1)
         determinant = 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
-        return (G - B.swapaxes(1, 2) @ B)[:, kept[:, None], kept], self.known[at[:, None], at], determinant
+        grams = (G - B.swapaxes(1, 2) @ B)[:, kept[:, None], kept]
+        return self._parts(grams, self.known[at[:, None], at], determinant)
+
+    def _parts(self, grams: np.ndarray, known: np.ndarray, determinant: float) -> Parts:
+        m, at = len(self.own_groups), [*range(len(known) - 1), -1]
+        common = grams[:, m:, m:].sum(axis=0)
+        common[np.ix_(at, at)] += known
+        return grams[:, :m, :m].copy(), grams[:, :m, m:].copy(), common, determinant
 
     @property
     def unknowns(self) -> int:
@@ -203,7 +232,8 @@ class Posterior:
     @cached_property
     def variance(self) -> np.ndarray:
         """Variance of the own effects, (c, m)."""
-        return np.asarray(np.sum(self.root**2, axis=1) + np.sum((self.response @ self.half) ** 2, axis=2))
+        moved = self.response @ self.half
+        return np.asarray(np.sum(self.root**2, axis=1) + np.einsum("cmk,cmk->cm", moved, moved))
 
     @property
     def slope(self) -> np.ndarray:
@@ -229,23 +259,21 @@ def posterior(model: MixedModel, log_s: np.ndarray, eliminated: bool = False) ->
     """Solve for d and all u at the sizes ``exp(log_s)``; ``eliminated``, without the part of d that acts ``alone``."""
     from scipy.linalg.lapack import dtrtri
 
-    grams, known, constant = model.eliminated if eliminated else (model.grams, model.known, 0.0)
-    sizes, m, k = np.exp(log_s), len(model.own_groups), len(known) - 1
+    own, crossed, products, determined = model.eliminated if eliminated else model.whole
+    sizes, m, count = np.exp(log_s), len(model.own_groups), len(products) - 1
+    k = count - len(model.shared_groups)
     scale = np.concatenate([sizes[model.own_groups], np.ones(k), sizes[model.shared_groups], [1.0]])
     own_sizes, border = scale[:m], scale[m:]
-    A = grams[:, :m, :m] * own_sizes[:, None] * own_sizes
+    A = own * np.outer(own_sizes, own_sizes)
     A[:, range(m), range(m)] = (A[:, range(m), range(m)] + 1.0) * (1 + ROUNDING)
     L = np.linalg.cholesky(A)
     root = np.array([dtrtri(factor, lower=1)[0] for factor in L])
-    V = root @ (grams[:, :m, m:] * own_sizes[:, None] * border)
+    V = root @ (crossed * np.outer(own_sizes, border))
     stacked = V.reshape(-1, len(border))
-    S = grams[:, m:, m:].sum(axis=0) * border[:, None] * border - stacked.T @ stacked
-    count = len(border) - 1
-    at = [*range(k), count]
-    S[np.ix_(at, at)] += known
+    S = products * np.outer(border, border) - stacked.T @ stacked
     S[range(k, count), range(k, count)] += 1.0
     half, determinant = _inverse_root(S[:count, :count])
-    determinant += constant + 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
+    determinant += determined + 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
     covariance = half @ half.T
     common = -covariance @ S[:count, count]
     square = float(S[count, count] + common @ S[:count, count])

@@ -239,15 +239,8 @@ def linear_at(
     basis = np.zeros((T.shape[1], unknowns + len(per_run)))
     basis[free, :unknowns] = back
     basis[per_run, unknowns:] = root
-    linear = []
-    for M, part in zip(maps, rows.products, strict=True):
-        common = n_own + basis.shape[1]
-        B = np.zeros((len(part.plain), common + n_shared + 1))
-        B[:n_own, :n_own] = np.eye(n_own)
-        B[inside, n_own:common] = M[:, :-1] @ basis
-        B[inside, -1] = M[:, -1]
-        B[inside.stop :, common:-1] = np.eye(n_shared)
-        linear.append(replace(part, basis=B))
+    bases = [(n_own, np.column_stack([M[:, :-1] @ basis, M[:, -1]])) for M in maps]
+    linear = tuple(replace(part, basis=own) for part, own in zip(rows.products, bases, strict=True))
     known = np.column_stack([J_known[:, free] @ back, e_known])
     # a change of friction between runs has no effect on known parameters
     common_groups = np.append(np.full(len(per_run), len(rows.layouts)), shared_groups)
@@ -256,7 +249,7 @@ def linear_at(
     largest = BOUNDS[1] * prior
     if not problem.wrenches:
         largest[:-1][[layout.effect.description for layout in rows.layouts]] = AS_DESCRIBED
-    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
+    model = MixedModel(linear, known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
     slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
     return model, slopes, origin
 
