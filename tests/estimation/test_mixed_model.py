@@ -161,7 +161,7 @@ def test_a_size_far_beyond_its_bound_counts_for_nothing() -> None:
     model, _ = simulated(np.random.default_rng(5))
     scaled = replace(model, noise=tuple(replace(noise, std=1e-3) for noise in NOISE), largest=-5.0)
     log_s = np.full(3, -5.0)
-    fit = MixedFit(scaled, log_s, posterior(scaled, log_s))
+    fit = MixedFit(scaled, log_s)
     assert posterior(scaled, log_s + 2.0).loss < fit.at.loss - 800  # its exponential would be infinite
     value, covariance = fit.averaged(np.eye(FREE, FREE + SHARED))
     assert np.isfinite(value).all()

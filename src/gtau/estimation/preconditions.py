@@ -184,14 +184,11 @@ def reduced(
     if estimator.takes_priors and not options.as_paper and dataset.runs[0].kind == "current":
         dataset = with_voltages(dataset, options.drives)
     demanded = estimator.gains != Gains.GIVEN and (options.method is not None or dataset.runs[0].kind == "current")
-    if demanded and not (dataset.stated_priors or dataset.motors) and not any(map(_has_scale, dataset.runs)):
+    payloads = any(run.payload is not None and run.payload.mass is not None for run in dataset.runs)
+    tested = payloads or any(not channel.kind.unknown_gain for run in dataset.runs for channel in run.channels)
+    if demanded and not (dataset.stated_priors or dataset.motors or tested):
         return replace(dataset, priors={})
     return dataset
-
-
-def _has_scale(run: Run) -> bool:
-    loaded = run.payload is not None and run.payload.mass is not None
-    return loaded or any(not channel.kind.unknown_gain for channel in run.channels)
 
 
 def given_gains(robot: Robot, runs: Sequence[Run], prior_gains: Mapping[str, float], method: str) -> np.ndarray:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gtau.estimation.effects.effect import EffectColumn, EstimatedEffect
-from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, Noise, fit_mixed, posterior
+from gtau.estimation.effects.mixed_model import BOUNDS, MixedFit, Noise, fit_mixed
 from gtau.estimation.effects.rows import EffectRows, Layout, effect_rows, linear_at, run_modes, weights_of
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import finish
@@ -81,20 +81,15 @@ class Mixed:
         covariance += np.diag(np.maximum(wider, 0.0))
         if self.fit.free_gains:
             known = np.diag(covariance)[gain_rows] == 0
-            share = np.hypot(FLOOR, CURVATURE * self._moves_of_motions)
+            explained, squares = Influence(self), np.zeros_like(self.values[gain_rows])
+            for number, layout in enumerate(self.rows.layouts):
+                if layout.effect.of_motion and self.mixed.sizes[number] >= SEEN:
+                    _, moves, _ = explained(*self.sizes_of(number))
+                    for joint, move in moves.items():
+                        squares[self.fit.dataset.model.actuated.index(joint)] += (move / 100) ** 2
+            share = np.hypot(FLOOR, CURVATURE * squares)
             covariance[gain_rows, gain_rows] += np.diag(np.where(known, 0.0, (share * self.values[gain_rows]) ** 2))
         return covariance
-
-    @cached_property
-    def _moves_of_motions(self) -> np.ndarray:
-        """Squares of the relative moves of the gains, (n,), by each effect that moves positions or time, added up."""
-        explained, squares = Influence(self), np.zeros_like(self.values[self.fit.system.problem.gain_rows])
-        for number, layout in enumerate(self.rows.layouts):
-            if layout.effect.of_motion and self.mixed.sizes[number] >= SEEN:
-                _, moves, _ = explained(*self.sizes_of(number))
-                for joint, move in moves.items():
-                    squares[self.fit.dataset.model.actuated.index(joint)] += (move / 100) ** 2
-        return squares
 
     def sizes_of(self, number: int) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the sizes of an effect's columns among the common ones, and among each channel's own."""
@@ -236,8 +231,7 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
     against = [n for n, layout in enumerate(result.rows.layouts) if layout.effect.description]
     log_s = mixed.log_s.copy()
     log_s[against] = 0.0
-    at = posterior(mixed.model, log_s)
-    opened = replace(result, mixed=replace(mixed, log_s=log_s, at=at))
+    opened = replace(result, mixed=MixedFit(mixed.model, log_s))
     listed = [(result.rows.layouts[n].effect, *column)
               for n in against for column in _columns(opened, n, result.rows.layouts[n])]  # fmt: skip
     if not listed:
@@ -245,7 +239,7 @@ def contradictions(result: Mixed) -> tuple[EstimatedEffect, ...]:
     plausible = np.array([column.plausible for _, column, *_ in listed])
     F = np.array([common for _, _, common, _ in listed])
     F_own = [np.array([parts[j] for *_, parts in listed]) for j in range(len(mixed.model.rows))]
-    mean, covariance = at.move(F / plausible[:, None], [part / plausible[:, None] for part in F_own])
+    mean, covariance = opened.mixed.at.move(F / plausible[:, None], [part / plausible[:, None] for part in F_own])
     precision = np.linalg.pinv(covariance, rcond=SPANNED, hermitian=True)
     information, score = precision - np.eye(len(listed)), precision @ mean
     explained, chosen, effects = Influence(result), list[int](), list[EstimatedEffect]()

@@ -44,39 +44,31 @@ class LagProducts:
 
     The first three are at the lags 0, 1 and 2. Three are of the two rows at either end of each stretch, from its end:
     the first with itself, the first with the second, the second with itself. The last is of stretches of a single row.
-    The model's columns are the rows themselves; or, with a ``basis`` (a, M), those behind the first ``a`` times M, the
-    last of these columns behind all others.
+    The model's columns are the rows, those behind the first a times M of the ``basis`` (a, M), whose last comes last.
     """
 
     products: np.ndarray
     counts: np.ndarray
-    basis: tuple[int, np.ndarray] | None = None
+    basis: tuple[int, np.ndarray]
 
     @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""
-        return self._of_columns(self.products[0])
+        return self.combined(np.eye(len(self.products))[0])
 
-    def combined(self, weights: Sequence[float]) -> np.ndarray:
+    def combined(self, weights: Sequence[float] | np.ndarray) -> np.ndarray:
         """Add up the products by their ``weights`` (7,): (p, p)."""
-        return self._of_columns(np.tensordot(weights, self.products, 1))
-
-    def _of_columns(self, products: np.ndarray) -> np.ndarray:
-        if self.basis is None:
-            return products
-        own, M = self.basis
+        products, (own, M) = np.tensordot(weights, self.products, 1), self.basis
         for _ in range(2):  # times the basis from either side
             made = products[:, own : own + len(M)] @ M
             products = np.hstack([products[:, :own], made[:, :-1], products[:, own + len(M) :], made[:, -1:]]).T
-        return products
+        return np.asarray(products)
 
     def squares(self, coefficients: np.ndarray) -> np.ndarray:
         """Sum the products of the residuals, (7,), whose columns are combined by ``coefficients`` (p,)."""
-        along = coefficients
-        if self.basis is not None:
-            own, M = self.basis
-            first, made, others = np.split(coefficients[:-1], [own, own + M.shape[1] - 1])
-            along = np.concatenate([first, M @ np.append(made, coefficients[-1]), others])
+        own, M = self.basis
+        first, made, others = np.split(coefficients[:-1], [own, own + M.shape[1] - 1])
+        along = np.concatenate([first, M @ np.append(made, coefficients[-1]), others])
         return np.asarray(self.products @ along @ along)
 
 
@@ -92,7 +84,8 @@ def lag_products(rows: np.ndarray, begins: np.ndarray) -> LagProducts:
     crossed = [later.T @ before for later, before in (*at_lags, (outer, inner))]
     lag_1, lag_2, ends_crossed = (product + product.T for product in crossed)
     products = [rows.T @ rows, lag_1, lag_2, outer.T @ outer, ends_crossed, inner.T @ inner, alone.T @ alone]
-    return LagProducts(np.array(products), np.array([len(rows), *(len(later) for later, _ in at_lags)]))
+    counts = np.array([len(rows), *(len(later) for later, _ in at_lags)])
+    return LagProducts(np.array(products), counts, (0, np.eye(rows.shape[1])))
 
 
 @dataclass(frozen=True)
@@ -127,10 +120,6 @@ def noise_of(rows: LagProducts, coefficients: np.ndarray, used: float) -> Noise:
     return replace(noise, std=max(std, LEAST_STD))
 
 
-Parts = tuple[np.ndarray, np.ndarray, np.ndarray, float]
-"""Products of own columns (c, m, m), by common ones (c, m, .), and of these (., .); log-determinant of others."""
-
-
 @dataclass(frozen=True, eq=False)
 class MixedModel:
     """Products of the ``rows`` ``[own | J | shared | e]`` of each channel, and the groups whose sizes are found.
@@ -159,28 +148,22 @@ class MixedModel:
         return np.array([rows.combined(channel.weights) for channel, rows in zip(noise, self.rows, strict=True)])
 
     @cached_property
-    def whole(self) -> Parts:
-        """The products by own and common columns."""
-        return self._parts(self.grams, self.known, 0.0)
+    def parts(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, float], ...]:
+        """Products of own columns (c, m, m), by common ones (c, m, .), and of these (., .); with all unknowns, first.
 
-    @cached_property
-    def eliminated(self) -> Parts:
-        """The same without the unknowns that act ``alone``."""
-        G, end, count = self.grams, len(self.own_groups) + self.unknowns, len(self.alone)
-        elsewhere = np.arange(len(G))[:, None] != self.alone
-        L = np.linalg.cholesky(G[:, end - count : end, end - count : end] + elsewhere[:, None] * np.eye(count))
-        B = np.linalg.solve(L, G[:, end - count : end])
-        kept = np.delete(np.arange(G.shape[1]), np.s_[end - count : end])
-        at = np.append(np.arange(self.unknowns - count), -1)
-        determinant = 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
-        grams = (G - B.swapaxes(1, 2) @ B)[:, kept[:, None], kept]
-        return self._parts(grams, self.known[at[:, None], at], determinant)
-
-    def _parts(self, grams: np.ndarray, known: np.ndarray, determinant: float) -> Parts:
-        m, at = len(self.own_groups), [*range(len(known) - 1), -1]
-        common = grams[:, m:, m:].sum(axis=0)
-        common[np.ix_(at, at)] += known
-        return grams[:, :m, :m].copy(), grams[:, :m, m:].copy(), common, determinant
+        Then without those that act ``alone``, beside their log-determinant.
+        """
+        m, count, first = len(self.own_groups), len(self.alone), [*range(self.unknowns), -1]
+        rows, alone = self.grams[:, m:], np.s_[self.unknowns - count : self.unknowns]
+        own, crossed, common = self.grams[:, :m, :m].copy(), self.grams[:, :m, m:].copy(), rows[..., m:].sum(axis=0)
+        common[np.ix_(first, first)] += self.known
+        elsewhere = np.arange(len(rows))[:, None] != self.alone
+        L = np.linalg.cholesky(rows[..., m:][:, alone, alone] + elsewhere[:, None] * np.eye(count))
+        B, determinant = np.linalg.solve(L, rows[:, alone]), 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
+        taken, kept = B.swapaxes(1, 2) @ B, np.delete(np.arange(len(common)), alone)
+        fewer = (common - taken[:, m:, m:].sum(axis=0))[np.ix_(kept, kept)]
+        others = own - taken[:, :m, :m], (crossed - taken[:, :m, m:])[..., kept], fewer, determinant
+        return (own, crossed, common, 0.0), others
 
     @property
     def unknowns(self) -> int:
@@ -259,7 +242,7 @@ def posterior(model: MixedModel, log_s: np.ndarray, eliminated: bool = False) ->
     """Solve for d and all u at the sizes ``exp(log_s)``; ``eliminated``, without the part of d that acts ``alone``."""
     from scipy.linalg.lapack import dtrtri
 
-    own, crossed, products, determined = model.eliminated if eliminated else model.whole
+    own, crossed, products, determined = model.parts[eliminated]
     sizes, m, count = np.exp(log_s), len(model.own_groups), len(products) - 1
     k = count - len(model.shared_groups)
     scale = np.concatenate([sizes[model.own_groups], np.ones(k), sizes[model.shared_groups], [1.0]])
@@ -304,11 +287,15 @@ def _inverse_root(S: np.ndarray) -> tuple[np.ndarray, float]:
 
 @dataclass(frozen=True, eq=False)
 class MixedFit:
-    """A model at its most likely sizes ``s``: exp(log_s), with the posterior of all effects."""
+    """A model at its most likely sizes ``s``: exp(log_s)."""
 
     model: MixedModel
     log_s: np.ndarray
-    at: Posterior
+
+    @cached_property
+    def at(self) -> Posterior:
+        """Posterior of all effects."""
+        return posterior(self.model, self.log_s)
 
     @property
     def sizes(self) -> np.ndarray:
@@ -345,7 +332,8 @@ class MixedFit:
 
     def lost_without(self, groups: Sequence[int]) -> float:
         """Compute the log-likelihood that is lost without some groups, the sizes of the others being found again."""
-        return find_sizes(self.model, self.log_s, groups).at.loss - self.at.loss
+        log_s = find_sizes(self.model, self.log_s, groups).log_s
+        return posterior(self.model, log_s, eliminated=True).loss - self.at.loss
 
 
 def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()) -> MixedFit:
@@ -369,12 +357,11 @@ def find_sizes(model: MixedModel, start: np.ndarray, without: Sequence[int] = ()
         if len(free):
             begin = np.maximum(log_s[free], BOUNDS[0])
             log_s[free] = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x
-        at = posterior(model, log_s)
         # a small size has no slope by its logarithm to grow by, but one by its square
-        growth = at.slope[free] * np.exp(2 * (START - log_s[free])) / 2
+        growth = posterior(model, log_s, eliminated=True).slope[free] * np.exp(2 * (START - log_s[free])) / 2
         anew = (log_s[free] < SMALL) & (growth < -WORTH) & ~released
         if not anew.any():
-            return MixedFit(model, log_s, at)
+            return MixedFit(model, log_s)
         released |= anew
         log_s[free[anew]] = LOW
 
@@ -390,4 +377,4 @@ def fit_mixed(model: MixedModel, near: MixedFit | None = None) -> MixedFit:
         change = [abs(np.log(new.std / old.std)) for new, old in zip(noise, before, strict=True)]
         if max(change) < SETTLED:
             break
-    return MixedFit(model, log_s, posterior(model, log_s))
+    return MixedFit(model, log_s)

@@ -147,11 +147,8 @@ class EffectRows:
 
     def groups(self, shared: bool) -> np.ndarray:
         """List the number of the effect of each own, or each ``shared`` column."""
-        groups: list[int] = []
-        for number, layout in enumerate(self.layouts):
-            if layout.effect.shared == shared:
-                groups += [number] * (layout.places.stop - layout.places.start)
-        return np.array(groups, dtype=int)
+        sizes = (each.places.stop - each.places.start if each.effect.shared == shared else 0 for each in self.layouts)
+        return np.repeat(np.arange(len(self.layouts)), list(sizes))
 
     @cached_property
     def in_runs(self) -> tuple[list[int], np.ndarray]:
@@ -219,29 +216,26 @@ def linear_at(
     Returns the mixed model, slopes (k, .) of the values by its common columns, and the origin (k,) from which steps
     count: the values without changes of friction between runs, whose sizes the mixed model estimates whole.
     """
-    fit, problem = rows.fit, rows.fit.system.problem
-    size = problem.n_theta + FIXED
-    T = to_gains(values, len(problem.channels), fit.free_gains)
+    fit, problem, (errors, J_known) = rows.fit, rows.fit.system.problem, rows.known
+    channels = len(problem.channels)
+    T = to_gains(values, channels, fit.free_gains)
     per_run, root = rows.in_runs
     free = np.setdiff1d(np.arange(T.shape[1]), per_run)  # the parameters come first in both orders
     origin = values.copy()
     origin[per_run] = 0.0
     own_groups, shared_groups = rows.groups(shared=False), rows.groups(shared=True)
-    n_own, n_shared = len(own_groups), len(shared_groups)
-    maps = _channel_maps(fit, values, origin, T.shape[1])
-    e_known, J_known = _known(rows, values)
-    inside = slice(n_own, n_own + size)
-    channels = zip(maps, rows.products, strict=True)
-    squares = [J_known.T @ J_known, *(M[:, :-1].T @ part.plain[inside, inside] @ M[:, :-1] for M, part in channels)]
-    squares = [square[np.ix_(free, free)] for square in squares]
-    back, alone = _alone_last(_whitening(np.sum(squares, axis=0)), squares)
+    parts = list(zip(_channel_maps(fit, values, origin, T.shape[1]), rows.products, strict=True))
+    (theta, gains, delays), (theta_0, gains_0, delays_0) = (split(at, channels) for at in (values, fit.solution.values))
+    steps = [theta - theta_0, *([1 / gains - 1 / gains_0] if fit.free_gains else []), delays - delays_0]
+    n_own, end = len(own_groups), len(own_groups) + problem.n_theta + FIXED
+    squares = [M[:, free].T @ part.products[0][n_own:end, n_own:end] @ M[:, free] for M, part in parts]
+    back, alone = _whitening([J_known[:, free].T @ J_known[:, free], *squares])
     unknowns = back.shape[1]
     basis = np.zeros((T.shape[1], unknowns + len(per_run)))
     basis[free, :unknowns] = back
     basis[per_run, unknowns:] = root
-    bases = [(n_own, np.column_stack([M[:, :-1] @ basis, M[:, -1]])) for M in maps]
-    linear = tuple(replace(part, basis=own) for part, own in zip(rows.products, bases, strict=True))
-    known = np.column_stack([J_known[:, free] @ back, e_known])
+    linear = [replace(part, basis=(n_own, np.column_stack([M[:, :-1] @ basis, M[:, -1]]))) for M, part in parts]
+    known = np.column_stack([J_known[:, free] @ back, errors + J_known @ np.concatenate(steps)])
     # a change of friction between runs has no effect on known parameters
     common_groups = np.append(np.full(len(per_run), len(rows.layouts)), shared_groups)
     # sensors of wrenches are often not tared, and where they measure, effects do not move estimates
@@ -249,8 +243,8 @@ def linear_at(
     largest = BOUNDS[1] * prior
     if not problem.wrenches:
         largest[:-1][[layout.effect.description for layout in rows.layouts]] = AS_DESCRIBED
-    model = MixedModel(linear, known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
-    slopes = np.hstack([T @ basis, np.zeros((len(values), n_shared))])
+    model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
+    slopes = np.hstack([T @ basis, np.zeros((len(values), len(shared_groups)))])
     return model, slopes, origin
 
 
@@ -277,32 +271,20 @@ def _channel_maps(fit: Fit, values: np.ndarray, origin: np.ndarray, columns: int
     return maps
 
 
-def _known(rows: EffectRows, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (q,) of known parameters and gains at some values, and their Jacobian."""
-    errors, J = rows.known
-    fit, channels = rows.fit, len(rows.fit.system.problem.channels)
-    (theta, gains, delays), (theta_0, gains_0, delays_0) = (split(at, channels) for at in (values, fit.solution.values))
-    steps = [theta - theta_0, *([1 / gains - 1 / gains_0] if fit.free_gains else []), delays - delays_0]
-    return errors + J @ np.concatenate(steps), J
+def _whitening(squares: Sequence[np.ndarray]) -> tuple[np.ndarray, Sequence[int] | np.ndarray]:
+    """Make unknowns with products (k, k), of known parameters and each channel, orthonormal: (k, r).
 
-
-def _whitening(square: np.ndarray) -> np.ndarray:
-    """Make columns with products ``square`` (k, k) orthonormal: (k, r), without directions that nothing determines."""
+    Directions that nothing determines are left out. Those of unknowns that act on one channel alone come last, with
+    their channels.
+    """
+    square, acting = np.sum(squares, axis=0), np.array([np.diag(each) > 0 for each in squares])
     norms = np.sqrt(np.diag(square))
     inverse = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)[:, None]
     values, vectors = np.linalg.eigh(square * inverse * inverse.T)
     kept = values > UNDETERMINED * max(values[-1], 1e-300)
-    return np.asarray(vectors[:, kept] / np.sqrt(values[kept]) * inverse)
-
-
-def _alone_last(back: np.ndarray, squares: Sequence[np.ndarray]) -> tuple[np.ndarray, Sequence[int] | np.ndarray]:
-    """Turn orthonormal columns so that unknowns that act on one channel alone come last, and list their channels.
-
-    ``squares`` are the products of all unknowns, those of the known parameters first.
-    """
-    acting, total = np.array([np.diag(square) > 0 for square in squares]), np.sum(squares, axis=0)
+    back = vectors[:, kept] / np.sqrt(values[kept]) * inverse
     at = np.flatnonzero((acting.sum(axis=0) == 1) & ~acting[0])
-    Q, R = np.linalg.qr(back.T @ total[:, at], mode="complete")
-    if np.any(np.abs(np.diag(R)) <= RANK * np.sqrt(np.diag(total)[at])):
+    Q, R = np.linalg.qr(back.T @ square[:, at], mode="complete")
+    if np.any(np.abs(np.diag(R)) <= RANK * norms[at]):
         return back, ()  # some depend on each other
     return back @ np.roll(Q, -len(at), axis=1), acting[1:, at].argmax(axis=0)

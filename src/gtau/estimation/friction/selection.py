@@ -300,7 +300,8 @@ def with_shapes(group: FrictionGroup, candidate: FrictionFit) -> FrictionFit:
                 continue
             tried = group.joints[s].tried(term)
             ends = [_moved(structure, term, tried, step) for step in (-TILT, TILT)]
-            low, high = (_columns_with(group, candidate, s, end) @ candidate.x for end in ends)
+            made = (columns_of(group, _changed(candidate, s, end)) for end in ends)
+            low, high = (A[:, [listed.index(name) for name in candidate.names]] @ candidate.x for listed, A in made)
             slope = (high - low) / np.log(getattr(ends[1], term) / getattr(ends[0], term))
             if slope.any():
                 names.append((s, term))
@@ -314,8 +315,3 @@ def _moved(structure: Structure, term: str, tried: np.ndarray, step: float) -> S
     """Move a width or speed by ``step`` ways to the next that is tried, by one at most, and within those tried."""
     moved = getattr(structure, term) * (tried[1] / tried[0]) ** np.clip(step, -1.0, 1.0)
     return structure.changed(term, float(np.clip(moved, tried[0], tried[-1])))
-
-
-def _columns_with(group: FrictionGroup, candidate: FrictionFit, s: int, structure: Structure) -> np.ndarray:
-    listed, M = columns_of(group, _changed(candidate, s, structure))
-    return M[:, [listed.index(name) for name in candidate.names]]
