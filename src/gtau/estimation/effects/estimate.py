@@ -317,7 +317,8 @@ class Influence:
     """What columns of some size explain of the residuals of plain least squares, and by how much they move gains."""
 
     def __init__(self, result: Mixed) -> None:
-        self.result, model = result, result.mixed.model
+        self.result, model, fit = result, result.mixed.model, result.rows.fit
+        self.levels = weights_of(fit) * np.maximum(fit.system.problem.balance(fit.solution.theta), 1e-300)
         m, k = len(model.own_groups), model.unknowns
         self.unknown = slice(m, m + k)
         self.plain = [part.plain for part in model.rows]
@@ -344,8 +345,7 @@ class Influence:
             c_e += float(product[-1])
             c_c += float(column @ product)
             count = max(float(model.rows[j].counts[0]), 1.0)
-            rms = np.sqrt(max(float(column @ product), 0.0) / count) / weights_of(fit)[j]
-            torque = max(torque, rms / max(float(fit.system.problem.balance(fit.solution.theta)[j]), 1e-300))
+            torque = max(torque, np.sqrt(max(float(column @ product), 0.0) / count) / self.levels[j])
         step = self.inverse @ J_c
         rest = c_c - float(J_c @ step)
         share = -(2 * (c_e - float(step @ self.e)) + rest) / self.squares

@@ -230,10 +230,9 @@ def linear_at(
     n_own, end = len(own_groups), len(own_groups) + problem.n_theta + FIXED
     squares = [M[:, free].T @ part.products[0][n_own:end, n_own:end] @ M[:, free] for M, part in parts]
     back, alone = _whitening([J_known[:, free].T @ J_known[:, free], *squares])
-    unknowns = back.shape[1]
-    basis = np.zeros((T.shape[1], unknowns + len(per_run)))
-    basis[free, :unknowns] = back
-    basis[per_run, unknowns:] = root
+    basis = np.zeros((T.shape[1], back.shape[1] + len(per_run)))
+    basis[free, : back.shape[1]] = back
+    basis[per_run, back.shape[1] :] = root
     linear = [replace(part, basis=(n_own, np.column_stack([M[:, :-1] @ basis, M[:, -1]]))) for M, part in parts]
     known = np.column_stack([J_known[:, free] @ back, errors + J_known @ np.concatenate(steps)])
     # a change of friction between runs has no effect on known parameters

@@ -243,5 +243,5 @@ def stop(q: np.ndarray, widths: np.ndarray, start: np.ndarray) -> np.ndarray:
     for k, way in enumerate(np.diff(q[edges])[:, None] / widths):
         states[k + 1] = np.minimum(np.maximum(states[k] + way, -1.0), 1.0)
     stretch = np.searchsorted(turns, np.arange(len(q)), side="right")
-    way = (q - q[edges[stretch]]) / widths[:, None]
-    return np.clip(states[stretch].T + way, -1.0, 1.0)
+    way = (q - q[edges[stretch]]) / widths[:, None] + states.T.take(stretch, axis=1)
+    return np.clip(way, -1.0, 1.0, out=way)
