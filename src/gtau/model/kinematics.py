@@ -170,7 +170,7 @@ class Twist(NamedTuple):
 
 def constant(matrix: np.ndarray) -> ca.SX:
     """Return a constant matrix whose entries that are zero up to rounding are structural zeros."""
-    return ca.sparsify(ca.SX(ca.DM(np.where(np.abs(matrix) < 1e-15, 0.0, matrix))))
+    return ca.SX(ca.sparsify(ca.DM(matrix), 1e-15))
 
 
 @dataclass(frozen=True)

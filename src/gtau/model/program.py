@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -140,7 +141,7 @@ class Instruction:
     @property
     def operands(self) -> list[int]:
         """Values that the instruction reads."""
-        factors = [value for _, *pair in self.products for value in pair]
+        factors = [value for _, a, b in self.products for value in (a, b)]
         return [*self.arguments, *(value for _, value in self.terms), *factors]
 
     @property
@@ -265,9 +266,7 @@ def _multiplied(
 
 def _merged(listing: list[Instruction], outputs: list[int]) -> list[Instruction]:
     """Compute sums that are used only once, as terms of another sum, together with that sum."""
-    uses = Counter(outputs)
-    for instruction in listing:
-        uses.update(instruction.operands)
+    uses = Counter(chain(outputs, *(instruction.operands for instruction in listing)))
     sums = {instruction.results[0]: instruction for instruction in listing if not instruction.operation}
     gone: set[int] = set()
     for instruction in sums.values():
