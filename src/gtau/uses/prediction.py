@@ -26,7 +26,7 @@ from gtau.model.inverse_dynamics import one_or_many
 from gtau.model.loops import Motion
 from gtau.robots.parameter import SHAPES, TEMPERATURE_TERMS, Parameter, torque_unit
 from gtau.robots.robot import Robot
-from gtau.signals.preparation.bandwidth import position_noise
+from gtau.signals.preparation.bandwidth import position_noise, widened
 from gtau.signals.preparation.filters import HIGHEST_CUTOFF, Decimator
 from gtau.signals.preparation.prepared_run import PreparedRun, prepare
 from gtau.signals.reading.statements import Payload
@@ -193,7 +193,10 @@ def predict(result: IdentifiedModel, run: Run | str | Path, external: np.ndarray
     time = np.asarray(prepared.time)
     chi = loaded_parameters(result, run.payload, f"run '{run.name}'")
     check_temperature_unit(result, run)
-    made, friction_torque, measured = joint_torques(result, prepared.for_prediction(), chi, external)
+    # each joint's position is filtered only as much as its noise requires
+    cutoffs, noise = prepared.preparation.prediction_cutoffs, prepared.preparation.position_noise
+    wide = replace(prepared, cutoffs=widened(run, cutoffs, noise)) if cutoffs else prepared
+    made, friction_torque, measured = joint_torques(result, wide, chi, external)
     n = len(made)
     keep = np.concatenate([prepared.samples(*span).usable[:, :n] for span in spans(len(prepared))])
     valid = np.concatenate([prepared.valid(*span)[:, :n] for span in spans(len(prepared))])

@@ -51,6 +51,11 @@ class LagProducts:
     counts: np.ndarray
     basis: tuple[int, np.ndarray]
 
+    def add(self, other: LagProducts) -> None:
+        """Add the rows of another part of the logs."""
+        self.products[:] += other.products
+        self.counts[:] += other.counts
+
     @cached_property
     def plain(self) -> np.ndarray:
         """Products of all rows with themselves, (p, p)."""
@@ -149,10 +154,7 @@ class MixedModel:
 
     @cached_property
     def parts(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, float], ...]:
-        """Products of own columns (c, m, m), by common ones (c, m, .), and of these (., .); with all unknowns, first.
-
-        Then without those that act ``alone``, beside their log-determinant.
-        """
+        """Products of own and common columns, and a log-determinant: of none, and of unknowns that act ``alone``."""
         m, count, first = len(self.own_groups), len(self.alone), [*range(self.unknowns), -1]
         rows, alone = self.grams[:, m:], np.s_[self.unknowns - count : self.unknowns]
         own, crossed, common = self.grams[:, :m, :m].copy(), self.grams[:, :m, m:].copy(), rows[..., m:].sum(axis=0)
@@ -161,9 +163,8 @@ class MixedModel:
         L = np.linalg.cholesky(rows[..., m:][:, alone, alone] + elsewhere[:, None] * np.eye(count))
         B, determinant = np.linalg.solve(L, rows[:, alone]), 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
         taken, kept = B.swapaxes(1, 2) @ B, np.delete(np.arange(len(common)), alone)
-        fewer = (common - taken[:, m:, m:].sum(axis=0))[np.ix_(kept, kept)]
-        others = own - taken[:, :m, :m], (crossed - taken[:, :m, m:])[..., kept], fewer, determinant
-        return (own, crossed, common, 0.0), others
+        left, fewer = own - taken[:, :m, :m], (common - taken[:, m:, m:].sum(axis=0))[np.ix_(kept, kept)]
+        return (own, crossed, common, 0.0), (left, (crossed - taken[:, :m, m:])[..., kept], fewer, determinant)
 
     @property
     def unknowns(self) -> int:

@@ -37,6 +37,7 @@ from gtau.estimation.regression.run_blocks import Windows
 # often explain physics that has no column: if they are free, a gain of a dVRK becomes 0.37 instead of 0.71 N per A.
 AS_DESCRIBED = 0.0
 UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which nothing determines it
+PRECISE = 1e9  # of effects' products: rounding of larger ones would count beside the precision 1 before the data
 RANK = 1e-6  # of the largest singular value: directions below it are left out of a least-squares step
 FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs
 ALONG = 3.0  # runs over which a drift is forgotten: some minutes of warm-up (experience; 1 and 10 change no interval
@@ -181,7 +182,7 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
     plausible = np.array([column.plausible for _, columns in acting for column in columns])
     weights, gains = weights_of(fit), fit.solution.gains
     driven = fit.system.problem.unknown_gains  # a base that floats, or a sensor, has no drive of its own
-    blocks = []
+    products: list[LagProducts] = []
     for run, window in windows:
         at = FitWindow(fit, run, window)
         A, keep = at.rows(torques)
@@ -190,8 +191,10 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
         rows = np.concatenate([*_placed(layouts, columns, modes[run], driven, False), equations,
                                *_placed(layouts, columns, modes[run], driven, True)], axis=-1)  # fmt: skip
         used = [np.flatnonzero(kept) for kept in keep]
-        blocks.append([(block[k], np.diff(k, prepend=-2) != 1) for block, k in zip(rows, used, strict=True)])
-    products = (lag_products(*map(np.concatenate, zip(*parts, strict=True))) for parts in zip(*blocks, strict=True))
+        parts = [lag_products(block[k], np.diff(k, prepend=-2) != 1) for block, k in zip(rows, used, strict=True)]
+        for total, part in zip(products, parts, strict=False):
+            total.add(part)
+        products = products or parts
     return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
 
 
@@ -229,7 +232,8 @@ def linear_at(
     steps = [theta - theta_0, *([1 / gains - 1 / gains_0] if fit.free_gains else []), delays - delays_0]
     n_own, end = len(own_groups), len(own_groups) + problem.n_theta + FIXED
     squares = [M[:, free].T @ part.products[0][n_own:end, n_own:end] @ M[:, free] for M, part in parts]
-    back, alone = _whitening([J_known[:, free].T @ J_known[:, free], *squares])
+    effects = [np.delete(np.diag(part.products[0]), np.s_[n_own:end]) for _, part in parts]
+    back, alone = _whitening([J_known[:, free].T @ J_known[:, free], *squares], np.max(effects, initial=0.0))
     basis = np.zeros((T.shape[1], back.shape[1] + len(per_run)))
     basis[free, : back.shape[1]] = back
     basis[per_run, back.shape[1] :] = root
@@ -270,11 +274,11 @@ def _channel_maps(fit: Fit, values: np.ndarray, origin: np.ndarray, columns: int
     return maps
 
 
-def _whitening(squares: Sequence[np.ndarray]) -> tuple[np.ndarray, Sequence[int] | np.ndarray]:
+def _whitening(squares: Sequence[np.ndarray], largest: float) -> tuple[np.ndarray, Sequence[int] | np.ndarray]:
     """Make unknowns with products (k, k), of known parameters and each channel, orthonormal: (k, r).
 
     Directions that nothing determines are left out. Those of unknowns that act on one channel alone come last, with
-    their channels.
+    their channels; none where the ``largest`` product of effects is not ``PRECISE``.
     """
     square, acting = np.sum(squares, axis=0), np.array([np.diag(each) > 0 for each in squares])
     norms = np.sqrt(np.diag(square))
@@ -284,6 +288,6 @@ def _whitening(squares: Sequence[np.ndarray]) -> tuple[np.ndarray, Sequence[int]
     back = vectors[:, kept] / np.sqrt(values[kept]) * inverse
     at = np.flatnonzero((acting.sum(axis=0) == 1) & ~acting[0])
     Q, R = np.linalg.qr(back.T @ square[:, at], mode="complete")
-    if np.any(np.abs(np.diag(R)) <= RANK * norms[at]):
-        return back, ()  # some depend on each other
+    if largest > PRECISE or np.any(np.abs(np.diag(R)) <= RANK * norms[at]):  # or some depend on each other
+        return back, ()
     return back @ np.roll(Q, -len(at), axis=1), acting[1:, at].argmax(axis=0)

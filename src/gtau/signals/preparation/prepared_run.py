@@ -13,7 +13,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.findings import Finding, Grade
 from gtau.signals.preparation import filters
-from gtau.signals.preparation.bandwidth import JointSpectrum, spectra, widened
+from gtau.signals.preparation.bandwidth import JointSpectrum, spectra
 from gtau.signals.run import Run
 from gtau.signals.storage import block, spans, stored
 
@@ -145,11 +145,6 @@ class PreparedRun:
     def time(self) -> np.ndarray:
         """Instants of the samples that are used, (N,) in s."""
         return self.run.time[self.kept.start : self.kept.stop]
-
-    def for_prediction(self) -> PreparedRun:
-        """Filter each joint's position only as much as its noise requires, as predictions do."""
-        cutoffs, noise = self.preparation.prediction_cutoffs, self.preparation.position_noise
-        return replace(self, cutoffs=widened(self.run, cutoffs, noise)) if cutoffs else self
 
     @property
     def _cutoff(self) -> filters.Cutoff:
