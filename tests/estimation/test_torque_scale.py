@@ -171,7 +171,7 @@ def test_the_airbot_reports_too_little_at_joint_2(shared: Path) -> None:
         assert (shown["factor"] or 0.0) == pytest.approx(written[joint]["factor"] or 0.0, rel=0.02)
     assert [scale.joint for scale in torque_scales(found) if scale.state == "wrong"] == ["joint2"]
     above = {joint for joint, scale in written.items() if scale["interval"] and scale["interval"][0] > 1}
-    assert above == {"joint2"}  # joint 3 is 43 % too low as well, but a falling torque constant would do the same
+    assert above == {"joint2", "joint3"}  # but at joint 3 a falling torque constant would do nearly the same
 
 
 @pytest.mark.parametrize("joint", ["1", "2"])

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 FEWEST_FOR_TESTS = 3.0  # rows for each unknown; with fewer, effects fit the noise and are not tried
 LACKING = 1.3  # ratio of jackknife to white-noise standard errors, from which causes of misfit are tried
-LARGEST_MOVE = 0.5  # relative move of a gain by all effects, beyond which the estimates are not moved
+LARGEST_MOVE = 0.4  # relative move of a gain by all effects, beyond which the estimates are not moved
 HARMLESS_SHARE = 0.3  # share of the residual variance that a description explains, up to which it is information
 SURE = 0.01  # part of the residual variance that a description leaves, below which no further one is tried
 LARGE_SHARE = 0.1  # the same of physics that is larger than a motor can be, and of measured wrenches

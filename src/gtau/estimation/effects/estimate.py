@@ -163,8 +163,13 @@ def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
     for _ in range(STEPS):
         model, slopes, origin = linear_at(rows, values, noise)
         mixed = near = fit_mixed(replace(model, largest=np.minimum(model.largest, absent)), near)
-        if impossible := _impossible(rows, mixed):
-            absent[impossible] = BOUNDS[0]
+        if impossible := list(_impossible(rows, mixed)):
+            for number, channels in impossible:
+                if rows.layouts[number].effect.shared:
+                    absent[number] = BOUNDS[0]
+                else:
+                    rows.leave_out(number, channels)
+            model, slopes, origin = linear_at(rows, values, noise)
             mixed = near = fit_mixed(replace(model, largest=np.minimum(model.largest, absent)), mixed)
         noise = mixed.model.noise
         gains, values = values[gain_rows], origin + mixed.at_sizes(mixed.log_s, slopes)[0]
@@ -173,9 +178,9 @@ def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
     return Mixed(fit, rows, mixed, slopes, origin)
 
 
-def _impossible(rows: EffectRows, mixed: MixedFit) -> list[int]:
-    """List the effects with a column whose size is impossible by several standard deviations."""
-    first, variances, impossible = mixed.model.unknowns + len(rows.in_runs[0]), np.diag(mixed.at.covariance), []
+def _impossible(rows: EffectRows, mixed: MixedFit) -> Iterator[tuple[int, np.ndarray]]:
+    """List effects with a size that is impossible by several standard deviations, and at which channels it is."""
+    first, variances = mixed.model.unknowns + len(rows.in_runs[0]), np.diag(mixed.at.covariance)
     for number, layout in enumerate(rows.layouts):
         if layout.effect.in_runs or mixed.log_s[number] <= BOUNDS[0]:
             continue
@@ -185,9 +190,9 @@ def _impossible(rows: EffectRows, mixed: MixedFit) -> list[int]:
             places = slice(first + places.start, first + places.stop)
             sizes, variance = mixed.at.common[places], variances[places]
         scale = mixed.sizes[number] * np.array([column.plausible for column in layout.columns])
-        if np.any(scale * (sizes + IMPOSSIBLE * np.sqrt(variance)) < [column.least for column in layout.columns]):
-            impossible.append(number)
-    return impossible
+        below = scale * (sizes + IMPOSSIBLE * np.sqrt(variance)) < [column.least for column in layout.columns]
+        if below.any():
+            yield number, below.any(axis=-1)
 
 
 def estimated_effects(result: Mixed) -> tuple[EstimatedEffect, ...]:

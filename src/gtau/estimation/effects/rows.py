@@ -151,6 +151,12 @@ class EffectRows:
         sizes = (each.places.stop - each.places.start if each.effect.shared == shared else 0 for each in self.layouts)
         return np.repeat(np.arange(len(self.layouts)), list(sizes))
 
+    def leave_out(self, number: int, channels: np.ndarray) -> None:
+        """Leave out an effect's own columns of some channels (c,)."""
+        places = self.layouts[number].places
+        for part in (part for part, out in zip(self.products, channels, strict=True) if out):
+            part.products[:, places] = part.products[:, :, places] = 0.0
+
     @cached_property
     def in_runs(self) -> tuple[list[int], np.ndarray]:
         """Places of the friction of runs among the unknowns, (r,), and a root (r, r) of its prior covariance."""
