@@ -367,8 +367,7 @@ def compare(
     ['ml', 'huber', 'iv', 'didim', '2sls', 'tls']
     """
     options = options_of(prior_gains, priors, prior_inertias=prior_inertias)
-    described = _described(source, runs, robot, payload, "compare")
-    return compare_estimators(described, runs, options, progress or silent)
+    return compare_estimators(_described(source, runs, robot, payload, "compare"), runs, options, progress or silent)
 
 
 def _described(

@@ -136,8 +136,7 @@ def _page(out: Path, open_: list[str]) -> str:
     """Show what was drafted, and what to confirm."""
     from gtau.signals.reading.drafting import SEAL
 
-    drafted = out.read_text(encoding="utf-8").rpartition(SEAL)[0].partition("\n\n")[2]
-    lines = [drafted, f"written: {out}"]
+    lines = [out.read_text(encoding="utf-8").rpartition(SEAL)[0].partition("\n\n")[2], f"written: {out}"]
     if open_:
         lines += ["", "Before you go on, edit its lines marked CHECK:"]
         for doubt in open_:

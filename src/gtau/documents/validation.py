@@ -246,5 +246,4 @@ def expect(what: str, value: object, accepted: Accepted) -> None:
 
 def some_of(texts: Sequence[str], most: int, between: str = ", ") -> str:
     """List texts in a sentence, the first ``most`` of many."""
-    more = f" and {len(texts) - most} more" if len(texts) > most else ""
-    return between.join(texts[:most]) + more
+    return between.join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")

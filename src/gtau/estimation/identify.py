@@ -157,8 +157,7 @@ def estimate(
     audit = None
     if dataset.robot.inertias:
         undeclared = TOOL_BODIES in {effect.effect for effect in examined.effects}
-        loaded = undeclared or bool(fit.system.always_carried)
-        bare, audit = audit_inertias(plain, estimates, loaded)
+        bare, audit = audit_inertias(plain, estimates, undeclared or bool(fit.system.always_carried))
     references = (*sensor_contradictions(scales, plain, accuracy), *contradictory_voltages(plain, accuracy))
     payloads = {} if bare is None else weigh_known(bare, estimator.name, accuracy, references)
     bodies, lost = _consistent_bodies(fit, plain, np.sqrt(np.diag(estimates.covariance)), options)

@@ -241,8 +241,7 @@ def whole_run(task: DesignProblem, period: Point, rate: float) -> np.ndarray:
     count = int(np.ceil(_approach_duration(task, home, start) * rate))
     time = np.arange(count) / rate
     there = quintic(home, start, count / rate, time)
-    back = quintic(start, home, count / rate, time + 1 / rate)
-    return np.concatenate([there, periods, back], axis=2)
+    return np.concatenate([there, periods, quintic(start, home, count / rate, time + 1 / rate)], axis=2)
 
 
 def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray) -> float:
@@ -250,8 +249,7 @@ def _approach_duration(task: DesignProblem, home: np.ndarray, start: np.ndarray)
     span = approach_duration(start - home, task.limits.rates)
 
     def lasting(duration: float) -> Point:
-        joints = quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH))
-        return along(task, joints, duration)
+        return along(task, quintic(home, start, duration, np.linspace(0.0, duration, 8 * APPROACH)), duration)
 
     span *= max((usage.excess / MARGIN for usage in tool_speed(lasting(span)) if usage.excess > MARGIN), default=1.0)
     for slower in SLOWER:

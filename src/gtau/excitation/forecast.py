@@ -52,8 +52,7 @@ class Forecast:
 def sampled_run(task: DesignProblem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sample a run at the controller's rate: instants (N,), s; q, qd, qdd and jerk (4, n, N)."""
     time = np.arange(round(task.series.period * task.rate)) / task.rate
-    period = evaluate(task, x, Grid(1 / task.rate, task.series.basis(time)))
-    joints = whole_run(task, period, task.rate)
+    joints = whole_run(task, evaluate(task, x, Grid(1 / task.rate, task.series.basis(time))), task.rate)
     return np.arange(joints.shape[2]) / task.rate, joints
 
 
@@ -83,8 +82,8 @@ def forecast(task: DesignProblem, x: np.ndarray) -> Forecast:
     slowest = 0.5 / (2 * np.pi * preparation.bandwidth)
     uncertain = dict.fromkeys(load.name for load in task.payloads if load is not None and load.mass_std)
     loads: list[Sequence[Payload | None]] = [task.payloads]
-    for name in uncertain:  # heavier by its standard deviation
-        loads.append([_heavier(load) if load and load.name == name else load for load in task.payloads])
+    # each heavier by its standard deviation
+    loads += [[_heavier(load) if load and load.name == name else load for load in task.payloads] for name in uncertain]
     problem, *shifted = (plain_problem(task.model, task.base, factors, load, slowest) for load in loads)
     prior = dict(zip(task.base.names, task.prior.chi, strict=True))
     theta = task.prior.values(problem.parameters, task.model.robot, task.payloads, prior)

@@ -222,8 +222,7 @@ def criterion(name: str, unknowns: Information) -> Criterion:
             advice = meant(unknown, choices, f"choose {', '.join(NAMED)}, or {examples}.")
             raise GtauError(f"there is no criterion or parameter '{unknown}'; {advice}")
         chosen = np.isin(names, wanted)
-    weight = chosen / unknowns.scale**2 / chosen.sum()
-    return partial(_weighted_trace, unknowns.known, weight)
+    return partial(_weighted_trace, unknowns.known, chosen / unknowns.scale**2 / chosen.sum())
 
 
 def root_covariance(R: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -144,8 +144,7 @@ class DesignProblem:
         layout = self.model.layout
         c, yd = ca.SX.sym("c", layout.n_c), ca.SX.sym("yd", layout.n_y)
         position = frames(layout, c)[self.model.robot.tool].p_0
-        velocity = ca.jtimes(position, c, configuration_rates(layout, c, yd))
-        speed = ca.sqrt(ca.sumsqr(velocity) + STILL**2)
+        speed = ca.sqrt(ca.sumsqr(ca.jtimes(position, c, configuration_rates(layout, c, yd))) + STILL**2)
         slopes = ca.densify(ca.gradient(speed, ca.vertcat(c, yd)))
         return compile_program([c, yd], [ca.densify(speed)]), compile_program([c, yd], [slopes])
 

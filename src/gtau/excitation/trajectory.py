@@ -105,8 +105,7 @@ def quintic(start: np.ndarray, end: np.ndarray, duration: float, time: np.ndarra
 def move_duration(way: np.ndarray, rates: np.ndarray) -> float:
     """Compute the shortest duration, s, of a quintic move by ``way`` (m,) within speed, acceleration, jerk (3, m)."""
     powers = (np.abs(way) * peak / limit for peak, limit in zip(PEAKS, rates, strict=True))
-    durations = [power ** (1 / order) for order, power in enumerate(powers, start=1)]
-    return float(np.max(durations))
+    return float(np.max([power ** (1 / order) for order, power in enumerate(powers, start=1)]))
 
 
 def approach_duration(way: np.ndarray, rates: np.ndarray) -> float:

@@ -72,8 +72,7 @@ def c_files(model: Identified) -> dict[str, str]:
     for function in filter(None, (made.step, made.last_step)):
         outputs = ("moved", "size", "condition")[: function.n_out()]
         bodies.append(_c_kernel(function, ("c",), outputs, helpers))
-    for function in made.outputs.values():
-        bodies.append(_c_kernel(function, ("c", "qd", "qdd", "p"), ("out",), helpers))
+    bodies += [_c_kernel(function, ("c", "qd", "qdd", "p"), ("out",), helpers) for function in made.outputs.values()]
     fields["kernels"] = "\n\n".join([*helpers, *bodies, ""])
     parts = {"model": "", "controller": "_controller", "observer": "_observer"}
     files = {f"{model.name}{end}.{kind}": f"{part}.{kind}" for part, end in parts.items() for kind in "hc"}

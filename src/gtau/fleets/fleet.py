@@ -211,8 +211,7 @@ def inputs_key(experiment: Experiment, method: str) -> str:
 
 @cache
 def _program() -> bytes:
-    root = Path(__file__).parents[1]
-    return "".join(digest_of(path) for path in in_order(root.rglob("*.py"))).encode()
+    return "".join(digest_of(path) for path in in_order(Path(__file__).parents[1].rglob("*.py"))).encode()
 
 
 def _keep(out: Path, member: Member, outcome: tuple[str, str] | GtauError) -> Report:

@@ -153,9 +153,8 @@ def _outlier_limits(freedom: np.ndarray, spread: float, tests: int) -> np.ndarra
     """Compute the ``|z|`` (N,) that Student's t exceeds with a probability of 5 % in ``tests`` draws."""
     from scipy.special import stdtrit
 
-    spread_freedom = max(EFFICIENCY * (len(freedom) - 1), 1.0)
     # a spread may be the larger part: its few degrees of freedom then count for both
-    both = np.minimum(freedom, spread_freedom) if spread else freedom
+    both = np.minimum(freedom, max(EFFICIENCY * (len(freedom) - 1), 1.0)) if spread else freedom
     return np.asarray(stdtrit(both, 1 - FALSE_ALARM / (2 * tests)))
 
 

@@ -207,8 +207,7 @@ def _wrench(chi: dict[Parameter, ca.SX], body: str, twist: Twist, acceleration: 
     ms = ca.vertcat(mx, my, mz)
     omega, alpha, a = twist.angular, acceleration.angular, acceleration.linear
     force = m * a + ca.cross(alpha, ms) + ca.cross(omega, ca.cross(omega, ms))
-    moment = inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(ms, a)
-    return Twist(moment, force)
+    return Twist(inertia @ alpha + ca.cross(omega, inertia @ omega) + ca.cross(ms, a), force)
 
 
 def spring_length(spring: Spring, frame: dict[str, Frame]) -> tuple[ca.SX, ca.SX]:

@@ -197,8 +197,7 @@ class InverseDynamics:
         """Compute the state of the whole virtual tree at configurations ``c`` (n_c, N) from :meth:`path`."""
         if self.loops is None:
             n, samples = qd.shape
-            J = np.broadcast_to(np.eye(n)[:, :, None], (n, n, samples))
-            return Motion(c, qd, qdd, J, np.ones(samples))
+            return Motion(c, qd, qdd, np.broadcast_to(np.eye(n)[:, :, None], (n, n, samples)), np.ones(samples))
         return differentiate(self.loops, c, qd, qdd, labels)
 
     def columns(self, names: Sequence[Parameter]) -> Regressor:
@@ -238,8 +237,7 @@ class InverseDynamics:
         inputs, J = self.symbols
         chi = {name: ca.SX.sym(name) for name in self.parameter_names}
         c, yd, ydd, _ = inputs
-        tau = torques(self.layout, c, yd, ydd, J, chi)
-        return inputs, ca.jacobian(tau, ca.vertcat(*chi.values()))
+        return inputs, ca.jacobian(torques(self.layout, c, yd, ydd, J, chi), ca.vertcat(*chi.values()))
 
     def gravity_torques(self, names: Sequence[Parameter]) -> Regressor:
         """Return a regressor of gravity along the base axes, whose program takes values of ``names``, others zero."""

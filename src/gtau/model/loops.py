@@ -153,8 +153,7 @@ def follow(
     while half := half // 2:  # the head in the middle of the way, the heads of its halves, and so on
         heads = np.arange(half, starts.size, 2 * half)
         c[:, starts[heads]], reached[heads] = advance(loops, c[:, starts[heads - half]], q[:, starts[heads]])
-    begun = np.flatnonzero(reached)
-    lost = _follow_segments(loops, q, c, starts[begun], length)
+    lost = _follow_segments(loops, q, c, starts[np.flatnonzero(reached)], length)
     # a segment must begin where the previous one ends
     led, joined = advance(loops, c[:, starts[1:] - 1], q[:, starts[1:]])
     redone = False

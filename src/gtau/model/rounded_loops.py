@@ -245,8 +245,7 @@ def _fitted(
             poses[k] = c = closed(changed, c, moving)
             error, G, tilt, by_joints, slopes = (part.full() for part in varied(c, by))
             rows = len(error) + len(tilt) * aligned
-            stacked = np.vstack([G, by_joints])[:rows, moving]
-            surplus = np.linalg.svd(stacked)[0][:, moving.size :].T
+            surplus = np.linalg.svd(np.vstack([G, by_joints])[:rows, moving])[0][:, moving.size :].T
             A.append(surplus @ slopes[:rows, unknown.ravel()])
             b.append(surplus @ np.vstack([error, tilt])[:rows, 0])
             worst = max(worst, float(np.abs(error).max()), float(np.abs(b[-1]).max(initial=0.0)))

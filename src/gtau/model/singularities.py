@@ -68,8 +68,7 @@ def random_motion(idm: InverseDynamics, samples: int, rng: np.random.Generator, 
         count = samples if not drawn else ceil(1.2 * (samples - regular) / max(share, FEASIBLE))
         q = home + box * (rng.uniform(bounds[:, :1], bounds[:, 1:], (len(joints), count)) - home)
         qd = rng.normal(size=q.shape) * speed[:, None]
-        qdd = rng.normal(size=q.shape) * push[:, None]
-        parts.append(_regular(idm, bounds, q, qd, qdd, condition))
+        parts.append(_regular(idm, bounds, q, qd, rng.normal(size=q.shape) * push[:, None], condition))
         regular, drawn = regular + parts[-1].c.shape[1], drawn + count
         share = regular / drawn
     return joined(parts)[slice(samples)]
@@ -139,7 +138,6 @@ def tool_jacobian(idm: InverseDynamics) -> Callable[[Motion], np.ndarray]:
 
     def jacobian(motion: Motion) -> np.ndarray:
         samples = motion.c.shape[1]
-        columns = program(motion.c, motion.J[passive].reshape(-1, samples))
-        return columns.reshape(-1, n, samples).transpose(2, 0, 1)
+        return program(motion.c, motion.J[passive].reshape(-1, samples)).reshape(-1, n, samples).transpose(2, 0, 1)
 
     return jacobian

@@ -117,8 +117,7 @@ def _verdict(checked: CheckedExperiment) -> Section:
 def expectation(notes: Sequence[Finding]) -> str:
     """State in one sentence whether an identification can use these logs."""
     listed = by_severity(same_in_several(notes))
-    weighing = any(note.kind == WEIGHING for note in notes)
-    command = "gtau payload" if weighing else "gtau identify"
+    command = "gtau payload" if any(note.kind == WEIGHING for note in notes) else "gtau identify"
     if errors := listed.get(Grade.ERROR):
         return f"{command} will refuse these logs: {counted(len(errors), 'error')} to resolve first."
     if warnings := listed.get(Grade.WARNING):

@@ -50,8 +50,7 @@ def joint_panels(
     """Draw a quantity (K, n) of joints over time, in one panel for rotations and one for translations."""
     lines: dict[str, list[Series]] = {"rad": [], "m": []}
     for j, joint in enumerate(joints):
-        line = Series(joint_label(joint), time, values[:, j], colour(j))
-        lines[robot.joint(joint).unit].append(line)
+        lines[robot.joint(joint).unit].append(Series(joint_label(joint), time, values[:, j], colour(j)))
     drawn = [(Axis(f"{what}, {unit}{per}"), tuple(series)) for unit, series in lines.items() if series]
     return [Panel(TIME, axis, series, height=height) for axis, series in drawn]
 

@@ -219,8 +219,7 @@ def residuals_section(result: IdentifiedModel, runs: Sequence[RunEvidence]) -> S
         "block jackknife corrects the standard deviations."
     )
     panels = residual_panels(residuals, units)
-    chart = Chart(panels, columns=2) if panels else None
-    return Section("Residuals", Text(words), chart, id="residuals")
+    return Section("Residuals", Text(words), Chart(panels, columns=2) if panels else None, id="residuals")
 
 
 def residual_panels(residuals: Mapping[str, Residuals], units: Mapping[str, str]) -> tuple[Panel, ...]:

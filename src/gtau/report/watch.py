@@ -65,8 +65,7 @@ def status_words(status: Status) -> str:
 def state_of(alarm: Alarm | None, events: Iterable[Event], complete: bool) -> str:
     """Return the state of a robot in one word; ``complete`` if the baseline has enough logs."""
     if alarm is None:
-        refused = any(event.kind == "refused" for event in events)
-        return "check" if refused else "OK" if complete else "baseline"
+        return "check" if any(event.kind == "refused" for event in events) else "OK" if complete else "baseline"
     worn = any(cause.kind in ("gain", "friction") and cause.joint for cause in alarm.explanations[:1])
     return "replace" if alarm.kind == "tolerance" and worn else "check"  # the drive
 

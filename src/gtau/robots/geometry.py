@@ -66,8 +66,7 @@ def extent(robot: Robot, body: str) -> tuple[np.ndarray, float, bool]:
 
 def longest_placement(robot: Robot) -> float:
     """Return the largest distance (m) from a body's frame to a joint or closure on it; 1 without any."""
-    lengths = [2 * extent(robot, body)[1] for body in robot.bodies]
-    return max(lengths, default=0.0) or 1.0
+    return max([2 * extent(robot, body)[1] for body in robot.bodies], default=0.0) or 1.0
 
 
 def moved_ends(

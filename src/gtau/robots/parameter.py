@@ -164,8 +164,7 @@ class RigidBody:
 
     def seen_from(self, rotation: np.ndarray, position: np.ndarray) -> RigidBody:
         """Express the body in another frame, whose orientation (3, 3) and origin (3,) in this one are given."""
-        center = rotation.T @ (self.center - position)
-        return RigidBody(self.mass, center, rotation.T @ self.inertia @ rotation)
+        return RigidBody(self.mass, rotation.T @ (self.center - position), rotation.T @ self.inertia @ rotation)
 
     @property
     def about_origin(self) -> np.ndarray:

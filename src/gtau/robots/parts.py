@@ -267,8 +267,7 @@ def _with_ball(robot: Robot, pin: Joint, along: np.ndarray) -> Robot:
 def _ball(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:
     """Find the three pins of a ball with massless links in between, by the last pin."""
     hinges = _hinges(robot, last)
-    massless = hinges is not None and all(joint.parameters == "none" for joint in hinges[:2])
-    return hinges if massless else None
+    return hinges if (hinges is not None and all(joint.parameters == "none" for joint in hinges[:2])) else None
 
 
 def _hinges(robot: Robot, last: Joint) -> tuple[Joint, Joint, Joint] | None:

@@ -142,8 +142,7 @@ def moves_through(points: np.ndarray, within: Envelope, rest: float) -> PointToP
     # the largest speed and acceleration of the quintic are 15/8 and 10/sqrt(3), rounded up
     spans = np.maximum(1.875 * way / within.velocity, np.sqrt(5.7736 * way / within.acceleration)).max(axis=1)
     spans = np.maximum(spans, 1e-3)  # for a move to the same point
-    starts = np.concatenate([[0.0], np.cumsum(spans[:-1] + rest)])
-    return PointToPoint(points, starts, spans)
+    return PointToPoint(points, np.concatenate([[0.0], np.cumsum(spans[:-1] + rest)]), spans)
 
 
 def _existing(path: Path, info: ValidationInfo) -> Path:

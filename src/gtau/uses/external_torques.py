@@ -202,8 +202,7 @@ def _solve(A: np.ndarray, covariance: np.ndarray, torque: np.ndarray) -> tuple[n
     root = np.linalg.cholesky(covariance)
     U, s, V_t = np.linalg.svd(np.linalg.solve(root, A @ onto), full_matrices=False)
     inverse = np.divide(1.0, s, out=np.zeros_like(s), where=s > ROUNDING * s[:, :1])
-    whitened = np.linalg.solve(root, torque[:, :, None])[:, :, 0]
-    along = np.einsum("ikj,ik->ij", U, whitened)
+    along = np.einsum("ikj,ik->ij", U, np.linalg.solve(root, torque[:, :, None])[:, :, 0])
     value = np.einsum("ij,ijw->iw", inverse * along, V_t)
     shares = np.einsum("ij,ijw->iw", shown, directions**2)
     # assuming an equal wrench along the directions left out

@@ -75,8 +75,7 @@ class Identified:
     @property
     def friction(self) -> tuple[Parameter, ...]:
         """Names of all friction parameters, base parameters among them by their standard names."""
-        plain = [name for name in self.result.base.standard if name.kind in PLAIN_FRICTION]
-        return (*plain, *self.terms)
+        return (*[name for name in self.result.base.standard if name.kind in PLAIN_FRICTION], *self.terms)
 
     @property
     def terms(self) -> tuple[Parameter, ...]:

@@ -143,8 +143,7 @@ def _bands(time: np.ndarray, raw: np.ndarray, valid: np.ndarray, bandwidth: floa
     at = np.searchsorted(frequency, edges)
     at[-1] = len(frequency)
     rms = np.sqrt(np.diff(np.array(power)[:, at], axis=1))
-    listed = np.column_stack([edges[:-1], edges[1:], *rms]).tolist()
-    return tuple(BandError(*values) for values in listed)
+    return tuple(BandError(*values) for values in np.column_stack([edges[:-1], edges[1:], *rms]).tolist())
 
 
 SAMPLES = 1 << 14  # of all runs together, from the middle of each
@@ -376,5 +375,4 @@ def _squares(result: IdentifiedModel, cutoff: float, prepared: PreparedRun, chi:
         wide.paths[idm] = idm.near(prepared.paths[idm], wide.all_samples.q.T.copy(), labels)
     predicted, _, measured = joint_torques(result, wide, chi)
     prepared.paths.update(wide.paths)
-    valid = prepared.valid()[:, : len(measured)].T
-    return np.asarray(np.sum((measured - predicted) ** 2, axis=1, where=valid))
+    return np.asarray(np.sum((measured - predicted) ** 2, axis=1, where=prepared.valid()[:, : len(measured)].T))

@@ -300,8 +300,7 @@ def visible_changes(view: View) -> np.ndarray:
     before, white = (np.repeat(part[:, columns], len(SIZES), axis=1) for part in (x, std))
     smallest = _seen_by_tolerance(view)
     for p, logs in _periods(view):
-        after = np.resize(before[-logs:], (logs, before.shape[1])) + sizes.ravel()
-        values = np.vstack([before, after])
+        values = np.vstack([before, np.resize(before[-logs:], (logs, before.shape[1])) + sizes.ravel()])
         proof = evidence(values, np.resize(white, values.shape) ** 2, FEWEST)
         change = np.where(view.certain(proof).reshape(sizes.shape), sizes, np.inf).min(axis=1)
         smallest[columns, p] = np.minimum(smallest[columns, p], change)
@@ -325,8 +324,7 @@ def power(view: View) -> np.ndarray:
 
 
 def _seen_by_tolerance(view: View) -> np.ndarray:
-    half = np.nan_to_num(week_of(view)[1], nan=np.inf)
-    return np.tile((view.tolerance + 2 * half)[:, None], len(PERIODS) + 1)
+    return np.tile((view.tolerance + 2 * np.nan_to_num(week_of(view)[1], nan=np.inf))[:, None], len(PERIODS) + 1)
 
 
 def _periods(view: View) -> Iterator[tuple[int, int]]:

@@ -65,8 +65,7 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     names = tuple(problem.joints[j] for j in joints)
     text = f"reversed torques of {listed(names)}"
     advice = f"check the signs of the {fit.kind} and position columns of {listed(names)}"
-    cause = Finding(REVERSED_CHANNELS, names, text=text, advice=advice)
-    return described_otherwise(COLUMNS, cause, best, unaltered)
+    return described_otherwise(COLUMNS, Finding(REVERSED_CHANNELS, names, text=text, advice=advice), best, unaltered)
 
 
 def other_columns(fit: Fit, progress: Progress) -> EstimatedEffect | None:

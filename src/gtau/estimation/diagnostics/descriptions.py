@@ -188,8 +188,7 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
         return other if set(other.system.unexcited) <= set(fit.system.unexcited) else None
 
     def added(other: Fit, carried: tuple[int, ...]) -> np.ndarray:
-        places = other.problem.unknowns.at(masses(carried))
-        return np.asarray(other.solution.theta[places] - declared[list(carried)])
+        return np.asarray(other.solution.theta[other.problem.unknowns.at(masses(carried))] - declared[list(carried)])
 
     # a body in some runs is one that the others lack: more is forgotten than taken away
     carried, other = one_after_the_other(

@@ -253,8 +253,7 @@ def linear_at(
     if not problem.wrenches:
         largest[:-1][[layout.effect.description for layout in rows.layouts]] = AS_DESCRIBED
     model = MixedModel(tuple(linear), known.T @ known, own_groups, common_groups, prior, noise, largest, alone)
-    slopes = np.hstack([T @ basis, np.zeros((len(values), len(shared_groups)))])
-    return model, slopes, origin
+    return model, np.hstack([T @ basis, np.zeros((len(values), len(shared_groups)))]), origin
 
 
 def _channel_maps(fit: Fit, values: np.ndarray, origin: np.ndarray, columns: int) -> list[np.ndarray]:

@@ -80,8 +80,7 @@ def with_given(solver: Callable[[Problem, np.ndarray], Solution], gains: np.ndar
 def fit_by(solve: Solve, system: System, free_gains: bool, solution: Solution | None = None) -> Fit:
     """Fit by ``solve``, whose ``solution`` for ``system`` may be refined."""
     solution = solve(system.problem) if solution is None else solution
-    solve_fixed = partial(wls, gains=solution.gains, delays=solution.delays)
-    return Fit(system, solution, solve, solve_fixed, free_gains)
+    return Fit(system, solution, solve, partial(wls, gains=solution.gains, delays=solution.delays), free_gains)
 
 
 def plain_fit(solver: Callable[[np.ndarray | None], Solve]) -> FitSystem:
@@ -168,8 +167,7 @@ def tls(problem: Problem) -> Solution:
         return np.hstack([shifts, np.zeros((len(units), n))])  # all units have the same delays
 
     statistics = {"singular_ratio": float(s[-2] / s[-1]), "sigma_W": float(sigma_W)}
-    values = np.append(chi[:-1], problem.own_delays)
-    return Solution(unknowns, values, sigma, covariance, replicates, statistics)
+    return Solution(unknowns, np.append(chi[:-1], problem.own_delays), sigma, covariance, replicates, statistics)
 
 
 def _scaled(direction: np.ndarray) -> np.ndarray:

@@ -85,8 +85,7 @@ class FrictionLaw:
     @property
     def widths(self) -> np.ndarray:
         """Widths (s,) of the presliding of ``states``, rad or m."""
-        joints = self.model.robot.joints
-        return np.array([self.shapes[Parameter("width", joints[row].name)] for row in self.states])
+        return np.array([self.shapes[Parameter("width", self.model.robot.joints[row].name)] for row in self.states])
 
     def followers(self, path: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         """Make the followers of a run in blocks: from times (N,) to states z (s, N), by actuated positions."""

@@ -354,5 +354,4 @@ def reduce_runs(
     progress("base parameters", 0, 1)
     equations = Equations(model, sensors_of(robot, runs))
     preparation = preparation or preparation_of(equations, runs, decimator)
-    prepared = prepare_runs(model, runs, preparation)
-    return Dataset(equations, preparation, prepared, ()).reduced(progress=progress)
+    return Dataset(equations, preparation, prepare_runs(model, runs, preparation), ()).reduced(progress=progress)

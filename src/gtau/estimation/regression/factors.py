@@ -197,8 +197,7 @@ def reduce_rows(
             e = np.einsum("jkp,jp->jk", A, coefficients)
             residuals.append(np.where(part.keep, e, np.nan).T)
             A *= np.sqrt(np.minimum(1.0, limit[:, None] / np.maximum(np.abs(e), 1e-300)))[:, :, None]
-        moving = np.abs(part.motion.yd[idm.layout.actuated]) * part.keep[:n]
-        np.maximum.at(speeds, block, moving.T)
+        np.maximum.at(speeds, block, (np.abs(part.motion.yd[idm.layout.actuated]) * part.keep[:n]).T)
         collected.add(A, part.keep, block)
     return Factors(collected.factors(p), collected.rows, residuals=residuals.array(), speeds=speeds)
 

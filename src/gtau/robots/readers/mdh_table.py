@@ -187,8 +187,7 @@ def read_par(path: str | Path) -> Robot:
     path = Path(path)
     with errors_at(path):
         larger = "the file is larger than 64 KiB; a parameter file is a few kilobytes, so check the path."
-        content = read_at_most(MAX_PAR_BYTES, path, larger)
-        return _robot(content.decode("latin-1"), path)  # with accents in comments
+        return _robot(read_at_most(MAX_PAR_BYTES, path, larger).decode("latin-1"), path)  # with accents in comments
 
 
 def _robot(text: str, path: Path) -> Robot:

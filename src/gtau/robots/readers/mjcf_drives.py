@@ -27,8 +27,7 @@ def fixed_tendons(spec: mujoco.MjSpec) -> dict[str, dict[str, float]]:
     for tendon in spec.tendons:
         for part in tendon.path:
             if part.type == mujoco.mjtWrap.mjWRAP_JOINT and part.target:
-                terms = tendons.setdefault(tendon.name, {})
-                terms[part.target.name] = float(part.coef)
+                tendons.setdefault(tendon.name, {})[part.target.name] = float(part.coef)
     return tendons
 
 

@@ -81,8 +81,7 @@ def _file(tree: UrdfTree, source: str) -> RobotFile:
     rounding = replace(digits_of(lengths), turn=4 * digits_of(angles).half_unit(1.0))
     notes = (*_masses(tree.root, tree.frames), *tree.notes)
     stated = lumped((tree.frames[name], body) for name, body in _bodies(tree.root) if name in tree.frames)
-    inertias = tuple(stated.items()) if any(stated.values()) else ()
-    return RobotFile(source, notes, inertias=inertias, rounding=rounding)
+    return RobotFile(source, notes, inertias=tuple(stated.items()) if any(stated.values()) else (), rounding=rounding)
 
 
 def _closed(tree: UrdfTree, joints: Sequence[Joint], closures: Sequence[Closure], file: RobotFile) -> Robot:

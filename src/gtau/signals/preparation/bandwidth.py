@@ -141,8 +141,7 @@ def _judge(frequency: np.ndarray, density: np.ndarray, gain: np.ndarray, moves: 
     level = -np.log(np.maximum(grey_closing(band_means, size=CLOSING, mode="nearest"), 1e-30 * band_means.max()))
     bottom = level.min() - 2 * np.log(PROMINENCE)  # a spectrum that falls throughout ends at its last frequency
     valleys = _peaks(np.r_[bottom, level, bottom], np.log(PROMINENCE)) - 1
-    speed = density / gain
-    held = np.cumsum(speed)
+    held = np.cumsum(density / gain)
     below = held[np.searchsorted(frequency, centre[valleys], side="right") - 1]
     last = len(valleys) - 1
     while last > 0:

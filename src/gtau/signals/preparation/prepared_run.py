@@ -154,8 +154,7 @@ class PreparedRun:
         """Split the used samples into parts at (parts + 1,) indices, and mark the parts in which a joint moves."""
         limit = self.preparation.speed_fraction * np.sqrt(np.diag(self.speeds))
         moving = ((self.peaks >= limit) & self.moves).any(axis=1)
-        at = np.clip(_parts(len(self.run.time)), self.kept.start, self.kept.stop) - self.kept.start
-        return at, moving
+        return np.clip(_parts(len(self.run.time)), self.kept.start, self.kept.stop) - self.kept.start, moving
 
     def valid(self, start: int = 0, stop: int | None = None) -> np.ndarray:
         """Mark speeds and accelerations from valid samples only, (M, n), for the samples of :meth:`samples`."""

@@ -265,8 +265,7 @@ def _kind(
 ) -> tuple[Literal["current", "torque"], dict[str, str]]:
     """Decide whether commands are currents or torques, and list the points to confirm about them."""
     units = [read_unit(log.units[column]) for column in columns.values() if column in log.units]
-    in_amperes = any(unit and unit.measures == "current" for unit in units)
-    unclear = "" if in_amperes else commands.kind
+    unclear = "" if any(unit and unit.measures == "current" for unit in units) else commands.kind
     kind: Literal["current", "torque"] = "current"
     if unclear == "torque" or (unclear == "command" and _reach(log, columns) > LARGEST_CURRENT):
         kind = "torque"

@@ -113,8 +113,7 @@ def _no_file(path: Path) -> str:
     if path.exists():
         return f"'{path}' {'is a folder, not a file' if path.is_dir() else NO_FILE}; give the path of a file"
     names = [file.name for file in path.parent.iterdir()] if path.parent.is_dir() else []
-    hint = meant(path.name, names, "paths are relative to the file that names them")
-    return f"there is no file '{path}'; {hint}"
+    return f"there is no file '{path}'; {meant(path.name, names, 'paths are relative to the file that names them')}"
 
 
 class Recording(Keys):

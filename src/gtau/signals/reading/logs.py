@@ -35,8 +35,7 @@ GROUP = "gtau.log_formats"  # of the entry points of other distributions
 
 def reader_of(ending: str) -> Callable[[Path], LogTable] | None:
     """Find the reader of files whose name has an ending (``.npz``); None where it has none of its own."""
-    reader = find(GROUP, "gtau.signals.reading.formats", ending, Callable)
-    return cast("Callable[[Path], LogTable] | None", reader)
+    return cast("Callable[[Path], LogTable] | None", find(GROUP, "gtau.signals.reading.formats", ending, Callable))
 
 
 def read_log(path: str | Path, names: Iterable[str]) -> LogTable:

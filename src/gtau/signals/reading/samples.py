@@ -120,8 +120,7 @@ class Samples:
             "begin": self.part.begin if begin == 0 else np.floor(100 * first) / 100,
             "end": self.part.end if end == len(self.time) else np.ceil(100 * last) / 100,
         }
-        piece = self.with_arrays(lambda array: array[begin:end])
-        return replace(piece, part=self.part.model_copy(update=update))
+        return replace(self.with_arrays(lambda array: array[begin:end]), part=self.part.model_copy(update=update))
 
     def without(self, begin: int, end: int) -> str:
         """Write the keys of a run that leave out the samples from ``begin`` to before ``end``."""
@@ -311,8 +310,7 @@ def with_signs(
         if registers:
             signed[kind] = stored_like(array, (_signed(part, registers, counts) for part in blocks(array)))
     position = signed.get("position", samples.position)
-    command = signed.get("command", samples.command)
-    return replace(samples, position=position, command=command)
+    return replace(samples, position=position, command=signed.get("command", samples.command))
 
 
 def _count(array: np.ndarray, j: int, scale: float) -> float:

@@ -230,8 +230,7 @@ def clipped(samples: Samples, ends: Ends, holds: Holds, notes: list[Finding]) ->
                 )
             text = f"{what} is clipped at {level:.4g}: masked {counted(at, 'sample')}"
             advice = "log again with smaller accelerations, or a higher limit of the drive"
-            share = at / count
-            notes.append(Finding("clipped command", joints, text=text, advice=advice, share=share))
+            notes.append(Finding("clipped command", joints, text=text, advice=advice, share=at / count))
             clips.append((j, level))
     return clips
 

@@ -176,8 +176,7 @@ def repair(
 ) -> Finding:
     """Note a repair of a ``share`` of the samples: a warning where it costs many of them."""
     grade = Grade.WARNING if share > COSTLY else Grade.INFORMATION
-    note = reading(kind, text, advice, joints)
-    return replace(note, share=share, time=time, grade=grade, shown_as="repair")
+    return replace(reading(kind, text, advice, joints), share=share, time=time, grade=grade, shown_as="repair")
 
 
 def listed(columns: Iterable[str], most: int = 8) -> str:
