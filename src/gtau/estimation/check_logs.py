@@ -284,18 +284,21 @@ def _check(
         JointCheck(joint, (low, high), speed, speed_max, spectrum, *rest)
         for joint, spectrum, (low, high, speed, speed_max, *rest) in zip(run.joints, spectra(run), figures, strict=True)
     )
-    wrenches = np.sqrt((power / rows)[run.given].reshape(-1, 2, 3).sum(axis=2)).tolist()  # of moments, of forces
     return LogCheck(
         run=run,
         validation=validation,
         joints=joints,
-        wrenches=tuple(
-            WrenchCheck(frame.body, "world" if frame.in_world else "body", force, moment)
-            for frame, (moment, force) in zip(run.wrenches, wrenches, strict=True)
-        ),
+        wrenches=tuple(_wrench_checks(run, (power / rows)[run.given])),
         position=positions.array(),
         used=used,
         distances=distances_along(prepared, decimator, values),
         nearest=tuple(nearest_poses(prepared, decimator, values)),
         preparation=prepared.preparation,
     )
+
+
+def _wrench_checks(run: Run, squares: np.ndarray) -> Iterator[WrenchCheck]:
+    """Describe the wrenches of a run by the mean ``squares`` (6 k,) of their components, moments first."""
+    rms = np.sqrt(squares.reshape(-1, 2, 3).sum(axis=2)).tolist()
+    for frame, (moment, force) in zip(run.wrenches, rms, strict=True):
+        yield WrenchCheck(frame.body, "world" if frame.in_world else "body", force, moment)

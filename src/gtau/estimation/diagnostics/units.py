@@ -284,12 +284,9 @@ def _first_moments(audit: InertiaAudit, stds: Mapping[str, float]) -> tuple[np.n
 
 
 def _unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
-    """Find first moments that are out of scale with the robot's file, by one factor for all.
-
-    One link alone may carry what the file does not know, such as a gripper.
-    """
+    """Find first moments that are out of scale with the robot's file, by one factor for all."""
     moments, links = _first_moments(audit, {})
-    if len(links) < 2:
+    if len(links) < 2:  # one may carry what the file does not know, such as a gripper
         return
     identified, stated = np.abs(moments)
     factor = float(np.linalg.norm(identified) / np.linalg.norm(stated))

@@ -148,8 +148,8 @@ class EffectRows:
 
     def groups(self, shared: bool) -> np.ndarray:
         """List the number of the effect of each own, or each ``shared`` column."""
-        sizes = (each.places.stop - each.places.start if each.effect.shared == shared else 0 for each in self.layouts)
-        return np.repeat(np.arange(len(self.layouts)), list(sizes))
+        spans = [(layout.places, layout.effect.shared == shared) for layout in self.layouts]
+        return np.repeat(np.arange(len(spans)), [(span.stop - span.start) * own for span, own in spans])
 
     def leave_out(self, number: int, channels: np.ndarray) -> None:
         """Leave out an effect's own columns of some channels (c,)."""
