@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -225,7 +225,12 @@ def percents(values: Iterable[float]) -> str:
 
 def listed(names: Iterable[str], between: str = " and ") -> str:
     """Quote names and join them."""
-    return between.join(map(quoted, names))
+    return enumerated([*map(quoted, names)], between)
+
+
+def enumerated(parts: Sequence[str], between: str = " and ") -> str:
+    """Join parts by commas, and the last ``between`` them."""
+    return between.join(filter(None, (", ".join(parts[:-1]), *parts[-1:])))
 
 
 def counted(number: int, noun: str) -> str:

@@ -12,7 +12,7 @@ from gtau.estimation.diagnostics.verdict import APART, LONGER
 from gtau.estimation.results.estimate import Estimate, NearestPose, Requirement
 from gtau.estimation.results.payload_body import PayloadEstimate
 from gtau.estimation.results.result import IdentifiedModel
-from gtau.findings import Finding, Grade, moment, percent_text
+from gtau.findings import Finding, Grade, enumerated, listed, moment, percent_text
 from gtau.robots.parameter import TEMPERATURE_TERMS
 from gtau.signals.reading.columns import Signals
 from gtau.signals.reading.formats import reading
@@ -116,7 +116,7 @@ def torque_headline(result: IdentifiedModel) -> str:
 
 
 def _scales_are(members: Sequence[TorqueScale], state: str, called: str = "") -> str:
-    names = called or enumerated([f"'{scale.joint}'" for scale in members])
+    names = called or listed(scale.joint for scale in members)
     scales = "scales of {} are" if len(members) > 1 else "scale of {} is"
     return f"The torque {scales.format(names)} {state}."
 
@@ -125,11 +125,6 @@ def _reported(scale: TorqueScale) -> str:
     shown = ".2f" if 0.1 <= abs(scale.reported) < 10 else ".3g"
     value, low, high = (f"{end:{shown}}" for end in (scale.reported, *scale.reported_interval))
     return f"{value} ({low} to {high})"
-
-
-def enumerated(parts: Sequence[str]) -> str:
-    """Join parts by commas, and the last by 'and'."""
-    return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + f" and {parts[-1]}"
 
 
 def torque_scale_text(result: IdentifiedModel) -> str:
@@ -258,7 +253,7 @@ def _good(gains: Sequence[Estimate], accuracy: float) -> str:
 
 
 def _subject(joints: Sequence[str], one: str, several: str) -> str:
-    names = enumerated([f"'{joint}'" for joint in joints])
+    names = listed(joints)
     return f"Joint {names} {one}" if len(joints) == 1 else f"Joints {names} {several}"
 
 
