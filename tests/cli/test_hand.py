@@ -153,6 +153,10 @@ def test_figures(result: gtau.Result, folder: Path) -> None:
     assert [len(shown[name].axes) for name in ("friction", "of left")] == [2, 1]
     result.save(folder / "saved.json")
     assert len(gtau.load(folder / "saved.json").plot().axes) == 1  # of the gains: there are no runs
+    with pytest.raises(gtau.GtauError, match=r"did you mean plot\.torques\('left'\)"):
+        result.plot("left")  # type: ignore[arg-type]
+    with pytest.raises(gtau.GtauError, match="a Plots has no 'torqes'; did you mean 'torques'"):
+        result.plot.torqes()  # type: ignore[attr-defined]
     with pytest.raises(gtau.GtauError, match="an object of type str has no figure; give a result, a prediction"):
         gtau.plot("five-bar")  # type: ignore[arg-type]
 

@@ -145,10 +145,10 @@ class Plots:
         names = [name for name in dir(self) if not name.startswith("_") and name != "result"]
         return f"figures of {self.result.robot.name!r}: {', '.join(names)}"
 
-    def __call__(self, *joint: str) -> Figure:
+    def __call__(self, joint: None = None) -> Figure:
         """Draw the drive gains, and the torques of the joint that fits worst along the first run."""
-        if joint:
-            raise GtauError(f"the overview takes no joint; did you mean plot.torques({joint[0]!r})?")
+        if joint is not None:
+            raise GtauError(f"the overview takes no joint; did you mean plot.torques({joint!r})?")
         gains = gains_chart(self.result.drive_gains, {})
         worst = max(self.result.residuals, key=lambda error: error.relative, default=None)
         panels = () if gains is None else gains.panels

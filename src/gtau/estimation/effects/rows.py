@@ -285,7 +285,7 @@ def _whitening(squares: Sequence[np.ndarray], largest: float) -> tuple[np.ndarra
     Directions that nothing determines are left out. Those of unknowns that act on one channel alone come last, with
     their channels; none where the ``largest`` product of effects is not ``PRECISE``.
     """
-    square, acting = np.sum(squares, axis=0), np.array([np.diag(each) > 0 for each in squares])
+    square, acting = np.sum(squares, axis=0), np.array([np.diag(product) > 0 for product in squares])
     norms = np.sqrt(np.diag(square))
     inverse = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)[:, None]
     values, vectors = np.linalg.eigh(square * inverse * inverse.T)
