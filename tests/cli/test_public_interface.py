@@ -92,7 +92,7 @@ def test_what_is_known_only_in_sums_has_its_deviation_in_per_cent(result: gtau.R
 
 def test_the_price_of_the_reduction(result: gtau.Result) -> None:
     text = result.replaced(statistics={**result.statistics, "reduction_loss": 1.25}).summary()
-    assert "raises the torque residual of the worst joint by 1.2 %." in " ".join(text.split())
+    assert "changes the torque residual of the worst joint by 1.2 %." in " ".join(text.split())
 
 
 def test_a_comparison_is_data() -> None:
