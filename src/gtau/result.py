@@ -139,7 +139,10 @@ class Result(IdentifiedModel):
         return torques_along_log(self, run, at, force_only, observer)
 
     def validate(self, run: Run | str | Path) -> tuple[TorqueError, ...]:
-        """Compute torque errors of each joint on a run: against the raw torque, by frequency, and in the fit's band."""
+        """Compute torque errors of each joint on a run or log: of the raw torque, by frequency, and in the fit's band.
+
+        Takes and raises what :meth:`predict` does.
+        """
         return validate(self, run)
 
     @property

@@ -107,11 +107,8 @@ def _readings(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray, np.nd
         advice = "check the sign of both columns, and the joint's axis in the robot file"
         yield Finding(COLUMNS, (joint,), text=text, advice=advice), as_logged, 1 - 2 * chosen, unmoved
         for degrees in (90, -90, 180) if fit.dataset.robot.joint(joint).turns else ():
-            text, advice = (
-                f"an error of {degrees} deg in the zero of encoder '{joint}'",
-                "add it to the positions, or correct the zero",
-            )
-            cause = Finding(COLUMNS, (joint,), text=text, advice=advice)
+            text = f"an error of {degrees} deg in the zero of encoder '{joint}'"
+            cause = Finding(COLUMNS, (joint,), text=text, advice="add it to the positions, or correct the zero")
             yield cause, as_logged, unturned, np.radians(degrees) * chosen
     for (one, first), (other, second) in combinations(encoders(fit).items(), 2):
         joints, order = (one, other), as_logged.copy()

@@ -152,7 +152,7 @@ class EffectRows:
         return np.repeat(np.arange(len(spans)), [(span.stop - span.start) * own for span, own in spans])
 
     def leave_out(self, number: int, channels: np.ndarray) -> None:
-        """Leave out an effect's own columns of some channels (c,)."""
+        """Set an effect's own columns of some channels (c,) to zero, in place."""
         places = self.layouts[number].places
         for part in (part for part, out in zip(self.products, channels, strict=True) if out):
             part.products[:, places] = part.products[:, :, places] = 0.0
