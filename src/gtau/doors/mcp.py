@@ -96,7 +96,7 @@ async def _reply(context: Context[Any, Any], command: Command, out: Path, verbos
     """Run a command, and return its answer; raises ToolError with what it refuses."""
     begun, ended = time.monotonic(), asyncio.ensure_future(command.run())
     try:
-        while not (await asyncio.wait({ended}, timeout=1.0))[0]:
+        while not (await asyncio.wait({ended}, timeout=0.2))[0]:
             await context.report_progress(time.monotonic() - begun, message=command.stage)
     finally:
         command.cancel()  # where the client has cancelled the call
