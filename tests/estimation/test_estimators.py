@@ -403,12 +403,13 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
     def weights(squares: np.ndarray) -> np.ndarray:
         return 1 / np.sqrt(squares / problem.total_rows)
 
-    solution = newton.solve(problem, far, weights, True, steps=25)
+    monkeypatch.setattr(newton, "STEPS", 25)
+    solution = newton.solve(problem, far, weights, True)
     np.testing.assert_allclose(solution.values, ml(problem).values, rtol=1e-5)
     assert solution.gains[0] == pytest.approx(gain, rel=0.03)
     monkeypatch.setattr(newton, "curvature_of_delays", lambda blocks, *others: np.zeros(blocks.shape[:-2]))
     assert solution.converged
-    assert not newton.solve(problem, far, weights, True, steps=25).converged  # in 150 steps and more it would
+    assert not newton.solve(problem, far, weights, True).converged  # in 150 steps and more it would
 
 
 def test_columns_told_apart_without_some_parameters_are_those_found_afresh(rng: np.random.Generator) -> None:

@@ -41,7 +41,6 @@ from gtau.robots.robot import Coupling, Robot
 from gtau.signals.preparation.prepared_run import SampleWindow
 
 REVERSED_LEFT = 0.7  # part of the residual variance that is left with one torque reversed
-FEW_STEPS = 30  # of the iteration: the right readings of eight experiments are found; 400 took 68 s on a Rokae, not 12
 
 REVERSED_CHANNELS = "reversed channels"
 
@@ -72,7 +71,7 @@ def other_columns(fit: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged."""
     if (unaltered := at_middle(fit)) is None:
         return None
-    trial = replace(unaltered, solve=partial(likeliest, steps=FEW_STEPS)) if fit.free_gains else unaltered
+    trial = replace(unaltered, solve=likeliest) if fit.free_gains else unaltered
 
     def read(*reading: np.ndarray) -> Fit | None:
         along = [_read_otherwise(at, *reading) for at in middle_windows(fit)]

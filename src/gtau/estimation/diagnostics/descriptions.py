@@ -129,7 +129,7 @@ def one_after_the_other(
     numbers: range,
     most: int,
     left: float,
-    preferred: Callable[[Fit, tuple[int, ...]], float] = lambda other, chosen: 0.0,
+    preferred: Callable[[Fit, tuple[int, ...]], tuple[float, ...]] = lambda other, chosen: (),
 ) -> tuple[tuple[int, ...], Fit]:
     """Alter one joint or run more as long as that leaves at most ``left`` of the residuals."""
     chosen, best, remains = tuple[int, ...](), unaltered, 1.0
@@ -190,22 +190,27 @@ def other_loads(fit: Fit) -> EstimatedEffect | None:
     def added(other: Fit, carried: tuple[int, ...]) -> np.ndarray:
         return np.asarray(other.solution.theta[other.problem.unknowns.at(masses(carried))] - declared[list(carried)])
 
-    # a body in some runs is one that the others lack: more is forgotten than taken away
-    carried, other = one_after_the_other(
-        unaltered, loaded, range(len(runs)), max(len(runs) - 1, 1), LEFT, lambda fit, carried: added(fit, carried)[-1]
-    )
-    if not carried:  # a load declared in another run shows once both are free; gains of the other sign fit others
+    def deviations(other: Fit, carried: tuple[int, ...]) -> np.ndarray:
+        return np.asarray(np.sqrt(np.diag(other.solution.jackknife))[other.problem.unknowns.at(masses(carried))])
+
+    def preferred(other: Fit, carried: tuple[int, ...]) -> tuple[float, ...]:
+        more, least = added(other, carried)[-1], REFUTED_STD * deviations(other, carried)[-1]
+        return other.gains.min() > 0, abs(more) > least, more
+
+    # a body in some runs is one that the others lack: more is forgotten than taken away; gains of the other sign fit
+    # other loads
+    carried, other = one_after_the_other(unaltered, loaded, range(len(runs)), max(len(runs) - 1, 1), LEFT, preferred)
+    if not carried:  # a load declared in another run shows once both are free
         pairs = [pair for pair in combinations(range(len(runs)), 2) if declared[pair[0]] != declared[pair[1]]]
         exchanged = [(pair, fitted) for pair in pairs if (fitted := loaded(pair)) and fitted.gains.min() > 0]
         carried, other = min(exchanged, key=lambda pair: residual_ratio(pair[1], unaltered), default=((), unaltered))
     if not carried or residual_ratio(other, unaltered) > LEFT:
         return None
-    problem, more = other.problem, added(other, carried)
-    places = problem.unknowns.at(masses(carried))
-    std = np.sqrt(np.diag(other.solution.jackknife))[places]
+    problem, more, std = other.problem, added(other, carried), deviations(other, carried)
     if np.any(np.abs(more) < np.maximum(REFUTED_STD * std, MASS_ABSENT * declared[list(carried)])):
         return None
-    halves = std * stdtrit(degrees_of_freedom(problem, other.solution, fit.free_gains)[places], 0.975)
+    freedom = degrees_of_freedom(problem, other.solution, fit.free_gains)[problem.unknowns.at(masses(carried))]
+    halves = std * stdtrit(freedom, 0.975)
     bodies = []
     for number, mass, half in zip(carried, more.tolist(), halves.tolist(), strict=True):
         payload = runs[number].payload

@@ -16,7 +16,7 @@ import numpy as np
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Estimator, Gains, Solution, Solve
 from gtau.estimation.estimators.least_squares import plain_fit, scarcity, two_stage, with_given, wls
-from gtau.estimation.estimators.newton import STEPS, solve
+from gtau.estimation.estimators.newton import solve
 from gtau.estimation.regression.factors import KNOWN, MODEL
 from gtau.estimation.regression.problem import Problem
 
@@ -24,13 +24,13 @@ MISFIT = 0.25  # share of a joint's current that is unexplained, gains estimated
 HIDDEN_KNOWN = 0.01  # share of the known parameters' torque that nothing unknown explains: below, a refusal names it
 
 
-def likeliest(problem: Problem, steps: int = STEPS) -> Solution:
+def likeliest(problem: Problem) -> Solution:
     """Iterate from 2SLS towards the maximum of the likelihood, converged or not.
 
     Friction terms are chosen by this: a UR10e's pair with a current halved in one run does not converge with all of
     them, but does with the ones that the data support, and the cause is then named.
     """
-    return solve(problem, two_stage(problem).values, problem.weights, True, steps)
+    return solve(problem, two_stage(problem).values, problem.weights, True)
 
 
 def ml(problem: Problem) -> Solution:
@@ -40,10 +40,8 @@ def ml(problem: Problem) -> Solution:
     explain them, the verdicts say so), or if only known parameters with little effect fix the scale.
     """
     solution = likeliest(problem)
-    # it takes 290 steps from gains of 2SLS that are 50 times too small (an AIRBOT, chirps of 30 s)
-    further = solution if solution.converged else solve(problem, solution.values, problem.weights, True)
-    if further.converged:
-        return further
+    if solution.converged:
+        return solution
     loaded = bool(problem.blocks[..., KNOWN].any())
     alone = len(problem.known) and problem.unknown_gains.all() and not (loaded or problem.wrenches)
     if alone and (share := own_share(problem)) < HIDDEN_KNOWN:

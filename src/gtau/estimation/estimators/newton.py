@@ -19,7 +19,9 @@ DELAY_MOTION = 4.0  # standard errors of the share of motion in the current's ra
 MIRRORED = 0.05  # share of a joint's error by which that at the negative delay must be larger for the delay to be real
 
 STEPS = 200
+NEAR = 1.0  # of log-likelihood gained by a step: the next ones follow the weights as well
 CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
+SETTLED = 0.02  # of log-likelihood gained by the last of all steps
 ROUNDING = 1e-14  # of the terms that make up the residuals: steps below this are rounding
 RANK = 1e-13  # of the largest singular value: less is rounding
 FLATTEST = 0.05  # least curvature accepted, as a share of the Gauss-Newton curvature
@@ -93,37 +95,82 @@ Weigh = Callable[[np.ndarray], np.ndarray]
 """Makes the weights (c,) of the channels' errors from the sums of their squares (c,)."""
 
 
-def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool, steps: int = STEPS) -> Solution:
-    """Iterate Newton's method from ``values`` (k,); ``weigh`` makes weights (c,) from squared residuals (c,)."""
+def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool) -> Solution:
+    """Minimise the negative log-likelihood from ``values`` (k,); ``weigh`` makes weights (c,) from squares (c,).
+
+    Far from the minimum each step of the gains takes along the parameters that are best with them: parameters trade
+    against gains, so that steps in both would creep along a bent valley. Near it, weights follow the errors.
+    """
     triangles = stacked(problem)
-    n, end = len(problem.channels), problem.n_theta
-    sizes, filled = np.abs(triangles), triangles.any(axis=-1).reshape(-1)
-    J_known, squares = jacobian_of_known(problem, free_gains), squared(triangles, values)
-    for _ in range(steps):
-        weights = weigh(squares)
+    n, end, rows = len(problem.channels), problem.n_theta, problem.total_rows
+    sizes, J_known = np.abs(triangles), jacobian_of_known(problem, free_gains)
+
+    def linearised(values: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         e, J = weighted(triangles, values, problem, free_gains, weights)
-        J = np.concatenate([J[filled], J_known])
-        e = np.concatenate([e[filled], errors_of_known(problem, values)])
+        return np.concatenate([e, errors_of_known(problem, values)]), np.concatenate([J, J_known])
+
+    def loss(values: np.ndarray) -> float:
+        squares = squared(triangles, values)
+        weights, known = weigh(squares), errors_of_known(problem, values)
+        return float(weights**2 @ squares + known @ known) / 2 - float(rows @ np.log(weights))
+
+    before, near = loss(values), False
+    for _ in range(STEPS):
+        squares = squared(triangles, values)
+        weights = weigh(squares)
+        e, J = linearised(values, weights)
+        back = whitening(J)
+        follows = near * (weigh(2 * squares) != weights) / rows
+        second = second_derivatives(triangles, values, problem, free_gains, weights, follows)
         # without parameters the signal is error, with the curvature of no model
-        curvature = curvature_of_delays(triangles, values, problem, weights) * values[:end].any()
-        back = whitening(J, curvature)
-        step = -back @ (back.T @ (J.T @ e))
-        before, share = float(e @ e), 1.0
+        curvature, axes = np.linalg.eigh(np.eye(back.shape[1]) + back.T @ second @ back * values[:end].any())
+        step = -back @ (axes @ ((axes.T @ (back.T @ (J.T @ e))) / np.maximum(np.abs(curvature), FLATTEST)))
         terms = sizes[:, :, SIGNAL] + modelled(sizes, np.abs(values[:end])) / np.abs(values[end : end + n, None])
-        rounding = ROUNDING * float(np.linalg.norm(terms * weights[:, None]))
-        highest = (np.sqrt(before) + rounding) ** 2
+        rounding, share = ROUNDING * float(np.linalg.norm(terms * weights[:, None])), 1.0
+        highest = before + rounding * float(np.linalg.norm(e)) + ROUNDING * abs(before)
         while True:
             after = moved(values, share * step, n)
-            squares = squared(triangles, after)
-            cost = weights**2 @ squares + np.sum(errors_of_known(problem, after) ** 2)
+            if free_gains and not near:
+                e_after, J_after = linearised(after, weights)
+                best = whitening(J_after[:, :end])
+                after[:end] -= best @ (best.T @ (J_after[:, :end].T @ e_after))
+            cost = loss(after)
             if share <= 1e-6 or cost <= highest:
                 break
             share /= 2
-        values = after
-        smallest = max(CONVERGED * np.sqrt(before / problem.total_rows.sum()), rounding)
-        if converged := bool(np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1])):
+        smallest = max(CONVERGED * float(np.linalg.norm(e)) / np.sqrt(rows.sum()), rounding)
+        converged = bool(np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]))
+        gained, values, before = before - cost, after, cost
+        if converged:
             break
-    return replace(finish(problem, values, weigh(squares), free_gains), converged=converged)
+        near = gained < NEAR
+    # the likelihood hardly changes along a gain that goes to zero, as the data do not determine it: others are found
+    converged = converged or gained < SETTLED
+    return replace(finish(problem, values, weigh(squared(triangles, values)), free_gains), converged=converged)
+
+
+def second_derivatives(
+    blocks: np.ndarray,
+    values: np.ndarray,
+    problem: Problem,
+    free_gains: bool,
+    weights: np.ndarray,
+    follows: np.ndarray,
+) -> np.ndarray:
+    """Compute what is missing from the Gauss-Newton curvature (m, m).
+
+    Errors are bilinear in the parameters and 1/g and quadratic in the delays, and ``follows`` (c,) is one over the rows
+    of the channels whose weights follow their errors.
+    """
+    n, end, e = len(weights), problem.n_theta, residuals(blocks, values) * (weights**2)[:, None]
+    slopes = np.einsum("jp,jpk->jk", e, jacobian(blocks, values, problem, free_gains))
+    second = -2 * (slopes.T * follows) @ slopes
+    second[-n:, -n:] += np.diag(curvature_of_delays(blocks, values, problem, weights))
+    if free_gains:
+        bilinear = np.einsum("jp,jpk->jk", e, blocks[..., MODEL]) * problem.unknown_gains[:, None]
+        second[end : end + n, :end] -= bilinear
+        second[:end, end : end + n] -= bilinear.T
+    return second
 
 
 def curvature_of_delays(blocks: np.ndarray, values: np.ndarray, problem: Problem, weights: np.ndarray) -> np.ndarray:
@@ -157,7 +204,7 @@ def delays_lost_in_noise(problem: Problem, solution: Solution) -> np.ndarray:
     return np.asarray((motion_squares.sum(axis=0) <= DELAY_MOTION * error) & mirrored)
 
 
-def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+def whitening(rows: np.ndarray, curvature: np.ndarray | None = None) -> np.ndarray:
     """Compute ``B`` (k, .) with ``B B^T = (rows^T rows)^-1``, its last diagonal entries raised by ``curvature``.
 
     Directions without any effect are left out, and directions of almost no curvature are given a small one.
@@ -165,6 +212,8 @@ def whitening(rows: np.ndarray, curvature: np.ndarray) -> np.ndarray:
     norms = np.linalg.norm(rows, axis=0)
     norms[norms == 0] = 1.0
     back = _inverse(triangle(rows / norms)) / norms[:, None]
+    if curvature is None:
+        return np.asarray(back)
     # few directions have curvature; Q is their orthonormal basis, and all other directions stay as they are
     Q, S = np.linalg.qr(back[len(back) - len(curvature) :].T)
     values, vectors = np.linalg.eigh(np.eye(len(S)) + (S * curvature) @ S.T)
@@ -294,7 +343,7 @@ def degrees_of_freedom(problem: Problem, solution: Solution, free_gains: bool) -
     values, n = solution.values, len(problem.channels)
     weights = 1 / np.maximum(solution.sigma, problem.smallest_sigma)
     _, rows = weighted(stacked(problem), values, problem, free_gains, weights)
-    back = whitening(np.concatenate([rows, jacobian_of_known(problem, free_gains)]), np.zeros(n))
+    back = whitening(np.concatenate([rows, jacobian_of_known(problem, free_gains)]))
     named = to_gains(values, n, free_gains) @ back
     variances = []
     for block in problem.units:
