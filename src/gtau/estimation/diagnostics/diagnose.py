@@ -111,6 +111,7 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             effects = estimated_effects(mixed)
             causes = contradictions(mixed)
             contradicting = _contradicting(effects, causes)
+            lacking = lacking or bool(contradicting)
         frozen = list(frozen_encoders(fit))
         missing, as_well = (False, False) if middle is None else shows_gravity(middle, lack)
         loads = descriptions.other_loads(fit) if misfit or (lacking and not findings) else None
@@ -174,7 +175,7 @@ def _other_descriptions(
     others = list[EstimatedEffect | None]()
     if lacking and any(effect.description and effect.likelihood > CONTRADICTED for effect in effects):
         others.append(gravity.other_clock(fit, progress))
-    turned = lacking and (tilted or misfit)
+    turned = misfit or (lacking and tilted)
     if missing or turned:
         others.append(gravity.likeliest_gravity(fit, missing, turned, progress))
     # a clock that is far too slow leaves as little gravity as torques without gravity do
