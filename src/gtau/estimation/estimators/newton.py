@@ -18,7 +18,7 @@ from gtau.estimation.regression.problem import Problem
 DELAY_MOTION = 4.0  # standard errors of the share of motion in the current's rate of change
 MIRRORED = 0.05  # share of a joint's error by which that at the negative delay must be larger for the delay to be real
 
-STEPS = 200
+STEPS, HALVINGS = 100, 20
 NEAR = 1.0  # of log-likelihood gained by a step: the next ones follow the weights as well
 CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
 SETTLED = 0.02  # of log-likelihood gained by the last of all steps
@@ -126,18 +126,18 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool) 
         curvature, axes = np.linalg.eigh(np.eye(back.shape[1]) + back.T @ second @ back * values[:end].any())
         step = -back @ (axes @ ((axes.T @ (back.T @ (J.T @ e))) / np.maximum(np.abs(curvature), FLATTEST)))
         terms = sizes[:, :, SIGNAL] + modelled(sizes, np.abs(values[:end])) / np.abs(values[end : end + n, None])
-        rounding, share = ROUNDING * float(np.linalg.norm(terms * weights[:, None])), 1.0
+        rounding = ROUNDING * float(np.linalg.norm(terms * weights[:, None]))
         highest = before + rounding * float(np.linalg.norm(e)) + ROUNDING * abs(before)
-        while True:
+        for share in 0.5 ** np.arange(HALVINGS):
             after = moved(values, share * step, n)
             if free_gains and not near:
                 e_after, J_after = linearised(after, weights)
                 best = whitening(J_after[:, :end])
                 after[:end] -= best @ (best.T @ (J_after[:, :end].T @ e_after))
-            cost = loss(after)
-            if share <= 1e-6 or cost <= highest:
+            if (cost := loss(after)) <= highest:
                 break
-            share /= 2
+        else:
+            after, cost = values, before
         smallest = max(CONVERGED * float(np.linalg.norm(e)) / np.sqrt(rows.sum()), rounding)
         converged = bool(np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]))
         gained, values, before = before - cost, after, cost
