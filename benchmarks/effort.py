@@ -30,7 +30,7 @@ from gtau.errors import GtauError
 from gtau.estimation.diagnostics.effort import columns_of_effort, middle_rows, shows_gravity
 from gtau.estimation.diagnostics.log_checks import doubtful_commands, lack_of_fit
 from gtau.estimation.estimators.least_squares import fit_by
-from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.experiment_runs import describe, read_runs
 from gtau.estimation.regression.dataset import Dataset, reduce_runs
 from gtau.estimation.results.conclusions import findings
@@ -244,7 +244,7 @@ def meaning(dataset: Dataset) -> str:
     if doubtful := list(doubtful_commands(dataset.runs, dataset.robot)):
         return str(doubtful[0].kind)
     gains = None if dataset.runs[0].kind == "current" else np.ones(len(dataset.model.actuated))
-    fit = fit_by(likeliest if gains is None else ml_or_wls(gains), dataset.system(), gains is None)
+    fit = fit_by(ml_or_wls(gains), dataset.system(), gains is None)
     middle = middle_rows(fit)
     if findings := columns_of_effort(middle):
         return findings[0].kind

@@ -12,10 +12,7 @@ from five_bar_logs import JOINTS, Plant, pair
 from gravity_logs import logged
 
 from gtau.estimation.diagnostics.columns import _with_parallelogram
-from gtau.estimation.diagnostics.diagnose import explained_failure
-from gtau.estimation.regression.dataset import reduce_runs
 from gtau.model.home import load_robot
-from gtau.progress import silent
 from gtau.result import Result, identify
 from gtau.robots.robot import Robot
 from gtau.signals.run import Run
@@ -94,11 +91,3 @@ def test_other_signs_zeros_and_orders_of_columns_are_named(tmp_path: Path, what:
     result = identify(arm, runs)
     assert what in causes(result)
     assert not result.accepted
-
-
-@pytest.mark.parametrize("wrong", [True, False])
-def test_gains_that_are_not_found_are_explained(tmp_path: Path, wrong: bool) -> None:
-    stated = UR10E if wrong else stated_arm.robot(tmp_path, inertias=False)
-    robot = parallelogram(UR10E)[1] if wrong else stated
-    system = reduce_runs(stated, logged(robot, robot.gravity, True)).system(per_run=True)
-    assert ("as with a parallelogram, explains the logs" in explained_failure(system, silent)) == wrong

@@ -19,11 +19,10 @@ from gtau import read_run
 from gtau.cli.commands import app
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.scale import scale_shares, scale_uncertainty, sensor_scales
-from gtau.estimation.estimators import estimator_of, estimators, maximum_likelihood
+from gtau.estimation.estimators import estimator_of, estimators
 from gtau.estimation.estimators.essential import select_friction
-from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.estimators.maximum_likelihood import HIDDEN_KNOWN, ML, ml, own_share
-from gtau.estimation.estimators.newton import solve
+from gtau.estimation.estimators.estimator import Fit
+from gtau.estimation.estimators.maximum_likelihood import ML, ml
 from gtau.estimation.preconditions import refuse_other_unit, refuse_repeated
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.problem import Problem
@@ -136,33 +135,6 @@ def test_known_parameters_scale_all_gains_with_their_deviations(name: str, truth
     assert np.abs(found).max() < 4
     assert 0.4 < np.sqrt(np.mean(found**2)) < 1.6
     assert np.all(deviations(fits[0]) > 0.008)  # the known values' own, which no length of the logs takes away
-
-
-def test_known_parameters_that_the_motions_do_not_show_are_the_reason_of_the_refusal(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Where another parameter explains nearly all that one first moment does to the torques."""
-    known = {"mx_3": Prior(value=0.6, std=0.006)}
-    fast = fit_of(ARM, [arm().run(1), arm().run(2)], known).system.problem
-    assert own_share(fast) > HIDDEN_KNOWN
-    columns = known_columns(fast)
-    noise = np.random.default_rng(3).normal(size=fast.blocks.shape[:3])
-    blocks = fast.blocks.copy()  # another parameter's column becomes all but that of the known one
-    other = next(k for k in range(fast.n_theta) if k not in columns)
-    blocks[..., other] = blocks[..., columns[0]] + 1e-6 * noise
-    slow = replace(fast, make_blocks=lambda: blocks)
-    assert own_share(slow) < 1e-4
-    everything = np.column_stack([np.eye(fast.n_theta), np.ones(fast.n_theta)])
-    assert own_share(replace(fast, known=everything)) == 1.0
-
-    def diverged(*given: object, **options: object) -> Solution:
-        return replace(solve(*given, **options), converged=False)
-
-    monkeypatch.setattr(maximum_likelihood, "solve", diverged)
-    with pytest.raises(GtauError, match="the data do not determine the drive gains"):
-        ml(fast)
-    with pytest.raises(GtauError, match=r"hardly fix the scale .* explain all but \d.* % of their torque"):
-        ml(slow)
 
 
 def known_columns(problem: Problem) -> np.ndarray:

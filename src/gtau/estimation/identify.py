@@ -12,7 +12,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import TOOL_BODIES
-from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose, estimates_of, examine, explained_failure
+from gtau.estimation.diagnostics.diagnose import channel_verdicts, diagnose, estimates_of, examine
 from gtau.estimation.diagnostics.inertia_audit import audit_inertias
 from gtau.estimation.diagnostics.log_checks import (
     command_lag,
@@ -101,8 +101,6 @@ def _attempted(
         result = estimate(dataset, estimator, gains, subject.options, progress)
     except GtauError:
         require_payload_excitation(system)
-        if gains is None and (why := explained_failure(system, progress)):
-            raise GtauError(why) from None
         raise
     if _outcomes(result) <= NO_GAIN:
         require_payload_excitation(system)

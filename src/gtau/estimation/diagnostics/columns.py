@@ -32,7 +32,7 @@ from gtau.estimation.diagnostics.descriptions import (
 from gtau.estimation.effects.effect import EstimatedEffect, encoders
 from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.least_squares import fit_by
-from gtau.estimation.estimators.maximum_likelihood import likeliest, ml_or_wls
+from gtau.estimation.estimators.maximum_likelihood import ml_or_wls
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.estimation.regression.factors import SIGNALS
 from gtau.findings import Finding, listed
@@ -71,11 +71,10 @@ def other_columns(fit: Fit, progress: Progress) -> EstimatedEffect | None:
     """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged."""
     if (unaltered := at_middle(fit)) is None:
         return None
-    trial = replace(unaltered, solve=likeliest) if fit.free_gains else unaltered
 
     def read(*reading: np.ndarray) -> Fit | None:
         along = [_read_otherwise(at, *reading) for at in middle_windows(fit)]
-        return refitted(trial, dataset=fit.dataset.reduced(along=along))
+        return refitted(unaltered, dataset=fit.dataset.reduced(along=along))
 
     tried = [(cause, partial(read, *reading)) for cause, *reading in _readings(fit)]
     return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress)

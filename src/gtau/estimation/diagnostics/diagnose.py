@@ -31,13 +31,10 @@ from gtau.estimation.effects.estimate import CONTRADICTED, Mixed, contradictions
 from gtau.estimation.effects.known import EFFECTS
 from gtau.estimation.effects.known.wrenches import WRENCH_ERRORS
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.least_squares import fit_by
-from gtau.estimation.estimators.maximum_likelihood import likeliest
 from gtau.estimation.estimators.newton import degrees_of_freedom
-from gtau.estimation.regression.dataset import System
 from gtau.estimation.regression.problem import Estimates
 from gtau.estimation.regression.run_blocks import WINDOWS, usable_rows
-from gtau.findings import Finding, Grade, listed
+from gtau.findings import Finding, Grade
 from gtau.progress import Progress, silent
 from gtau.robots.parameter import Parameter
 
@@ -197,32 +194,6 @@ def _best_described(tried: Iterable[EstimatedEffect | None]) -> EstimatedEffect 
         if remains < SURE:
             break
     return best
-
-
-def explained_failure(system: System, progress: Progress) -> str:
-    """Say what makes the iteration of the gains diverge: one run, columns of effort, loads, or other columns."""
-    try:
-        fit = fit_by(likeliest, system, free_gains=True)
-        if odd := descriptions.odd_run(fit, None):
-            return f"the robot and logs as described give no drive gains; {odd.text}; {odd.advice}."
-        if held := columns_of_effort(middle_rows(fit)):
-            joints = listed(joint for finding in held for joint in finding.joints)
-            return f"the iteration of the drive gains did not converge; joint {joints}: {held[0]}."
-        other = _best_described(
-            described
-            for describe in (
-                descriptions.other_body,
-                descriptions.other_loads,
-                lambda fit: columns.angle_from_another_link(fit, progress),
-                lambda fit: columns.other_columns(fit, progress),
-            )
-            if (described := describe(fit))
-        )
-    except GtauError:
-        return ""
-    if other is None:
-        return ""
-    return f"the robot as described gives no drive gains; {other.subject} explains the logs: {other.cause.advice}."
 
 
 def estimates_of(

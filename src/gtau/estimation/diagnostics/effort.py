@@ -19,11 +19,10 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import LEFT, residual_ratio
-from gtau.estimation.diagnostics.verdict import contradiction, has_wrenches, unexplained_shares, wrenches_first
+from gtau.estimation.diagnostics.verdict import MISFIT, contradiction, has_wrenches, unexplained_shares, wrenches_first
 from gtau.estimation.effects.effect import FitWindow, Torques
 from gtau.estimation.effects.rows import triangles
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.estimators.newton import least_squares
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS, channel_rows, delayed, triangle
 from gtau.estimation.regression.problem import best_delay, longest_delay

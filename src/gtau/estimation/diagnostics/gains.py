@@ -12,6 +12,7 @@ from gtau.estimation.diagnostics.scale import contradictory_payload
 from gtau.estimation.diagnostics.verdict import (
     IMPOSSIBLE,
     LONGER,
+    MISFIT,
     NEGATIVE_STD,
     WIDE_SCALE,
     WRENCHES,
@@ -29,7 +30,6 @@ from gtau.estimation.effects.effect import RELATIVE, EstimatedEffect
 from gtau.estimation.effects.known.torque_scale import EFFECT as TORQUE_SCALE
 from gtau.estimation.effects.known.wrenches import WRENCH_ERRORS
 from gtau.estimation.estimators.estimator import Fit
-from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.regression.problem import Estimates
 from gtau.findings import MOST_PERCENT, Finding, Grade, percent, percent_text
 from gtau.model.base_parameters import regrouped, whole_mass
@@ -214,16 +214,16 @@ def small_refutations(better: Effects, judged: Judged, accuracy: float) -> Itera
 
 def gains_without_value(fit: Fit, judged: Judged) -> Iterator[Finding]:
     """Find gains that the data do not determine, the worst first for each joint."""
-    if judged and not fit.solution.converged:
-        text = "the iteration did not converge, so the data do not determine it"
-        advice = "resolve the contradictory joints first"
-        yield Finding("not converged", motors(fit), text=text, advice=advice, grade=Grade.NOT_IDENTIFIABLE)
     advice = unloaded_advice(fit)
     if fit.system.payloads:
         advice = (
             "use a heavier payload, and motions in which the joint lifts or accelerates it; check the direction of "
             f"gravity{which_payload(fit)}"
         )
+    if judged and not fit.solution.converged:
+        text = "the iteration did not converge, so the data do not determine it"
+        first = f"resolve contradictions first; otherwise {advice}"
+        yield Finding("not converged", motors(fit), text=text, advice=first, grade=Grade.NOT_IDENTIFIABLE)
     for joint, gain in judged.items():
         kind, text = "sign open", "the 95 % interval includes zero"  # which leaves not even the sign
         if gain.std > LOST_GAIN:

@@ -18,10 +18,9 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.units import BEYOND_GEARS
-from gtau.estimation.diagnostics.verdict import contradiction, half_widths, unexplained_shares
+from gtau.estimation.diagnostics.verdict import MISFIT, contradiction, half_widths, unexplained_shares
 from gtau.estimation.effects.effect import plain_friction, rms_speeds, rms_torques
 from gtau.estimation.estimators.estimator import Fit, Solution
-from gtau.estimation.estimators.maximum_likelihood import MISFIT
 from gtau.estimation.estimators.newton import DELAY_MOTION
 from gtau.estimation.regression.dataset import Dataset, System
 from gtau.estimation.regression.factors import SIGNAL, SIGNALS

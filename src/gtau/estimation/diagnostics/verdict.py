@@ -13,6 +13,7 @@ from gtau.estimation.regression.problem import Estimates, Problem
 from gtau.findings import Finding, Grade, percent
 from gtau.robots.parameter import Parameter
 
+MISFIT = 0.25  # share of a joint's current that is unexplained, gains estimated
 WEAK_PARAMETER = 0.2  # relative standard deviation of a parameter
 NEGATIVE_STD = 4.0  # standard deviations below zero of a parameter that cannot be negative
 DELAY_STD = 0.25  # relative standard deviation of a delay longer than a sample that is believed
