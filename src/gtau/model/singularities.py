@@ -110,7 +110,7 @@ def singular_distances(idm: InverseDynamics) -> Distances:
             type_1 = np.minimum(s[:, 0] / largest, 1.0)
         else:
             share = s / np.hypot(1.0, s)
-            with np.errstate(divide="ignore"):
+            with np.errstate(divide="ignore", over="ignore"):
                 type_1 = rank / np.sqrt((share**2).sum(axis=1) * (share**-2).sum(axis=1))
         if not layout.robot.closures:
             return np.stack([type_1, np.full_like(type_1, np.nan)])

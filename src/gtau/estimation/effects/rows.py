@@ -16,6 +16,7 @@ from functools import cached_property
 
 import numpy as np
 
+from gtau.errors import GtauError
 from gtau.estimation.effects.effect import (
     Effect,
     EffectColumn,
@@ -37,6 +38,9 @@ from gtau.estimation.regression.run_blocks import Windows
 # often explain physics that has no column: if they are free, a gain of a dVRK becomes 0.37 instead of 0.71 N per A.
 AS_DESCRIBED = 0.0
 UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which nothing determines it
+# Products of effects from which parameters are noise: at most 5e14 where joints move one by one (a delta, whose gains
+# are right), 9e26 of a UR10e whose first gain this does not determine.
+ABSURD = 1e20
 PRECISE = 1e9  # of effects' products: rounding of larger ones would count beside the precision 1 before the data
 RANK = 1e-6  # of the largest singular value: directions below it are left out of a least-squares step
 FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs
@@ -201,6 +205,8 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
         for total, part in zip(products, parts, strict=False):
             total.add(part)
         products = products or parts
+    if max(float(np.diag(part.products[0]).max(initial=0.0)) for part in products) > ABSURD:
+        raise GtauError("the motions leave the links' parameters too open; move several joints at once.")
     return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
 
 

@@ -21,7 +21,7 @@ MIRRORED = 0.05  # share of a joint's error by which that at the negative delay 
 STEPS, HALVINGS = 100, 20
 NEAR = 1.0  # of log-likelihood gained by a step: the next ones follow the weights as well
 CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
-SETTLED = 0.02  # of log-likelihood gained by the last of all steps
+SETTLED, PATIENCE = 0.02, 8  # of log-likelihood gained by a step, and how many such steps find no minimum
 ROUNDING = 1e-14  # of the terms that make up the residuals: steps below this are rounding
 RANK = 1e-13  # of the largest singular value: less is rounding
 FLATTEST = 0.05  # least curvature accepted, as a share of the Gauss-Newton curvature
@@ -114,7 +114,7 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool) 
         weights, known = weigh(squares), errors_of_known(problem, values)
         return float(weights**2 @ squares + known @ known) / 2 - float(rows @ np.log(weights))
 
-    before, near = loss(values), False
+    before, near, settled = loss(values), False, 0
     for _ in range(STEPS):
         squares = squared(triangles, values)
         weights = weigh(squares)
@@ -140,12 +140,11 @@ def solve(problem: Problem, values: np.ndarray, weigh: Weigh, free_gains: bool) 
             after, cost = values, before
         smallest = max(CONVERGED * float(np.linalg.norm(e)) / np.sqrt(rows.sum()), rounding)
         converged = bool(np.linalg.norm(J @ step) < smallest * np.sqrt(J.shape[1]))
-        gained, values, before = before - cost, after, cost
-        if converged:
+        near, settled = before - cost < NEAR, settled + (before - cost < SETTLED)
+        values, before = after, cost
+        # a gain that the data do not determine goes on to zero, while the likelihood hardly changes: others are found
+        if converged := converged or settled == PATIENCE:
             break
-        near = gained < NEAR
-    # the likelihood hardly changes along a gain that goes to zero, as the data do not determine it: others are found
-    converged = converged or gained < SETTLED
     return replace(finish(problem, values, weigh(squared(triangles, values)), free_gains), converged=converged)
 
 
