@@ -129,7 +129,7 @@ def _equation(joint: str, parts: Sequence[np.ndarray], drive: Drive) -> MotorEqu
     c = CONVENTIONS[drive.convention] * (1.0 if stated is None else -1.0)
     A = np.column_stack([qd / c, x, w])
     values = np.linalg.lstsq(A, y, rcond=None)[0]
-    if values[1] < 0:  # the voltage counts the other way
+    if values @ np.std(A, axis=0) < 0:  # the voltage counts the other way; a lag alone turns R over, not both
         y, values = -y, -values
     ke, R, _ = values
     left = y - A @ values
