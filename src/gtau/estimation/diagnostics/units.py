@@ -177,7 +177,9 @@ def units_and_signs(
     yield from doubted(doubtful_payloads(dataset.robot, (run.payload for run in dataset.runs)))
     yield from doubted(finding for finding in currents if finding.kind != SMALL_CURRENT)
     yield from doubted(doubtful_gravity(dataset.robot))
-    yield from doubted((list(_unlike_file(audit)) if audit else []) or _unlike_arms(fit, estimates))
+    determined = not fit.free_gains or len(known) >= len(fit.gains) / 2  # without a scale moments are of any size
+    unlike = list(_unlike_file(audit, fit)) if audit and determined else []
+    yield from doubted(unlike or _unlike_arms(fit, estimates))
     yield from _efforts_exceeded(fit, settled)
     yield from doubted([*_voltages(fit, known), *small])
 
@@ -283,7 +285,7 @@ def _first_moments(audit: InertiaAudit, stds: Mapping[str, float]) -> tuple[np.n
     return np.reshape([both for *both, _ in moments], (-1, 2)).T, {link for *_, link in moments}
 
 
-def _unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
+def _unlike_file(audit: InertiaAudit, fit: Fit | None = None) -> Iterator[Finding]:
     """Find first moments that are out of scale with the robot's file, by one factor for all."""
     moments, links = _first_moments(audit, {})
     if len(links) < 2:  # one may carry what the file does not know, such as a gripper
@@ -296,10 +298,9 @@ def _unlike_file(audit: InertiaAudit) -> Iterator[Finding]:
             f"the first moments of the links are {factor:.3g} times the first moments in the robot's file (rms of "
             f"{len(stated)})"
         )
-        advice = (
-            "check the payload's mass (kg), the unit of the torques, and the masses in the file; if the file is "
-            "wrong, state 'prior_gains'"
-        )
+        voltages = fit and fit.dataset.motors and not fit.system.payloads
+        unit = "unit of the voltages" if voltages else "payload's mass (kg), the unit of the torques"
+        advice = f"check the {unit}, and the masses in the file; if the file is wrong, state 'prior_gains'"
         yield contradiction(UNLIKE_FILE, (), text, advice, shown_as="model")
 
 

@@ -38,6 +38,7 @@ DELAY_MOVES = 3.0
 CONTRADICTED = 8.0  # log-likelihood that is lost without an effect that contradicts the description
 CLOSE = 3.0  # log-likelihood by which a cause is likelier, up to which the other is said too
 
+LOST = 0.5  # relative standard deviation of a gain, from which the data do not determine it
 SPANNED = 1e-6  # information on a column beside others, in plausible sizes: less, and they span it
 SEEN = 0.02  # of its plausible size: an effect below is not listed
 
@@ -75,9 +76,11 @@ class Mixed:
     def covariance(self) -> np.ndarray:
         """Covariance (k, k) of the values."""
         covariance, gain_rows = self._averaged[1].copy(), self.fit.system.problem.gain_rows
-        wider = np.where(
-            self._stays(self._averaged[0]), np.diag(self.fit.solution.jackknife) - np.diag(covariance), 0.0
-        )
+        plain = np.diag(self.fit.solution.jackknife)
+        # what the fit does not determine may be among the directions that the mixed model leaves out
+        left, values = self._stays(self._averaged[0]), self.fit.solution.values
+        left[gain_rows] |= (np.sqrt(plain) > LOST * np.abs(values))[gain_rows]
+        wider = np.where(left, plain - np.diag(covariance), 0.0)
         covariance += np.diag(np.maximum(wider, 0.0))
         if self.fit.free_gains:
             known = np.diag(covariance)[gain_rows] == 0

@@ -24,6 +24,7 @@ CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
 SETTLED, PATIENCE = 0.02, 8  # of log-likelihood gained by a step, and how many such steps find no minimum
 ROUNDING = 1e-14  # of the terms that make up the residuals: steps below this are rounding
 RANK = 1e-13  # of the largest singular value: less is rounding
+SHARED, OPEN = 1e-6, 1e3  # least part in a direction without effect, and relative deviation of a gain that has one
 FLATTEST = 0.05  # least curvature accepted, as a share of the Gauss-Newton curvature
 LARGEST_STEP = 1e8  # of leaving a block out, in standard deviations: more, and only that block identifies it
 
@@ -298,9 +299,19 @@ def finish(problem: Problem, values: np.ndarray, weights: np.ndarray, free_gains
             blocks.append((np.eye(len(others)) - others, J_u.T @ e_u))
         return one_step(blocks) @ (T @ back).T
 
-    formula = T @ formula @ T.T
-    prior_covariance = T @ prior_covariance @ T.T
+    opened, gains = np.zeros(len(values)), slice(-2 * n, -n)
+    if free_gains and back.shape[1] < np.count_nonzero(rows.any(axis=0)):
+        opened[gains] = (OPEN * values[gains] * undetermined(rows)[gains]) ** 2
+    formula = T @ formula @ T.T + np.diag(opened)
+    prior_covariance = T @ prior_covariance @ T.T + np.diag(opened)
     return Solution(problem.unknowns, values, sigma, formula, replicates, {}, prior_covariance)
+
+
+def undetermined(rows: np.ndarray) -> np.ndarray:
+    """Mark the columns of ``rows``, (k,), that others take back without any effect, but for those that have none."""
+    norms = np.linalg.norm(rows, axis=0)
+    _, s, Vt = np.linalg.svd(triangle(rows / np.where(norms > 0, norms, 1.0)), full_matrices=False)
+    return np.asarray((np.abs(Vt[s <= RANK * s[0]]).max(axis=0, initial=0.0) > SHARED) & (norms > 0))
 
 
 def to_gains(values: np.ndarray, channels: int, free_gains: bool) -> np.ndarray:
