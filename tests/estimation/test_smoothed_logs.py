@@ -62,3 +62,11 @@ def test_commands_that_are_updated_slowly_are_no_averages(rng: np.random.Generat
     smooth = log(rng, cutoff=3.0).command
     for command in (between, held, smooth):
         assert not any("average" in finding.what for finding in smoothed_commands([replace(run, command=command)]))
+
+
+def test_chatter_of_drives_is_no_average(rng: np.random.Generator) -> None:
+    """Its correlation is -0.4 at one lag, with positive neighbours and 0 at twice the lag, but as large at others."""
+    run = log(rng)
+    steps = np.deg2rad(157.5) + 0.32 * rng.standard_normal(len(run.time))  # about 87.5 Hz
+    chatter = 0.05 * run.command.std() * np.cos(np.cumsum(steps))
+    assert not list(smoothed_commands([replace(run, command=run.command + chatter[:, None])]))
