@@ -88,3 +88,16 @@ def test_gains_that_are_given_come_with_the_note() -> None:
     runs = [low_passed(plant.run("free", 8.0, seed=1), 0.02)]
     result = identify(FIVE_BAR, runs, method="wls", prior_gains={"left": 2.5, "right": 4.0})
     assert "the currents lag behind the motion by" in " ".join(result.summary(verbose=False).split())
+
+
+def test_currents_that_lead_by_more_than_drives_do_are_references_of_a_slower_loop() -> None:
+    rng, runs = np.random.default_rng(0), []
+    for payload, seed in ((None, 1), (Payload(name="steel", mass=STEEL["m"]), 2)):
+        run = Plant(noise=0.0).run("loaded" if payload else "free", 8.0, STEEL if payload else None, seed)
+        reference = run.command + 0.02 * run.rate * np.gradient(run.command, axis=0)
+        noise = NOISE * rng.standard_normal(reference.shape)
+        runs.append(replace(run, command=reference + noise, payload=payload))
+    dataset = reduce_runs(FIVE_BAR, runs)
+    (found,) = command_lag(dataset, dataset.system())
+    assert (found.kind, found.topic, found.severity) == ("command lead", "filtered command", Grade.WARNING)
+    assert found.what.startswith("the currents lead the motion by ")

@@ -37,6 +37,7 @@ LAG_STD = 4.0  # lag of all commands together behind the motion, in standard err
 LAG_JOINTS = 2  # joints whose acceleration shows the lag, or all of the robot: friction of one alone may look like it
 LAG_SAMPLES = 1.0  # lag of all commands together behind the motion, samples
 LAG_LEAST = 0.003  # lag of all commands together behind the motion, s
+LEAD_LEAST = 0.015  # lead of all commands together, of LAG_JOINTS at least, before the motion, s: drives take less
 LAG_LOSS = 0.01  # share of a command that a low-pass of the lag takes away at the bandwidth
 LIMIT_SHARE = 0.02  # largest torque over its limit of effort, all joints: below, torques are measured before the gears
 STEPS = 3.0  # largest whole number of commands that are all whole, from which they are shares or counts
@@ -74,7 +75,7 @@ def command_lags(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def command_lag(dataset: Dataset, system: System) -> list[Finding]:
-    """Find commands that lag behind the motion in all runs of the ``system``."""
+    """Find commands that lag behind the motion, or lead it by more than drives do, in all runs of the ``system``."""
     kind, bandwidth = dataset.runs[0].kind, dataset.preparation.bandwidth
     rate = min(run.rate for run in dataset.runs)
     lags, errors = command_lags(system.problem)
@@ -85,16 +86,26 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
     lag = float(weights @ lags[known] / weights.sum())
     scatter = weights @ (lags[known] - lag) ** 2 / max(known.sum() - 1, 1)
     std = float(np.sqrt(max(scatter, 1.0) / weights.sum()))
-    if lag < max(LAG_LEAST, LAG_SAMPLES / rate) or lag < LAG_STD * std:
+    if abs(lag) < max(LAG_LEAST if lag > 0 else LEAD_LEAST, LAG_SAMPLES / rate, LAG_STD * std):
         return []
+    leads, lag = lag < 0, abs(lag)
     phase = float(2 * np.pi * bandwidth * lag)
     loss = 1 - 1 / np.sqrt(1 + phase**2)
     # of a lag beyond what the motion shows, only that it is longer
     by = f"{1000 * lag:.2g} ms (standard deviation {1000 * std:.2g} ms)"
     by = by if phase < 1 else f"more than {1000 * lag / phase:.2g} ms"
+    share = f"{percent(loss)} at the bandwidth of the motion, {bandwidth:.3g} Hz"
+    if leads:
+        text = (
+            f"the {kind}s lead the motion by {by}, so they look like references of an outer loop, or the positions "
+            f"filtered or logged late; a loop with that time constant attenuates them by {share}"
+        )
+        advice = f"log the {kind}s that the motors had, and with them the positions of the same instants"
+        lead = Finding("command lead", text=text, advice=advice, shown_as="filtered command")
+        return [lead] if loss > LAG_LOSS and known.sum() >= LAG_JOINTS else []
     text = (
         f"the {kind}s lag behind the motion by {by}, so they look low-passed, held or logged late; a low-pass filter "
-        f"with that time constant attenuates them by {percent(loss)} at the bandwidth of the motion, {bandwidth:.3g} Hz"
+        f"with that time constant attenuates them by {share}"
     )
     advice = f"log the {kind}s before any filter and with the time stamps of the positions"
     if loss > LAG_LOSS:
