@@ -214,6 +214,25 @@ def test_what_recorders_log(kind: str, rate: float | None) -> None:
         assert np.sqrt(motor.covariance[0, 0]) < 0.01 * gain
 
 
+def test_signed_currents_that_never_fall_below_zero_keep_their_signs() -> None:
+    """As of a motor that holds a weight while it moves both ways."""
+    plant = Plant(noise=0.01, chi=CHI | {f"off_{joint}": 40.0 for joint in JOINTS})
+    columns = table(replace(MOTORS, resistance=0.1).logged(plant.run("log", 16.0, seed=3)))
+    currents = np.column_stack([columns[f"current {joint}"] for joint in JOINTS])
+    assert currents.min() > 0
+    np.testing.assert_allclose(read_run(columns, signals("current", "voltage")).command, currents)
+
+
+@pytest.mark.parametrize("late", [2, 4, 8])
+def test_voltages_that_are_late_do_not_change_the_sign_of_a_gain(late: int) -> None:
+    """A lag adds acceleration to the voltage, as if R were less, or below zero; 2 ms a sample."""
+    columns = table(replace(MOTORS, resistance=0.1).logged(Plant(noise=0.01).run("log", 16.0, seed=3)))
+    for joint in JOINTS:
+        columns[f"voltage {joint}"] = np.roll(columns[f"voltage {joint}"], late)
+    motors = equations([read_run(columns, signals("current", "voltage"))])
+    assert min(motor.ke for motor in motors) > 0
+
+
 def test_goals_of_servos_with_a_stated_resistance() -> None:
     """Without a supply voltage: g is as uncertain as R."""
     columns = table(replace(HARD, rate=50.0).logged(Plant(noise=0.01).run("log", 16.0, seed=3), "supply"))

@@ -15,7 +15,7 @@ from gtau.estimation.estimators.essential import essential_parameters
 from gtau.estimation.estimators.estimator import Solution
 from gtau.estimation.estimators.least_squares import ols, tls, two_stage, wls
 from gtau.estimation.estimators.maximum_likelihood import ml
-from gtau.estimation.regression.factors import delayed, leave_one_out, triangle
+from gtau.estimation.regression.factors import FIXED, KNOWN, SIGNAL, delayed, leave_one_out, triangle
 from gtau.estimation.regression.problem import Problem
 from gtau.robots.parameter import Parameter
 from gtau.signals.channel import MOTOR, Channel
@@ -410,6 +410,21 @@ def test_slow_motion_under_white_noise_settles(rng: np.random.Generator, monkeyp
     monkeypatch.setattr(newton, "curvature_of_delays", lambda blocks, *others: np.zeros(blocks.shape[:-2]))
     assert solution.converged
     assert not newton.solve(problem, far, weights, True).converged  # in 150 steps and more it would
+
+
+def test_a_gain_that_nothing_determines_has_no_deviation_near_zero(rng: np.random.Generator) -> None:
+    """One of two joints without a parameter in common, whose scale is another's alone."""
+    rows = np.zeros((20, 2, 40, 2 + FIXED))
+    rows[:, 0, :, 0], rows[:, 1, :, 1] = rng.standard_normal((2, 20, 40))
+    rows[:, 0, :, KNOWN] = rng.standard_normal((20, 40))
+    rows[..., SIGNAL] = rows[..., :2].sum(axis=-1) + rows[..., KNOWN] + 0.01 * rng.standard_normal((20, 2, 40))
+    channels = tuple(Channel(joint, MOTOR, joint, j) for j, joint in enumerate("ab"))
+    names = tuple(Parameter(kind, "") for kind in "xy")
+    problem = Problem(names, channels, lambda: rows, np.full((20, 2), 40), np.zeros(2))
+    solution = newton.solve(problem, np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0]), problem.weights, True)
+    deviations = np.sqrt(np.diag(solution.jackknife))[2:4] / np.abs(solution.gains)
+    assert deviations[0] < 0.01
+    assert deviations[1] > 100
 
 
 def test_columns_told_apart_without_some_parameters_are_those_found_afresh(rng: np.random.Generator) -> None:

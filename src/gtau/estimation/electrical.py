@@ -22,7 +22,7 @@ from gtau.estimation.effects.mixed_model import MixedModel, fit_mixed, lag_produ
 from gtau.estimation.regression.dataset import Dataset
 from gtau.estimation.regression.problem import Estimates, MotorEquation
 from gtau.estimation.results.estimate import Estimate
-from gtau.findings import Finding, Grade, percent
+from gtau.findings import Finding, Grade, listed, percent
 from gtau.robots.parameter import Parameter, unit_of
 from gtau.signals.channel import SIDE_SIGNALS
 from gtau.signals.preparation.filters import position_filter
@@ -58,8 +58,9 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
     def note(joint: str, text: str, advice: str) -> None:
         notes.append(Finding("voltage", (joint,), text=text, advice=advice, grade=Grade.INFORMATION))
 
+    unstated = Drive(convention="dc")
     for joint in dataset.robot.motors:
-        drive = drives.get(joint) or Drive(convention="dc")
+        drive = drives.get(joint, unstated)
         parts = (_rows(prepared, joint, drive) for prepared in dataset.prepared)
         rows = [part for part in parts if part is not None]
         signals = dataset.runs[0].log.signals
@@ -83,6 +84,15 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             note(joint, text, "move the joint faster")
         else:
             equations.append(equation)
+    motors = [motor.joint for motor in equations]
+    if assumed := [
+        joint for joint in motors if joint not in drives or "convention" not in drives[joint].model_fields_set
+    ]:
+        text = f"the voltages of {listed(assumed)} are taken for voltages of DC motors, as no 'convention' is stated"
+        advice = (
+            "state it under 'drives': with 'amplitude' (q axes of most field-oriented drives) gains are 1.5 times this"
+        )
+        notes.append(Finding("voltage", tuple(assumed), text=text, advice=advice, grade=Grade.INFORMATION))
     return replace(dataset, motors=tuple(equations), remarks=tuple(notes))
 
 
