@@ -37,9 +37,7 @@ PAYLOAD_MOVES = 0.01  # relative move of the gains when a known payload paramete
 IN_METRES = 4.0  # times that a moment must be nearer to mass times the stated value, which is then in m
 ALIKE_SCALES = 0.05  # probability that the torque scales of joints which share one differ by as much
 LEAST_OTHERS = 0.001  # share of all else in an estimate that has a prior, below which it is the prior
-# Relative standard deviation of a gain by all but its voltage, from which it tests no voltage: 0.33, 0.44 of wrists
-# of a UR10e (healthy, and 7 and 20 times off).
-DETERMINED = 0.1
+DETERMINED = 0.1  # relative standard deviation of a gain by all but its voltage, from which it tests no voltage
 STEP = 1e-3  # of a source, for the derivatives of the gains
 
 SCALED_BY_FILE = "the inertias of the robot's file"

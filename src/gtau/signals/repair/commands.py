@@ -18,17 +18,14 @@ from gtau.signals.repair.resampling import FROZEN, JUMP, POSITIONS, Clips, Holds
 from gtau.signals.storage import block, blocks, spans, steps
 
 # A command stays where it is equal for more than FROZEN samples, twice as long as held signals are, and STAYS (s),
-# while its joint covers MOVED of its range. In 44 shared logs of ten robots none does: in motion, equal ones of up to
-# 38 samples last 0.03 s (sensors of a Rokae), spells of 0.1 s have 6 samples (an xMate 7 at 50 Hz). Nor does one of a
-# double pendulum, but where its motors are off: 999 and 1543 samples, 0.5 to 0.9 of the path.
+# while its joint covers MOVED of its range.
 STAYS, MOVED = 0.1, 0.02
 # It is then a fault where it jumps by JUMP of its steps before or after that, as a slow one that is rounded changes by
 # one, or where it stays ALONE times as long as at any other time. Zeros, which may be the dead band of a sensor that
 # reversals pass again and again, must be of all moving joints or ALONE times as long as other zeros, too.
 ALONE = 4.0
 # Noise of motors that are off, over the largest command of each joint; all moving joints must then be off together, and
-# log finer steps than that: coarse ones are zero about each reversal. In
-# 25 healthy shared logs of ten robots all are for 0.05 s at most (Orthoglide, at rest).
+# log finer steps than that: coarse ones are zero about each reversal.
 OFF = 0.02
 # Steps in the range of a coarse command: 30 and more in those logs (the last joint of an xMate 7). Its plateaus are
 # no limits, and it jumps by its steps.
@@ -172,10 +169,7 @@ def whole_numbers(command: np.ndarray, joints: int) -> float:
 
 
 # A moving average of white noise: third differences have a correlation of -0.5 over the window, 0 over two, and 1/3 one
-# sample beside it. The first runs of eight sets behind one of 0.1 and 1 s have -0.42 to -0.52, at most 0.04, and 0.1 to
-# 0.39; 13 sets as they are, where neighbours are positive, -0.18 (Aliengo) and -0.09 (others) at the least.
-# Nothing else correlates as much, at most 0.91 of it (84 shared logs behind windows of 0.05 to 1 s). Chatter of drives
-# at rest, with up to -0.47 at some lag, has 1.22 of that and more at others (18 logs of simulated arms and legs).
+# sample beside it, and no larger one at any other lag.
 AVERAGED, TWICE = -0.35, 0.1
 SHORTEST, LONGEST, FEWEST = 0.05, 2.0, 8  # s, s, samples: shorter ones take little of a motion, or are a noise's colour
 USED = 1 << 16  # samples
@@ -266,9 +260,7 @@ def _moves_at(samples: Samples, j: int, mover: int, level: float) -> bool:
 SURE = 0.1  # of the largest duty: below, the current of the supply says nothing of the motor's
 BOTH_WAYS = 0.05  # share of the samples in which a motor is driven in each direction
 SMOOTHED = 0.03  # s, of the speeds by which a motor drives or brakes
-# What signs leave of the voltage over what currents as logged leave: 0.35 to 0.39 of magnitudes (a five-bar, 50 Hz as
-# well), 0.88 to 1.2 of signed currents that gravity holds above zero (SCARA, gantry, five-bar), and 20 if the voltage
-# is reversed.
+# What magnitudes with signs leave of the voltage over what currents as logged leave, below which they are magnitudes.
 MAGNITUDE = 0.6
 BACK_EMF = np.linspace(0.0, 1.5, 76)  # tried, of what would take all of the largest voltage at the largest speed
 

@@ -18,16 +18,10 @@ from gtau.signals.storage import block, blocks, spans, stored_like, stride_of
 
 WIDEST = 3  # samples; positions that stay away longer are a slip, which is refused
 NEIGHBOURS = 6  # samples nearest to them, through which a cubic is fitted
-# A glitch is SCALES scales off that cubic. A scale is the largest of what 95 % of the samples are off a cubic through
-# four neighbours (white noise of standard deviation s: 2 s), of the smallest change of the position, and of what the
-# neighbours are off their own cubic.
-# And it is STEPS times as far off as the joint moves in a step there: less may be a wrong time of the sample.
-# In 47 shared logs of ten robots nothing is off by 4 scales and one step: what is off by more scales (a stale sample of
-# a Panda polled at 30 Hz, the begin of a motion without noise) is less than a step off, what is off by 1.25 steps less
-# than 4 scales. Nor is anything in 480 logs of benchmarks/preparation_study.py, up to 1 kHz. Of samples put off in
-# those all of 0.1 rad are found, and of 0.01 rad at 1 kHz; at 50 Hz, where a joint moves 0.02 rad in a step, one in
-# eight. What is missed does little: on the UR10e and Orthoglide logs a sample that is off by 1 % of the joint's range
-# moves no gain by more than 0.15 of its standard deviation.
+# A glitch is SCALES scales off that cubic, and STEPS times as far off as the joint moves in a step there: less may be a
+# wrong time of the sample. A scale is the largest of what 95 % of the samples are off a cubic through four neighbours
+# (white noise of standard deviation s: 2 s), of the smallest change of the position, and of what the neighbours are off
+# their own cubic.
 SCALES, STEPS = 6.0, 1.5
 SHARE = 0.95
 LARGEST_SPEED = 1e3  # rad/s or m/s; of a joint
@@ -37,10 +31,7 @@ SLIP_QUANTA = 3.0  # and in smallest changes of its position: a joint at rest, s
 SLIP_RANGE = 1e-3  # and of its range; a jump of 2e-4 rad in a log of an xMate7 does no harm
 # A position freezes where it is constant for longer than FROZEN samples and FROZEN_TIME (s) after or before a step
 # of FROZEN_QUANTA of its smallest changes and FROZEN_SPEED of its fastest steps, larger than 99.9 % of the changes of
-# its steps, while the current varies by FROZEN_CURRENT of its standard deviation. In the shared logs of ten robots the
-# steps beside a rest are at most 3 quanta, or 0.07 of the fastest in a log without rounding (a KUKA, whose current then
-# varies by 0.01). With a joint of a UR10e frozen in motion (three joints, 15 logs) they are 31 quanta and 0.3 or more,
-# and the current varies by 0.12 to 1.2.
+# its steps, while the current varies by FROZEN_CURRENT of its standard deviation.
 FROZEN_TIME, FROZEN_QUANTA, FROZEN_SPEED, FROZEN_CURRENT = 0.1, 10.0, 0.15, 0.1
 
 Glitches = Mapping[tuple[int, int], float]
