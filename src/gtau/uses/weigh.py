@@ -36,18 +36,10 @@ from gtau.signals.reading.experiment import Experiment
 from gtau.signals.run import Run
 from gtau.uses.identify import require_same
 
-# Relative standard deviation of a model's friction on another day: on a UR10e within 19 days friction of the wrists
-# changed by 1 to 5 %, of the elbow by 33 %. With 0.05 instead, masses from its logs, which show friction well, move by
-# less than 0.015 kg, and 12 of 12 intervals hold the truth either way.
-FRICTION_CHANGE = 0.2
-# Relative standard deviation of a gain on another day, where only one load is logged: torque constants fall by 0.1 % a
-# kelvin of the magnets, motors warm up by 10 to 40 K. On a UR10e (two pairs, 19 days apart) gains differ by up to 5 %.
-# Taken as exact, gains that fell by 3 % moved its masses by 0.26 kg of 2.8 at half intervals of 0.18.
+FRICTION_CHANGE = 0.2  # relative standard deviation of a model's friction on another day
+# Relative standard deviation of a gain on another day, where only one load is logged.
 GAIN_CHANGE = 0.03
 # Mean square move of the model's parameters or gains, in standard deviations, above which a log contradicts them.
-# Parameters, gains taken as exact: 0.9 to 3.6 where masses are right (11 logs of a UR10e within 33 days), 25 where one
-# is 0.21 kg off. With re-estimated gains, which absorb a fall of 3 %, 1 of 18 weighings of that robot exceeds it.
-# Gains: 10 after a fall of 10 % (a five-bar).
 MODEL_APART = 5.0
 # Residual ratio above which an undeclared load is searched for: 1.13 to 2.4 on five UR10e logs, 21 with one.
 WORSE = 3.0

@@ -18,19 +18,13 @@ from gtau.estimation.regression.run_blocks import WINDOWS
 # Of a gain, as robots have effects that are not on the list: of 1,508 gains of eleven robots 97.0 % of the intervals
 # hold, rms z 0.86; with 3e-4 98.1 % and 0.77, with 1e-4 95.7 % and 0.97.
 FLOOR = 2e-4
-# Of a gain, times the squares of its moves by effects of motion, whose columns hold for small sizes. Elastic joints at
-# 10, 15 and 30 Hz move gains of a delta by 22, 8 and 1.8 % and leave 1.6, 1.8 and 1.0 times the squares, of a SCARA, an
-# arm and a 3-RRR 1.1 to 3.4, of a palletiser up to 44; filters of 20 ms leave 2.0 (delta).
+# Of a gain, times the squares of its moves by effects of motion, whose columns hold for small sizes.
 CURVATURE = 2.0
 NONLINEAR, FAR = 0.005, 0.5  # moves of a gain between which columns are made again
 REPEATS = 3  # of the columns: a constant that falls by 5 % leaves gains of an arm 8, 1.1, 0.18 and 0.01 % off in turn
 STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
 
-# Standard deviations beyond a possible size, from which an effect stands for something else and is left out: elastic
-# joints at 7 (a five-bar at 250 Hz, whose drives hold the current from sample to sample: gains 0.9 % off with them, and
-# 0.2 without) and 4 (dVRK); at most 3.0 in other shared logs, and none in simulated elastic joints. Torque constants
-# that rise with the current at 12 to 28 (a delta with backlash, or gears that lose a share of all torque: gains 5.0 and
-# 2.1 % off with them, 2.0 and 0.7 without); at most 1.2 in eight measured experiments.
+# Standard deviations beyond a possible size, from which an effect stands for something else and is left out.
 IMPOSSIBLE = 3.5
 # Standard deviations of the jackknife by which effects move a delay, as derivatives of currents hold their noise: 1.6
 # (lost in noise of 5 % at 20 Hz), 2 (Orthoglide, whose delays were right before), 9 (presliding over 1.5 mrad).

@@ -41,9 +41,7 @@ from gtau.signals.storage import Store, block, spans
 
 SMOOTH = 4.0  # cut-off of the reference over the bandwidth of the motion, at least
 # And over the bandwidth of the rows' low-pass, which is at twice the bandwidth where reversals ask for no more rows:
-# currents hold what the rows do, and a reference that does not leaves the simulated accelerations short of it. With 9,
-# 6 and 4 samples a row, on a run without and one with payload of the Orthoglide, gains are off by at most 0.20, 0.30
-# and 0.29 % (by maximum likelihood 0.21, 0.31 and 0.22 %); behind four bandwidths they were by 0.5 to 1.1 %.
+# currents hold what the rows do, and a reference that does not leaves the simulated accelerations short of it.
 ROWS = 2.0
 POLE = 20.0  # of the loop, over the bandwidth of the motion
 LOOP_PASSES = 20

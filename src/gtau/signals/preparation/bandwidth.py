@@ -34,9 +34,6 @@ FAR_ABOVE = 1e3  # density of a motion over the density of such noise
 WHITE = -1.0  # noise is flat in the position's spectrum, or nearly so, where motions fall with f^-2 and faster
 ROUNDING = 1e-9  # of a position, by arithmetic: a smaller range is not a motion
 # Commands smoothed offline: rms share above ``NOISE`` of the sampling rate, and fall of the density within an octave.
-# The first run of each of 17 sets leaves 4e-4 and more, and falls by up to 3.2e3. Behind a zero-phase filter of fourth
-# order and rounded to 1e-6 they leave up to 2e-5 (1 Hz) and 6e-6 (5 Hz, but 1e-3 at a rate of 30 Hz, which is not
-# found), and fall by 6.3e3 and more. The logs of an LWR 4 that its publishers have smoothed leave 2e-11.
 SMOOTH, STEEP = 1e-4, 4e3
 
 
