@@ -34,8 +34,11 @@ from gtau.estimation.results.conclusions import INFLATED, headline, reasons
 from gtau.estimation.results.estimate import Estimate
 from gtau.findings import Finding, Grade, by_severity, percent_text
 from gtau.model.home import load_robot
+from gtau.report.identification import summary_page
+from gtau.report.render.terminal import plain
 from gtau.result import Result, identify, load
 from gtau.robots.parameter import parameter_of
+from gtau.signals.reading.drafting import ASSUMED_UNIT, DRAFT
 from gtau.signals.reading.statements import Payload
 from gtau.signals.run import Run
 
@@ -320,6 +323,18 @@ def test_reasons_that_differ_in_numbers_or_causes_are_one_row_with_those_of_each
         assert number in row.why
         assert f"'{joint}'" in row.why
         assert causes.get(joint, "") in row.why
+
+
+@pytest.mark.parametrize(("grade", "first"), [(Grade.WEAK, False), (Grade.CONTRADICTORY, True)])
+def test_an_assumed_unit_is_in_the_headline_where_gains_contradict(result: Result, grade: Grade, first: bool) -> None:
+    note = Finding(ASSUMED_UNIT, text="positions are assumed to be in deg", advice="confirm", shown_as=DRAFT)
+    gains = {
+        joint: replace(gain, verdict=Finding("misfit", (joint,), text="a misfit", grade=grade))
+        for joint, gain in result.drive_gains.items()
+    }
+    changed = result.replaced(drive_gains=gains, notes=(*result.notes, note))
+    assert ("Positions are assumed to be in deg." in headline(changed)) == first
+    assert "Assumed; correct it in" in plain(summary_page(changed))
 
 
 @pytest.mark.parametrize(("left", "unexplained"), [(0.05, False), (1.0, True)])

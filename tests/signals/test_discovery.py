@@ -661,6 +661,32 @@ def test_positions_far_outside_the_limits_of_the_robot_are_in_degrees(tmp_path: 
         assert discover([log], replace(robot, joints=joints)).units == {"position": unit}
 
 
+@pytest.mark.parametrize("limited", [True, False])
+@pytest.mark.parametrize(("factor", "unit"), [(1.0, "rad"), (180 / np.pi, "deg")])
+def test_motors_before_their_gears_turn_as_far_as_the_joints_behind_them(
+    limited: bool, factor: float, unit: str, tmp_path: Path
+) -> None:
+    """By limits of the motors, or of the joints that couplings tie to them."""
+    robot = load_robot("staubli-tx40")
+    if not limited:
+        joints = (replace(joint, limits=Limits((-3.0, 3.0)) if joint.has_mass else Limits()) for joint in robot.joints)
+        robot = replace(robot, joints=tuple(joints))
+    motors = [robot.joint(name) for name in robot.actuated]
+    angles = [factor * (motor.home + 40.0 * np.sin((k + 1) * TIME)) for k, motor in enumerate(motors)]
+    names = ",".join(f"q_{motor.name}" for motor in motors), ",".join(f"i_{motor.name}" for motor in motors)
+    log = save(tmp_path / "a.csv", f"t,{names[0]},{names[1]}", TIME, *angles, *[V[:, 0]] * len(motors))
+    draft = discover([log], robot)
+    assert draft.units["position"] == unit
+    assert guesses(draft, tmp_path / "a.yaml")[0].text.startswith(
+        f"positions are assumed to be in {unit}: joint 'motor_"
+    )
+
+
+def test_measured_angles_of_motors_are_in_radians(shared: Path) -> None:
+    logs = [shared / "tx40" / name for name in ("pos_read_data.csv", "curr_data.csv")]
+    assert discover(logs, load_robot("staubli-tx40")).units["position"] == "rad"
+
+
 def test_a_log_at_ten_hertz_is_plausible(tmp_path: Path) -> None:
     draft = discover([save(tmp_path / "a.csv", "t,q1,q2,tau1,tau2", 26 * TIME, Q, V)])
     assert draft.reasons.time == "median step 0.104 s, 9.615 Hz"

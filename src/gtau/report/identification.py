@@ -59,9 +59,9 @@ def text(result: IdentifiedModel, verbose: bool) -> str:
 
 def summary_page(result: IdentifiedModel) -> Page:
     """Show verdict, drive gains, masses, the findings that call for something, and the next step on one screen."""
-    guesses = [note for note in result.notes if note.kind == DRAFT]
+    guesses = [note for note in result.notes if note.topic == DRAFT]
     files = dict.fromkeys(note.source for note in guesses)
-    urgent = same_in_several([note for note in findings(result) if note.kind != DRAFT and note.advice])
+    urgent = same_in_several([note for note in findings(result) if note.topic != DRAFT and note.advice])
     doubts = [
         *map(_in_short, reasons(result)),
         *(str(note) for group in by_severity(urgent).values() for note in group),

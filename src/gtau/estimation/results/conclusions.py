@@ -15,6 +15,7 @@ from gtau.estimation.results.result import IdentifiedModel
 from gtau.findings import Finding, Grade, enumerated, listed, moment, percent_text
 from gtau.robots.parameter import TEMPERATURE_TERMS
 from gtau.signals.reading.columns import Signals
+from gtau.signals.reading.drafting import ASSUMED_UNIT
 from gtau.signals.reading.formats import reading
 from gtau.signals.reading.statements import FIRST_MOMENTS
 
@@ -155,7 +156,9 @@ def _against(result: IdentifiedModel) -> Iterator[str]:
     for name, verdict in _stated(result):
         if verdict.outcome == Grade.CONTRADICTORY:
             yield f"{name[0].upper()}{name[1:]} contradicts the data: {verdict.why}."
-    notes = [note.what for note in result.notes if note.kind in (SMOOTHED, MOTOR_SIDE)]
+    lost = any(gain.verdict.outcome.rank > Grade.WEAK.rank for gain in result.drive_gains.values())
+    first = (SMOOTHED, MOTOR_SIDE, ASSUMED_UNIT)[: 3 if lost else 2]  # a wrong unit contradicts all
+    notes = [note.what for note in result.notes if note.kind in first]
     yield from (f"{what[0].upper()}{what[1:]}." for what in notes)
     if failed := missed(result):
         yield f"Requirement missed: {'; '.join(failed)}."

@@ -12,7 +12,7 @@ import numpy as np
 from gtau.documents.validation import read_group
 from gtau.errors import GtauError, errors_at
 from gtau.pages import page
-from gtau.robots.robot import Robot
+from gtau.robots.robot import Coupling, Robot
 from gtau.signals.channel import SENSOR, SIDE_SIGNALS, SUPPLY
 from gtau.signals.reading.column_names import POSE, Group, has_word, matched, renamed_labels
 from gtau.signals.reading.columns import Signals
@@ -27,6 +27,8 @@ QUESTIONS = {
     "all drive gains",
     "mass": "confirm the payload masses, read from the file names: they set the scale of all drive gains",
     "robot": "name the robot: a name of the catalog (gtau robot), or the path of its URDF, MJCF or robot file",
+    "unit": "confirm the unit of the positions (units: {position: ...}), or, of motors before their gears, the "
+    "joint's angle for one unit (0.01 rad)",
     "unmatched": "joints that the log lacks are held at home, but columns move that are not used; if they are of such "
     "a joint, write them at its name",
     "counts": "replace counts and unknown units by the size of one count (units: {current: 0.00269 A}); for shares add "
@@ -34,8 +36,6 @@ QUESTIONS = {
     "joints": "confirm which columns belong to which joint",
     "rate": "write the sampling rate, which is not in the log (time: {rate: HZ})",
     "velocities": "confirm the sampling rate, found from the velocities (time: {rate: HZ})",
-    "unit": "confirm the unit of the positions (units: {position: ...}), or, of motors before their gears, the "
-    "joint's angle for one unit (0.01 rad)",
     "motor": "confirm that these are proportional to the currents; motor torques, times the gear ratios, are 'torque:'",
     "kind": "confirm whether these are currents or torques (key 'current:' or 'torque:')",
     "gravity": "confirm that the controller compensates gravity in these torques, or remove 'gravity' of the robot",
@@ -369,11 +369,21 @@ def _position_unit(
     far = f"joint '{joint}' reaches {reach:.4g}"
     if kinds != {"revolute"}:
         return "mm", f"{far}, too far for SI units"
-    limits = {name: robot.joint(name).limits.position for name in columns} if robot else {}
     # Where deg are taken for rad, joints with limits are far outside.
-    beyond = any(limit and reaches[name] > 2 * max(map(abs, limit)) for name, limit in limits.items())
+    beyond = robot is not None and any(reaches[name] > 2 * _range(robot, name, np.inf) for name in columns)
     if ratio is not None and abs(ratio - 1) < ALIKE and fastest < FASTEST and not beyond:
         return "rad", f"{far}, but the velocities are the derivative and reach only {fastest:.4g}"
     if reach > MOST_DEGREES and not beyond:
         return "rad", f"{far}, too far even for deg"
+    if robot is not None and all(reaches[name] <= _range(robot, name, 2 * np.pi) for name in columns):
+        coupled = {name for tie in robot.couplings for name in tie.terms}
+        if coupled.issuperset(name for name in columns if reaches[name] > TURNS):
+            return "rad", f"{far}, as motors before their gears do"
     return "deg", f"{far}, too far for SI units"
+
+
+def _range(robot: Robot, name: str, free: float) -> float:
+    """Return how far a joint turns by its limits, or by those of joints coupled to it; ``free`` where one has none."""
+    ties = [tie for tie in robot.couplings if name in tie.terms and robot.joint(name).limits.position is None]
+    terms = Coupling.solved(ties[0].terms, name, 0.0).ratios if ties else ((name, 1.0),)
+    return sum(abs(ratio) * max(map(abs, robot.joint(other).limits.position or (free,))) for other, ratio in terms)

@@ -27,7 +27,7 @@ from gtau.signals.reading.formats.rosbag import robot_description
 from gtau.signals.reading.logs import find_columns, is_rosbag
 from gtau.signals.reading.statements import masses_in_name
 
-DRAFT = "draft"  # the kind of what a draft assumes
+DRAFT, ASSUMED_UNIT = "draft", "assumed unit"  # the kinds of what a draft assumes, shown as the former
 SEAL = "# as drafted: "  # a checksum of all above follows
 URDF = "robot.urdf"  # beside the experiment file, where a bag holds it
 
@@ -347,9 +347,11 @@ def guesses(draft: Draft, file: Path) -> tuple[Finding, ...]:
         notes.append((f"columns that never change are no torque sensors: {listed(unused.still)}", ""))
     if (time := signals.time_columns[:1]) and time[0].endswith("/header/stamp"):
         notes.append((f"time is {time[0]}, measurement stamps, not receipt stamps", ""))
-    return tuple(
+    made = (
         Finding(DRAFT, text=text, advice=advice, grade=Grade.INFORMATION, source=str(file)) for text, advice in notes
     )
+    unit = draft.open.get("unit")
+    return tuple(replace(note, kind=ASSUMED_UNIT, shown_as=DRAFT) if note.text == unit else note for note in made)
 
 
 def _units(draft: Draft) -> Iterator[str]:
