@@ -88,6 +88,21 @@ def test_missing_samples_are_counted_behind_late_stamps(jitter: float, rng: np.r
     assert wrong.sum() <= (0 if jitter == 0 else 6)
 
 
+@pytest.mark.parametrize("other", [-1, 1])
+@pytest.mark.parametrize("lost", [0.0, 0.02])
+def test_repeated_stamps_of_new_samples_are_no_faster_clock(other: int, lost: float, rng: np.random.Generator) -> None:
+    """Stamps of the sample before, which are early, or of the one behind, which are late; some samples are missing."""
+    stamps, at = regular(), np.sort(rng.choice(np.arange(10, SAMPLES - 10, 3), 400, replace=False))
+    stamps[at] = stamps[at + other]
+    kept = rng.random(SAMPLES) >= lost
+    kept[[0, *(at + other), -1]] = True
+    clock = clock_of(stamps[kept], logged(regular())[kept])
+    assert (clock.regular, clock.missing) == (True, (~kept).sum())
+    assert clock.rate == pytest.approx(1000, rel=1e-5)
+    wrong = np.abs(np.diff(clock.instants(stamps[kept])) - np.diff(regular()[kept])) > 0.1 * PERIOD
+    assert wrong.mean() <= 0.1 * lost  # beside a repeated stamp a gap may be on either side
+
+
 @pytest.mark.parametrize("rate", [20.0, 50.0])
 @pytest.mark.parametrize("jitter", [0.1, 0.6])
 def test_slow_logs_of_fast_moves_lack_nothing(rate: float, jitter: float, rng: np.random.Generator) -> None:

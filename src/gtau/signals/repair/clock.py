@@ -253,8 +253,15 @@ def _find_gaps(time: np.ndarray, position: np.ndarray | None, usual: float, pack
         unclear = np.isnan(number)
         number[unclear] = 1.0
         part -= usual * np.concatenate([[0.0], np.cumsum(number)])
-        for k in np.flatnonzero(unclear & (step > LATE * usual * size)) + 1:
-            moved = np.median(part[k : k + around]) - np.median(part[max(k - around, 0) : k])
+        near, far = (around == 1) & (step < (1 - DOUBT) * usual), step > LATE * usual * size
+        for k in np.flatnonzero(unclear & far) + 1:
+            before, after = k, k
+            while before > 1 and near[before - 2]:  # stamps that repeat the one before were early,
+                before -= 1
+            while after < len(near) and near[after]:
+                after += 1
+            after = k if after < len(far) and far[after] else after  # or this one was late
+            moved = np.median(part[after : after + around]) - np.median(part[max(before - around, 0) : before])
             missing = max(int(moved / usual + 1 - DOUBT), 0)
             number[k - 1] += missing
             part[k:] -= missing * usual  # later samples are evaluated with this gap closed
