@@ -142,6 +142,7 @@ def test_constant_and_boolean_columns_are_no_commands(still: str, tmp_path: Path
     np.savetxt(log, table, delimiter=",", header=f"t,{header}", comments="")
     assert discover([log]).signals.command == {"j1": "i1"}
     with pytest.raises(
-        GtauError, match=rf"no columns of currents or torques are .*\({still} never change, or are boolean\)"
+        GtauError,
+        match=rf"no columns of currents or torques are .*\({still} never change, are boolean or hold no numbers\)",
     ):
         discover([save(tmp_path / "c.csv", f"q1,{still}", still)])

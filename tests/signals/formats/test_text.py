@@ -40,6 +40,22 @@ def test_few_lines_show_the_columns_of_a_table(write: Callable[..., Path], monke
     assert len(read_run(log, SIGNALS).time) == N
 
 
+@pytest.mark.parametrize("always", [True, False])
+def test_quoted_numbers_with_decimal_commas(write: Callable[..., Path], always: bool) -> None:
+    """Of LibreOffice, which quotes all entries or those with a comma."""
+    entries = [[entry.rstrip("0").rstrip(".").replace(".", ",") for entry in row.split(",")] for row in ROWS]
+    rows = [",".join(f'"{text}"' if always or "," in text else text for text in row) for row in entries]
+    run = read_run(write('"t","q","v"', *rows), SIGNALS)
+    np.testing.assert_allclose(run.position[:, 0], VALUES[:, 0], atol=1e-8)
+    np.testing.assert_allclose(run.time, TIME, atol=1e-9)
+
+
+def test_commas_before_thousands_are_no_decimal_commas(write: Callable[..., Path]) -> None:
+    log = write("t,q,v", *(f'{k},"{700 + k:,}",{k % 7}' for k in range(N)))
+    with pytest.raises(GtauError, match=r"column 'q'.* '1,000'"):
+        read_run(log, SIGNALS)
+
+
 # what stands before the rows, the note, and the columns' names
 BEFORE: list[tuple[list[str], str, tuple[str, str, str]]] = [
     (["t,q,v"], "", ("t", "q", "v")),

@@ -227,7 +227,7 @@ def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> 
         columns = listed(log.table.columns, 20)
         what = "positions" if positions is None else "currents or torques"
         still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
-        columns += f" ({'; '.join(still)} never change, or are boolean)" * bool(still)
+        columns += f" ({'; '.join(still)} never change, are boolean or hold no numbers)" * bool(still)
         named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
         raise NoColumns(
             f"no columns of {what} are recognised among {columns}; {named}write the experiment file by hand "

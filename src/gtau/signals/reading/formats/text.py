@@ -10,7 +10,7 @@ import csv
 import gzip
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from itertools import accumulate, islice
@@ -63,6 +63,8 @@ def open_text(path: Path) -> LogTable:
 
     titles = [k for k in range(begin if header is None else header, begin) if len(fields[k]) == width]
     titles = titles or ([] if header is None else [header])
+    quoted = (entries for text, entries in zip(texts[row:], fields[row:], strict=True) if '"' in text)
+    decimal_commas = separator != "," or _decimal_commas(quoted)
     columns, units, title_lines = _columns({k: fields[k] for k in titles}, width)
     first_byte += sum(map(len, lines[:begin]))
 
@@ -70,7 +72,7 @@ def open_text(path: Path) -> LogTable:
         places = {name: k for k, name in enumerate(columns)}
         row, wanted = 0, [places[name] for name in names]
         for text, done in _whole_lines(path, first_byte):
-            frame = _frame(table, separator, text, wanted)
+            frame = _frame(table, separator, decimal_commas, text, wanted)
             part = frame[max(rows.start - row, 0) : max(rows.stop - row, 0)]
             row += len(frame)
             if len(part):
@@ -226,7 +228,14 @@ def _is_number(text: str) -> bool:
         return False
 
 
-def _frame(table: LogTable, separator: str, text: bytes, wanted: list[int]) -> pl.DataFrame:
+def _decimal_commas(rows: Iterable[Sequence[str]]) -> bool:
+    """Decide whether quoted numbers between commas have decimal commas, and not thousands behind these."""
+    numbers = [field for row in rows for field in row if _is_number(field)]
+    commas = [number for number in numbers if "," in number]
+    return "." not in "".join(numbers) and not all(re.fullmatch(r"[-+]?[1-9]\d{0,2},\d{3}", text) for text in commas)
+
+
+def _frame(table: LogTable, separator: str, decimal_commas: bool, text: bytes, wanted: list[int]) -> pl.DataFrame:
     import polars as pl
 
     columns = [f"column_{k + 1}" for k in range(len(table.columns))]
@@ -253,7 +262,7 @@ def _frame(table: LogTable, separator: str, text: bytes, wanted: list[int]) -> p
     except pl.exceptions.PolarsError as error:
         raise GtauError(_unreadable_line(table, separator, str(error))) from None
     entries = pl.col(pl.String).str.strip_chars()
-    if separator != ",":
+    if decimal_commas:
         entries = entries.str.replace(",", ".", literal=True)
     return frame.select(columns[k] for k in wanted).select(entries)
 
