@@ -92,6 +92,17 @@ def test_moving_columns_that_are_not_used_are_in_the_first_line(
     assert said in capsys.readouterr().err
 
 
+def test_an_assumed_unit_is_in_the_first_line(tmp_path: Path, motion: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "arm.urdf").write_text(URDF)
+    header = "t,shoulder_pos,elbow_pos,shoulder_current,elbow_current"
+    time, position, current = motion["empty"]
+    table = np.column_stack([time, np.rad2deg(position), current])
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header=header, comments="")
+    experiment_of([tmp_path / "a.csv"], LogOptions(str(tmp_path / "arm.urdf")), tmp_path / "out")
+    said = "is drafted from 1 log. CHECK: positions are assumed to be in deg: joint 'elbow' reaches"
+    assert said in capsys.readouterr().err
+
+
 def test_one_command_from_bags(tmp_path: Path, motion: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """The robot from the bag, without the finger, the load from a name; the guesses are data beside the result."""
     monkeypatch.chdir(tmp_path)
@@ -244,6 +255,10 @@ def test_a_refusal_names_the_options_that_correct_the_guesses(tmp_path: Path, mo
     *guessed, refusal = refused.stderr.splitlines()
     assert "--payload LOG=KG" in "".join(guessed)
     assert "needs a scale" in refusal
+    without_time = np.loadtxt("empty_1.csv", delimiter=",", skiprows=1)[:, 1:]
+    np.savetxt("no_time.csv", without_time, delimiter=",", header="q1,q2,i1,i2", comments="")
+    refused = CliRunner().invoke(app, ["identify", "no_time.csv", "--robot", "five-bar"])
+    assert "name the time column (--time COLUMN)" in refused.stderr
 
 
 @pytest.mark.parametrize("compression", ["STORAGE", "MESSAGE", "FILE", "LZ4"])

@@ -213,6 +213,7 @@ def experiment_of(
         draft = drafted(sources, robot, known, weigh, model)
         write_draft(draft, file)
     held = f", whose columns {', '.join(draft.unused.moving)} move and are not used" * ("unmatched" in draft.open)
+    held += f". CHECK: {draft.open['unit']}" if "unit" in draft.open else ""
     typer.echo(tidy(f"gtau: {file} is drafted from {len(sources)} log{'s' * (len(sources) != 1)}{held}."), err=True)
     return file, guesses(draft, file)
 
