@@ -217,8 +217,9 @@ def drafted(
         )
     if "rate" in draft.open:
         raise GtauError(
-            f"{logs[0]} has neither times that grow nor velocities to find its sampling rate from; draft a file by "
-            "'gtau init', write the rate there (time: {rate: HZ}), and give that file."
+            f"{logs[0]} has neither times that grow nor velocities to find its sampling rate from; name the time "
+            "column (--time COLUMN), or draft a file by 'gtau init', write the rate there (time: {rate: HZ}), and give "
+            "that file."
         )
     for log, readings in draft.payloads.items():
         if len(readings) > 1:

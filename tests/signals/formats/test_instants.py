@@ -116,3 +116,32 @@ def test_refusals(times: str, units: Any, signals: Any, sentence: str, tmp_path:
 def test_a_time_that_cannot_be_read_is_a_row_that_is_dropped(tmp_path: Path) -> None:
     run = read_run(save(tmp_path / "a.csv", [iso(k) if k != 7 else "?" for k in range(N)]), SIGNALS)
     assert "line 9" in str(run.notes)
+
+
+@pytest.mark.parametrize("names", ["Datum;Uhrzeit", "Tag;Stunde des Tages"])
+def test_a_date_in_one_column_and_a_clock_time_over_midnight_in_another(names: str, tmp_path: Path) -> None:
+    """Found by their names or, with names of other languages, by what they hold; or named."""
+    start = datetime(2026, 11, 29, 23, 59, 59, 500_000)
+    times = [f"{start + k * STEP:%d.%m.%Y;%H:%M:%S.%f}" for k in range(N)]
+    log = save(tmp_path / "a.csv", times, f"{names};q1;tau1", ";")
+    draft = discover([log])
+    (column,) = draft.signals.time_columns
+    run = read_run(log, draft.signals.model_dump(exclude_none=True))
+    np.testing.assert_allclose(run.time - run.time[0], TIME, atol=1e-6)
+    assert "clock" not in draft.open
+    stated = discover([log], columns={"position": "q1", "torque": "tau1", "time": column})
+    assert stated.signals.time_columns == (column,)
+
+
+@pytest.mark.parametrize("name", ["Zeitstempel", "Aufgezeichnet"])
+def test_a_column_of_dates_is_the_time_whatever_its_name(name: str, tmp_path: Path) -> None:
+    log = save(tmp_path / "a.csv", [f"{k},{WRITTEN['German'](k)}" for k in range(N)], f"count,{name},q1,tau1")
+    draft = discover([log])
+    assert (draft.signals.time_columns, draft.reasons.time) == ((name,), "median step 0.004 s, 250 Hz")
+
+
+def test_a_clock_time_over_midnight_without_a_date_is_refused_by_that_name(tmp_path: Path) -> None:
+    start = datetime(2026, 11, 29, 23, 59, 59, 500_000)
+    log = save(tmp_path / "a.csv", [f"{start + k * STEP:%H:%M:%S.%f}" for k in range(N)])
+    with pytest.raises(GtauError, match=r"with the date where a clock passed midnight, time: DATE \+ TIME"):
+        read_run(log, SIGNALS)

@@ -25,7 +25,8 @@ WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())
     for kind, words in {
         "time": "t tout time timestamp datetime date stamp sec secs second seconds nanosec nsec nsecs nanosecond "
-        "nanoseconds zeit tiempo temps tempo 时间 時間 时刻 時刻 시간 시각",
+        "nanoseconds zeit zeitstempel uhrzeit datum tiempo hora fecha temps heure horodatage tempo "
+        "时间 時間 时刻 時刻 시간 시각",
         "position": "q qm pos position positions angle angles theta qpos posn enc encoder encoders winkel lage "
         "stellung posicion angulo posizione angolo 位置 角度 转角 轉角 关节角 関節角 位移 変位 위치 각도 변위",
         "velocity": "dq qd qdm vel velocity velocities velo speed omega qdot geschwindigkeit drehzahl velocidad "

@@ -15,9 +15,9 @@ from gtau.documents.validation import some_of
 from gtau.errors import GtauError
 from gtau.robots.robot import Robot
 from gtau.signals.reading import column_names
-from gtau.signals.reading.column_names import MEASURED, POSE, ColumnName, Group, has_word, parse_column_name
+from gtau.signals.reading.column_names import MEASURED, POSE, Group, has_word, parse_column_name
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
-from gtau.signals.reading.formats import LogTable
+from gtau.signals.reading.formats import LogTable, with_date
 from gtau.signals.reading.formats.columnar import data_set
 from gtau.signals.reading.logs import find_columns, read_log
 from gtau.signals.reading.samples import refuse_short, register_of
@@ -97,7 +97,12 @@ class LogContents:
         for name in wanted:
             if name.kind != "time" and (register := register_of(values[name.name])):
                 values[name.name] = register.signed(values[name.name])
-        time = _time_columns(wanted, values)
+        times = [name.name for name in wanted if name.kind == "time" and not name.label]
+        if not (time := _time_columns(times, values)):
+            dated = read_log(path, [name.name for name in names if name.kind is None]).dated()
+            values |= _values(path, dated, table)
+            time = _time_columns(dated, values)
+        values |= _values(path, [name for name in time if name not in values], table)  # a date and a clock time
         units = {name.name: name.unit for name in names if name.unit}
         return cls(table, values, time, tuple(_classified(groups, values, kind_of_file)), rate, units, tuple(elsewhere))
 
@@ -134,6 +139,7 @@ class LogContents:
         for part in pattern.split(","):
             before, star, after = part.strip().partition("*")
             matches = [name for name in self.table.columns if fnmatchcase(name, part.strip())]
+            matches = matches or [part.strip()] * (kind == "time" and " + " in part)
             if not matches:
                 raise GtauError(
                     f"--{kind} is '{pattern}', but no column matches '{part.strip()}'; the columns are "
@@ -165,7 +171,8 @@ class LogContents:
 
     def is_still(self, column: str) -> bool:
         """Return whether a column that was read never changes."""
-        return _is_still(self.values[column][np.isfinite(self.values[column])])
+        values = self.values[column][np.isfinite(self.values[column])]
+        return not (values != values[:1]).any()
 
     def group(self, kind: str) -> Group | None:
         """Return the columns of a kind: moving ones, then measured ones, the group with most joints first."""
@@ -177,9 +184,10 @@ class LogContents:
         return min((group for group in groups if {*group.columns.values()} <= {*self.values}), key=rank, default=None)
 
     def _is_switch(self, group: Group) -> bool:
-        values = (self.values[name] for name in group.columns.values())
-        finite = (column[np.isfinite(column)] for column in values)
-        return group.kind in COMMANDS and all(_is_still(x) or np.isin(x, (0, 1)).all() for x in finite)
+        columns = [name for name in group.columns.values() if not self.is_still(name)]
+        return group.kind in COMMANDS and all(
+            np.isin(np.nan_to_num(self.values[name]), (0, 1)).all() for name in columns
+        )
 
     def command_group(self) -> Group | None:
         """Select currents before torques, and torques of motors before torques of joints, which sensors may give."""
@@ -201,7 +209,7 @@ class LogContents:
 
     def other_clocks(self) -> list[str]:
         """List further increasing columns with time names, except the message stamps of a bag."""
-        if len(self.time) != 1:
+        if len(self.time) != 1 or " + " in self.time[0]:
             return []
         time = self.values[self.time[0]]
         return [
@@ -302,6 +310,8 @@ def _unnamed_groups(
 
 def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.ndarray]:
     """Read the first rows, of the first episode where there are several."""
+    if not names:
+        return {}
     log = read_log(path, names)
     rows = next(iter(table.episodes.values()), range(ROWS))
     parts = [values for values, _ in log.blocks(rows[:ROWS])]
@@ -311,19 +321,14 @@ def _values(path: Path, names: Sequence[str], table: LogTable) -> dict[str, np.n
     return {name: table_of_rows[:, k] for k, name in enumerate(log.columns)}
 
 
-def _time_columns(names: Sequence[ColumnName], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
-    """Find the increasing column among columns named as time, or the two of seconds and nanoseconds."""
-    times = [name.name for name in names if name.kind == "time" and not name.label]
+def _time_columns(times: Sequence[str], values: Mapping[str, np.ndarray]) -> tuple[str, ...]:
+    """Find the increasing column among columns of times, or the two of seconds and nanoseconds."""
     parts = [name for name in times if re.search(r"nano|nsec", name, re.IGNORECASE)]
     if parts and len(times) > len(parts):
         return next(name for name in times if name not in parts), parts[0]
     growing = [name for name in times if _grows(values[name], FORWARD)]
     stamped = [name for name in growing if "stamp" in name.lower()]
-    return tuple((stamped or growing)[:1])
-
-
-def _is_still(values: np.ndarray) -> bool:
-    return not (values != values[:1]).any()
+    return tuple(with_date(name, {other: values[other] for other in times}) for name in (stamped or growing)[:1])
 
 
 def _grows(column: np.ndarray, forward: float = 1.0) -> bool:

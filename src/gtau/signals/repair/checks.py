@@ -106,7 +106,8 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
     if not time[-1] > time[0]:
         raise GtauError(
             f"{samples.name}, column '{samples.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s "
-            "in the first, so time does not advance; give the time column, or the rate instead (time: {rate: HZ})."
+            "in the first, so time does not advance; give the time column (with the date where a clock passed "
+            "midnight, time: DATE + TIME), or the rate instead (time: {rate: HZ})."
         )
 
 

@@ -79,6 +79,12 @@ class LogTable:
                 columns = [combined(name, numbers) if name in self.sums else numbers[name] for name in self.columns]
                 yield np.column_stack(columns), done
 
+    def dated(self) -> list[str]:
+        """List the columns that begin with a date, a clock time or a duration."""
+        if self.columns:
+            next(self.blocks(range(1)), None)
+        return [name for name in self.columns if name in self.clocks]
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Read whole columns (N,) by name."""
         values = store((values for values, _ in self.blocks()), (len(self.columns),))
@@ -193,6 +199,7 @@ def listed_joints(joints: Sequence[str]) -> str:
 DATE = re.compile(r"\d{1,4}[-/.](\d{1,2}|[A-Za-z]{3})[-/.]\d{1,4}([T ]|$)|20\d{6}T\d{6}")
 CLOCK = re.compile(r"(?:(\d+) days?,? *)?(?:(\d+):)?(\d+):(\d\d?(?:\.\d+)?)")  # Excel shows minutes and seconds
 SPAN = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?) *([A-Za-zµ]+)")  # as MATLAB writes a duration: 0.002 sec
+DAY = 86400.0  # s
 HALF_DAYS = "%I:%M:%S%.f %p"
 FORMATS = (None, "%d-%b-%Y %H:%M:%S%.f", f"%m/%d/%Y {HALF_DAYS}")  # by Polars' guess, of MATLAB, of LabVIEW
 
@@ -221,6 +228,14 @@ def seconds(column: pl.Series) -> pl.Series | None:
     return column.cast(pl.Int64) * 1e-9 if nanoseconds else column.cast(pl.Datetime("us")).cast(pl.Int64) * 1e-6
 
 
+def with_date(clock: str, columns: Mapping[str, np.ndarray]) -> str:
+    """Return a column of times, plus the one of the date where it holds clock times of a day; the columns are in s."""
+    days = [name for name, values in columns.items() if (values >= DAY).all() and not (values % DAY).any()]
+    if not days or np.nanmax(columns[clock]) > DAY:
+        return clock
+    return " + ".join(name if name.isidentifier() else f"`{name}`" for name in (days[0], clock))
+
+
 def _parsed(texts: pl.Series, first: str) -> pl.Series | None:
     import polars as pl
 
@@ -232,6 +247,6 @@ def _parsed(texts: pl.Series, first: str) -> pl.Series | None:
         if first[-1] in "mM":
             return seconds(texts.str.to_time(HALF_DAYS, strict=False))
         days, hours, minutes, rest = texts.str.extract_groups(f"^{CLOCK.pattern}$").struct.unnest().cast(pl.Float64)
-        return days.fill_null(0.0) * 86400 + hours.fill_null(0.0) * 3600 + minutes * 60 + rest
+        return days.fill_null(0.0) * DAY + hours.fill_null(0.0) * 3600 + minutes * 60 + rest
     guesses = (texts.str.to_datetime(form, strict=False, time_zone="UTC") for form in FORMATS)
     return next((seconds(dates) for dates in guesses if dates.null_count() < len(dates)), None)
