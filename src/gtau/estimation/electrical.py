@@ -38,12 +38,8 @@ WIDTHS = 0.05, 0.3  # of the change of the sign of a current, in its standard de
 KNOTS = 4  # of drifts along a run
 LARGEST = 3.0  # plausible sizes of an effect
 FLOOR = 5e-4  # of ke and R, whose noise biases them by less
-# Share of a bridge's lost voltage that counts as R i, as the shape of its change of sign is assumed: R of two simulated
-# motors is off by 8 and 14 % of it where the voltage is lost in proportion below 0.4 % of the stall current.
-SHAPE = 0.1
-# Least share of the variance of the voltage, or another equation holds. Simulated motors (benchmarks/electrical.py):
-# above 0.999; an SO-101, whose register holds unsigned currents of the supply: 0.82 to 0.95, with one gain 30 % low.
-EXPLAINED = 0.97
+SHAPE = 0.1  # share of a bridge's lost voltage that counts as R i, as the shape of its change of sign is assumed
+EXPLAINED = 0.97  # least share of the variance of the voltage, or another equation holds
 NO_CURRENT = frozenset[str]().union(*(kind.words for kind in SIDE_SIGNALS if kind.key in ("voltage", "duty")))
 LOST = 0.3  # relative standard deviation of ke, from which it is no reference
 # plausible sizes: of dead time, offset and idle current over the rms voltage, R and ke over themselves, of lags in s

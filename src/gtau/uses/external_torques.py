@@ -41,10 +41,7 @@ from gtau.uses.prediction import Prediction, loaded_parameters, predict, prepare
 if TYPE_CHECKING:
     import polars as pl
 
-# Least share of the largest singular value of J^T, lengths over the robot's, at which a direction is seen, however
-# precise the torques: on a UR10e at least 0.06 in a regular pose, and 0.01 with the wrist 3 degrees from straight.
-# On seven of its logs the widest interval of a moment was 266 N m with weights by precision, and is 51.
-CLEAR = 0.005
+CLEAR = 0.005  # least share of the largest singular value of J^T (lengths over the reach), at which a direction is seen
 ROUNDING = 1e-10  # relative singular value of a direction that is left out
 SEEN = 0.999  # of a component's square in seen directions; others contribute at most sqrt(SEEN (1 - SEEN)) = 3 %
 NORMAL = 1.959963984540054  # half the 95 % interval, in standard deviations

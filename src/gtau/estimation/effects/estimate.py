@@ -26,9 +26,7 @@ STEPS, STAYS = 4, 1e-4  # of the estimates, until no gain moves by more
 
 # Standard deviations beyond a possible size, from which an effect stands for something else and is left out.
 IMPOSSIBLE = 3.5
-# Standard deviations of the jackknife by which effects move a delay, as derivatives of currents hold their noise: 1.6
-# (lost in noise of 5 % at 20 Hz), 2 (Orthoglide, whose delays were right before), 9 (presliding over 1.5 mrad).
-DELAY_MOVES = 3.0
+DELAY_MOVES = 3.0  # standard deviations by which effects move a delay; below, it stays as it was
 CONTRADICTED = 8.0  # log-likelihood that is lost without an effect that contradicts the description
 CLOSE = 3.0  # log-likelihood by which a cause is likelier, up to which the other is said too
 

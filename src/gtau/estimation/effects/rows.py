@@ -34,13 +34,9 @@ from gtau.estimation.regression.factors import EXTRA, FIXED, triangle
 from gtau.estimation.regression.rows import Rows
 from gtau.estimation.regression.run_blocks import Windows
 
-# Of log s: beside a description that stands, its errors have plausible sizes. Larger ones would contradict it, and
-# often explain physics that has no column: if they are free, a gain of a dVRK becomes 0.37 instead of 0.71 N per A.
-AS_DESCRIBED = 0.0
+AS_DESCRIBED = 0.0  # of log s: beside a description that stands, its errors have plausible sizes
 UNDETERMINED = 1e-12  # curvature of a direction over the largest, below which nothing determines it
-# Products of effects from which parameters are noise: at most 5e14 where joints move one by one (a delta, whose gains
-# are right), 9e26 of a UR10e whose first gain this does not determine.
-ABSURD = 1e20
+ABSURD = 1e20  # products of effects from which parameters are noise
 PRECISE = 1e9  # of effects' products: rounding of larger ones would count beside the precision 1 before the data
 RANK = 1e-6  # of the largest singular value: directions below it are left out of a least-squares step
 FRICTION_CHANGE = 0.1  # relative change between runs: up to 0.1 between the runs of the UR10e pairs

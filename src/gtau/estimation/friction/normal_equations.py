@@ -28,10 +28,7 @@ WIDTHS = 10.0 ** np.arange(-5.25, -1.99, 0.25)
 SPEEDS = 10.0 ** np.arange(-2.5, 0.51, 0.5)
 BLOCKS = 20  # of a run, as many as in identification
 MOST_BLOCKS = 60  # of all runs
-# Rows for one of identification: a reversal is short. With 1, 2, 3 and 4, errors over all samples of runs not used are
-# 5.26, 5.17, 5.21 and 5.20 % (geometric mean of UR10e, TX40, Panda, xMate7, xMate3 and da Vinci), and the errors of
-# motor 6 of the TX40 are 17.4, 11.5, 10.2 and 10.2 %, and from 3 on a wrist joint of the UR10e loses its presliding.
-FINER = 2
+FINER = 2  # rows for one of identification: a reversal is short
 RESTING = 0.01  # of the rms speed: a joint whose filtered speed is lower rests
 SMOOTH = ("off", *(kind for kind in (*JOINT_TERMS, *TEMPERATURE_TERMS) if kind not in DRY))
 """Kinds of the first columns of a joint, without a direction."""

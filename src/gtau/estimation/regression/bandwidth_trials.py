@@ -32,10 +32,7 @@ BANDS = 5.0, 20.0  # Hz, within which the low-pass of the rows is when they are 
 ROWS, SAMPLES = 3000, 6000
 STRETCHES = 16  # of all runs together, at least four of each
 FINE = 5.0  # times the highest cut-off: rate of the samples
-# Errors over the least, from which the chosen cut-off is given up: up to 1.08 in 15 shared sets and a Sawyer's;
-# 1.17 (pendulum), 1.49 (double pendulum that hunts at 41 Hz; XL330, slow). On the first 70 % of Aliengo's log
-# the bandwidth falls from 13 to 3.3 Hz, and the error of the rest from 15.8 to 7.1 %.
-MARGIN = 0.15
+MARGIN = 0.15  # errors over the least, less 1, from which the chosen cut-off is given up
 SMALLEST = 1e-3  # singular value of normed columns
 FEWEST = 4  # rows of half the stretches for each column
 

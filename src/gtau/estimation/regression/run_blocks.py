@@ -30,9 +30,7 @@ LONGEST = 1 << 16  # positions of a run that are compared, at most
 
 WINDOWS = 10  # of a run, within which residuals may be autocorrelated
 SAMPLES = 24_000  # of all windows together, which bounds the time of the tests for long logs
-# Of a window: longer rests are cut out. In the shared measured logs robots rest for 0.49 of one at most (1.8 s); in
-# simulated logs with a rest in half of each run (16 windows) no window had a usable row.
-WINDOW_REST = 0.5
+WINDOW_REST = 0.5  # of a window: longer rests are cut out
 
 Windows = Sequence[tuple[int, SampleWindow]]
 """Windows of runs, each with its run's number."""

@@ -22,13 +22,9 @@ CLOSING = 5  # bands of a gap that is filled: one between two harmonics of a mot
 # A valley is real where the spectrum rises from it on both sides by a factor that the mean of few exponentially
 # distributed lines rarely does.
 PROMINENCE = 4.0
-# Polling jitter, beats and resonances make humps above the motion's valley. On a da Vinci arm polled at 200 Hz one
-# above 40 Hz holds 0.3 % of the speed's power; the weakest harmonic of the exciting motions in the shared logs, 4 %.
-HUMP = 0.02
+HUMP = 0.02  # share of the speed's power: humps with less are polling jitter, beats and resonances
 NOISE = 0.25  # of the sampling rate: the noise of a position is measured above
-# Least range of a motion in standard deviations of the position's noise. In the shared logs joints at rest, shaken by
-# others, have 3 to 90, moving joints 1900 (a da Vinci arm polled at 200 Hz) to 2e5.
-LEAST_RANGE = 150.0
+LEAST_RANGE = 150.0  # least range of a motion in standard deviations of the position's noise
 LEAST_SIGNAL = 100.0  # or least signal-to-noise ratio of its speed; rest has 40 and less
 FAR_ABOVE = 1e3  # density of a motion over the density of such noise
 WHITE = -1.0  # noise is flat in the position's spectrum, or nearly so, where motions fall with f^-2 and faster

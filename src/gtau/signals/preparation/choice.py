@@ -15,16 +15,9 @@ from gtau.signals.preparation.prepared_run import SPEED_FRACTION, Preparation, v
 from gtau.signals.run import Run
 from gtau.signals.storage import spans
 
-# Decimation widens what is left out around a reversal by two rows. Models of UR10e, TX40, xMate7 and xMate3 predict the
-# same rows better by 2 to 7 % of the error where nine tenths of the samples are kept; but rows then hold more of the
-# noise of the torques (the Panda's errors rise from 2.0 to 2.3 %, geometric mean), and the standard deviations of the
-# Orthoglide's gains from 1.3 to 2.8 N per A.
-KEPT = 0.85
+KEPT = 0.85  # of the samples: decimation widens what is left out around a reversal by two rows
 FEWEST_ROWS = 200  # of a joint, in all runs together, that decimation leaves if the logs have them
-# Least cut-off of the positions over the cut-off of the decimated rows, whose torques would otherwise keep what the
-# positions lose. A five-bar of 200 s (rows below 9 Hz): 0.3 leaves 1.6 % of unused torques and gains contradict the
-# description, 1.1 leaves 0.54, 1.5 0.47, 2.2 0.40 %. Rokae with sensors (8.3 Hz): 0.4 leaves 20.1 %, 2 16.8 %.
-ABOVE_ROWS = 2.0
+ABOVE_ROWS = 2.0  # least cut-off of the positions over the cut-off of the decimated rows
 LEAST_WIDTH = 2 * ABOVE_ROWS  # cut-off over the bandwidth, as rows reach twice the bandwidth
 PARTS = 8  # parts of a long run that are evaluated for that
 LARGEST_FACTOR = 400

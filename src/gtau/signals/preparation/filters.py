@@ -18,13 +18,8 @@ import numpy as np
 from gtau.signals.storage import block, spans
 
 STENCIL = 2  # samples that a central difference reaches to either side
-# Periods of the cut-off after which a filter has forgotten its beginning to 1e-3: its slowest poles decay as
-# exp(-2.4 cutoff t). With two periods errors of the Panda rise from 2.0 to 2.2 % (geometric mean).
-EDGE = 3.0
-# Cut-offs from this share of the sampling rate on, 0.8 of the Nyquist frequency, are no filter. One there would leave
-# 94 % of the rms noise of the speeds and 64 % of the noise of the accelerations, if the positions' noise is white (at
-# 0.25: 57 and 21 %), while its ends cost rows all the same.
-HIGHEST_CUTOFF = 0.4
+EDGE = 3.0  # periods of the cut-off after which a filter has forgotten its beginning to 1e-3
+HIGHEST_CUTOFF = 0.4  # of the sampling rate: a filter above leaves nearly all noise, while its ends cost rows
 LARGEST_ENDS = 0.12  # share of the samples that may be lost at both ends
 FORGOTTEN = 18.0  # periods of the cut-off after which a filter has forgotten where it began, to 1e-18
 

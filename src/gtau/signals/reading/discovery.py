@@ -111,10 +111,7 @@ TURNS = 20.0
 MOST_DEGREES, FASTEST = 720.0, 30.0
 UNKNOWN_RATE = 1000.0  # Hz, to be corrected
 ALIKE = 0.1  # by which the derivative of positions may differ from the velocities, or from them in another unit
-# Rest of torques beside a straight line of the currents, over their standard deviation, median of the joints; below,
-# they are computed from these. Torque sensors of a Rokae: 0.50 (0.40 to 0.80). Currents of a UR10e and that Rokae,
-# behind a low-pass of 10 Hz: 0.07 and 0.21; rounded to tenths of their standard deviation: 0.03.
-COMPUTED = 0.3
+COMPUTED = 0.3  # rest of torques beside a straight line of the currents, of their rms: below, they are computed
 
 
 def discover(

@@ -25,10 +25,7 @@ from gtau.signals.reading.units import COMMON
 
 ROWS = 200_000  # of a log that are evaluated
 LARGEST = 1e100  # of a number that is evaluated, so that squares of it stay finite; reading refuses far smaller ones
-# Between commands and positions, rms, in standard deviations of the position; below, commands are of positions.
-# Positions that lag by 20 to 120 ms on sines of up to 0.9 Hz: 0.02 to 0.14, references of a quadruped 0.23; currents
-# and torques of eight measured logs 1.2 to 1270.
-FOLLOWED = 0.3
+FOLLOWED = 0.3  # rms between commands and positions, in their standard deviation: below, they are positions
 ALIKE = 1.03  # ratio of the largest rate by a joint to the smallest; above, the range is named
 COMMANDS = ("current", "motor", "torque", "command")  # kinds of columns, by preference
 FORWARD = 0.98  # share of the steps of a time that are not back: a row out of order is sorted, or refused, at reading

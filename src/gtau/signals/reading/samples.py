@@ -238,9 +238,7 @@ def extremes(array: np.ndarray) -> Ends:
 
 
 LEAST = 128  # counts; below, it is a small number in any register
-# Median jump at the middle of the register once it is signed, over that as logged. Present PWM of seven logs of a
-# Dynamixel XL330: 3e-5 to 4e-3; of 1,500 other columns of the shared logs only nanoseconds of stamps are below (0.08).
-REMAINING = 0.3
+REMAINING = 0.3  # median jump at the middle of the register once it is signed, over the jump as logged
 FULL = 0.9  # of the range that a number in two's complement reaches at least where it is just below zero
 VALUES = 3  # different ones on either side; a switch has fewer
 

@@ -15,14 +15,10 @@ import numpy as np
 
 from gtau.signals.storage import block, spans, steps, store
 
-# How much smoother the positions must be by the other clock. In the shared logs the Panda's positions are 20 times
-# smoother at a regular rate, the UR10e's 3.6 times by their stamps; where neither, jitter does not matter (0.9 to 1.1).
-SMOOTHER = 1.25
+SMOOTHER = 1.25  # how much smoother the positions must be by the other clock
 PASSES = 5  # in which period and gaps converge
 DECIMALS = 10.0 ** np.arange(6)
-# Share of samples that a clock may lack. In the shared logs it is 0.10 at most (a Panda); clocks of 150 to 210 Hz,
-# found instead of 99 Hz where steps scatter by 60 %, lacked 0.5 to 1.2, and their stamps were 0.2 s and more late.
-RUNAWAY = 0.3
+RUNAWAY = 0.3  # share of samples that a clock may lack
 LATE = 1.5  # usual steps, beyond which samples may be missing
 PACKET = 0.2  # share of samples whose stamps follow within a tenth of a step: they came in packets
 FEWEST_AROUND, MOST_AROUND = 20, 400  # samples to either side from which a gap is judged

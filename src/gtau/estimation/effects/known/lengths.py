@@ -10,10 +10,7 @@ from gtau.estimation.regression.assembly import known_values
 from gtau.robots.geometry import characteristic_length
 from gtau.robots.parameter import Parameter
 
-# Of the characteristic length, 0.5 mm of a UR10e, as arms that are not calibrated are 1 to 3 mm off over 2 to 3 m. With
-# 1e-3 a link 1 % longer leaves gains of an arm 1.0 +- 0.3 % off (0.3 +- 0.6 now), with 3e-3 encoders of 14 bits up to
-# 0.9 +- 0.5 % (0.7 +- 0.5; 0.3 without this effect).
-PLAUSIBLE = 1.5e-3
+PLAUSIBLE = 1.5e-3  # of the characteristic length: 0.5 mm of a UR10e
 LARGEST = 0.05  # of the characteristic length: torques are linear in smaller changes
 MILLIMETRE = 1e-3
 

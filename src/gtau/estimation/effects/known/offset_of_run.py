@@ -10,9 +10,7 @@ import numpy as np
 from gtau.estimation.effects.effect import Effect, EffectColumn, FitWindow, Torques, Words, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 
-# Of the rms torque: 0.01 (dVRK). Without this effect, offsets of 0.01 that differ between runs moved gains of a
-# five-bar by 5 %, those of 0.03 by 15 %; with it by 0.03 %.
-PLAUSIBLE = 0.01
+PLAUSIBLE = 0.01  # of the rms torque
 
 
 def _torques(at: FitWindow) -> Torques:

@@ -167,9 +167,7 @@ def interpolated(log: np.ndarray, step: float, time: np.ndarray) -> np.ndarray:
     return commands
 
 
-# Share of the samples that a repair drops or interpolates, from which it is a warning: up to 0.001 in the shared logs,
-# except logs recorded by polling; 0.05 and more are refused. A choice between the two.
-COSTLY = 0.02
+COSTLY = 0.02  # share of the samples that a repair drops or interpolates, from which it is a warning
 
 
 def reading(kind: str, text: str, advice: str = "", joints: Sequence[str] = ()) -> Finding:
