@@ -24,7 +24,7 @@ CONVERGED = 1e-9  # of a standard deviation: a smaller step ends the iteration
 SETTLED, PATIENCE = 0.02, 8  # of log-likelihood gained by a step, and how many such steps find no minimum
 ROUNDING = 1e-14  # of the terms that make up the residuals: steps below this are rounding
 RANK = 1e-13  # of the largest singular value: less is rounding
-SHARED, OPEN = 1e-6, 1e3  # least part in a direction without effect, and relative deviation of a gain that has one
+SHARED, OPEN = 1e-6, 1e3  # least part in a direction without effect, and relative standard deviation of its gain
 FLATTEST = 0.05  # least curvature accepted, as a share of the Gauss-Newton curvature
 LARGEST_STEP = 1e8  # of leaving a block out, in standard deviations: more, and only that block identifies it
 
