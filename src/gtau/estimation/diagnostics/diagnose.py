@@ -72,7 +72,8 @@ class Examination:
     def moved(self, fit: Fit) -> Fit | None:
         """Move the estimates of a fit by all effects; None where that leaves the range in which they are small.
 
-        Nor where wrenches are measured, whose noise is common to all joints, which the jackknife sees; where the
+        Nor where columns made again move them on, as in a robot with more parameters than the motions show; where
+        wrenches are measured, whose noise is common to all joints, which the jackknife sees; where the
         robot's file gives the scale, roughly; or where the description is wrong, which the effects explain in part.
         """
         problem = fit.problem
@@ -81,7 +82,7 @@ class Examination:
         if self.contradicting or any(finding.joints and finding.decisive for finding in self.findings):
             return None
         far = np.any(np.abs(self.mixed.values[problem.gain_rows] / fit.gains - 1) > LARGEST_MOVE)
-        return None if far else self.mixed.applied(fit)
+        return None if far or not self.mixed.settled else self.mixed.applied(fit)
 
 
 def examine(fit: Fit, progress: Progress = silent) -> Examination:

@@ -244,10 +244,12 @@ def unloaded_advice(fit: Fit) -> str:
 def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
     """Find base parameters that no body or joint has, against the gain of their joint, or all where it has no motor.
 
-    A parameter counts where it has a share of a channel's signal, rms.
+    A parameter counts where it has a share of a channel's signal, rms, and is impossible without effects as well, which
+    may move what the data hardly determine.
     """
     dataset, problem = fit.dataset, fit.problem
     places, stds = estimates.unknowns.places, np.sqrt(np.diag(estimates.covariance))
+    plain = np.sqrt(np.diag(fit.solution.jackknife))
     signals = np.maximum(problem.balance(fit.solution.theta), 1e-300) * np.sqrt(problem.total_rows)
     listed: dict[str, list[str]] = {}
     for name, terms in regrouped(dataset.base, dataset.model.parameter_names).items():
@@ -257,8 +259,9 @@ def impossible_parameters(fit: Fit, estimates: Estimates) -> Iterator[Finding]:
         std = float(stds[place])
         columns = np.array([np.linalg.norm(R[:, place]) for R in problem.triangles])
         felt = float(np.max(abs(value) * columns / signals)) > IMPOSSIBLE_SHARE
-        verdict = judge_parameter(value, std, terms, brakes(fit, estimates, name))
-        if felt and verdict.outcome == Grade.CONTRADICTORY:
+        braking, alone = brakes(fit, estimates, name), problem.unknowns.places[name]
+        tried = ((value, std), (float(fit.solution.values[alone]), float(plain[alone])))
+        if felt and all(judge_parameter(*one, terms, braking).outcome == Grade.CONTRADICTORY for one in tried):
             unit = unit_of(name.kind, dataset.robot, name.body)
             listed.setdefault(name.body, []).append(f"{name} = {value:.3g} {unit} (standard deviation {std:.2g})")
     for body, parameters in sorted(listed.items(), key=lambda item: -len(item[1])):

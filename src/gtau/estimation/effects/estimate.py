@@ -15,9 +15,7 @@ from gtau.estimation.estimators.estimator import Fit
 from gtau.estimation.estimators.newton import finish
 from gtau.estimation.regression.run_blocks import WINDOWS
 
-# Of a gain, as robots have effects that are not on the list: of 1,508 gains of eleven robots 97.0 % of the intervals
-# hold, rms z 0.86; with 3e-4 98.1 % and 0.77, with 1e-4 95.7 % and 0.97.
-FLOOR = 2e-4
+FLOOR = 2e-4  # of a gain, as robots have effects that are not on the list
 # Of a gain, times the squares of its moves by effects of motion, whose columns hold for small sizes.
 CURVATURE = 2.0
 NONLINEAR, FAR = 0.005, 0.5  # moves of a gain between which columns are made again
@@ -40,6 +38,7 @@ class Mixed:
     """Estimates of a ``fit`` with all effects beside them, whose columns are those of ``rows``.
 
     The ``slopes`` (k, .) of its values are by the common columns of the mixed model, whose steps count from ``origin``.
+    It is ``settled`` if columns made once more would hardly move a gain.
     """
 
     fit: Fit
@@ -47,6 +46,7 @@ class Mixed:
     mixed: MixedFit
     slopes: np.ndarray
     origin: np.ndarray
+    settled: bool = True
 
     @property
     def likeliest(self) -> np.ndarray:
@@ -141,8 +141,10 @@ def estimate_effects(fit: Fit) -> Mixed | None:
         solution = finish(fit.system.problem, values, weights_of(fit), fit.free_gains)
         # weighted as before: without the effects beside them, the values moved leave larger residuals
         solution = replace(solution, sigma=fit.solution.sigma)
-        again = effects_beside(replace(fit, solution=solution), mixed.mixed)
-        mixed = again and replace(again, fit=fit)
+        if (again := effects_beside(replace(fit, solution=solution), mixed.mixed)) is None:
+            return None
+        last = float(np.max(np.abs(again.likeliest[gain_rows] / gains - 1)))
+        mixed = replace(again, fit=fit, settled=last <= NONLINEAR)
     return mixed
 
 

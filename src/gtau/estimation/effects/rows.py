@@ -151,6 +151,14 @@ class EffectRows:
         spans = [(layout.places, layout.effect.shared == shared) for layout in self.layouts]
         return np.repeat(np.arange(len(spans)), [(span.stop - span.start) * own for span, own in spans])
 
+    @property
+    def strongest(self) -> float:
+        """Largest product of a column of an effect with itself, in noise variances, at its plausible size."""
+        own = len(self.groups(shared=False))
+        end = own + self.fit.system.problem.n_theta + FIXED
+        effects = [np.delete(np.diag(part.products[0]), np.s_[own:end]) for part in self.products]
+        return float(np.max(effects, initial=0.0))
+
     def leave_out(self, number: int, channels: np.ndarray) -> None:
         """Set an effect's own columns of some channels (c,) to zero, in place."""
         places = self.layouts[number].places
@@ -201,9 +209,10 @@ def effect_rows(fit: Fit, windows: Windows) -> EffectRows:
         for total, part in zip(products, parts, strict=False):
             total.add(part)
         products = products or parts
-    if max(float(np.diag(part.products[0]).max(initial=0.0)) for part in products) > ABSURD:
+    result = EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
+    if result.strongest > ABSURD:
         raise GtauError("the motions leave the links' parameters too open; move several joints at once.")
-    return EffectRows(fit, tuple(layouts), tuple(products), known_rows(fit, windows))
+    return result
 
 
 def _placed(
@@ -240,8 +249,7 @@ def linear_at(
     steps = [theta - theta_0, *([1 / gains - 1 / gains_0] if fit.free_gains else []), delays - delays_0]
     n_own, end = len(own_groups), len(own_groups) + problem.n_theta + FIXED
     squares = [M[:, free].T @ part.products[0][n_own:end, n_own:end] @ M[:, free] for M, part in parts]
-    effects = [np.delete(np.diag(part.products[0]), np.s_[n_own:end]) for _, part in parts]
-    back, alone = _whitening([J_known[:, free].T @ J_known[:, free], *squares], np.max(effects, initial=0.0))
+    back, alone = _whitening([J_known[:, free].T @ J_known[:, free], *squares], rows.strongest)
     basis = np.zeros((T.shape[1], back.shape[1] + len(per_run)))
     basis[free, : back.shape[1]] = back
     basis[per_run, back.shape[1] :] = root

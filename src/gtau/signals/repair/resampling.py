@@ -19,9 +19,7 @@ from gtau.signals.reading.samples import MAX_MISSING, Samples
 from gtau.signals.repair.clock import Clock
 from gtau.signals.storage import Store, block, blocks, spans, steps, store
 
-# After stale samples a signal has come as far as meanwhile: it is not slower over them than around them by this factor.
-# At constant acceleration the factor is 6 after rest and 4 around a reversal.
-AS_BEFORE = 3.0
+AS_BEFORE = 3.0  # times that a signal may be slower over stale samples than around them
 SPORADIC = 4  # equal samples in a row, at most, that are stale ones; more of them are a rest or a slow rounded motion,
 FROZEN = 20  # unless up to FROZEN stand where nearly every sample is new:
 AROUND, NEW = 4, 1.5  # AROUND changes to either side come after NEW samples each, on average
@@ -31,9 +29,7 @@ JUMP = 3.0  # quanta by which a signal jumps after it was held; a slow one that 
 REPORTED = 1e-3  # share of samples that are stale, from which on they are interpolated and reported
 MAX_GAP = 0.1  # s; longer ones cannot be bridged without inventing a motion
 MISSING_STEP = 1.5  # mean steps; longer steps have lost a sample
-# Steps over which positions are interpolated without a mask: the cubic is then off by 3 % of an oscillation of ten
-# samples, the fastest that logs should hold, and by 4e-4 of one of thirty.
-BRIDGED = 3
+BRIDGED = 3  # steps over which positions are interpolated without a mask
 MAX_BRIDGED = 0.3  # part of a log that may be missing in such steps
 POSITIONS = "positions"  # beside the groups of channels
 SURROUNDINGS = 64  # samples to either side that a spline is made from: what lies beyond acts by less than 1e-19

@@ -14,9 +14,7 @@ from gtau.model.kernel import recur
 from gtau.signals.preparation.filters import differentiate
 
 PLAUSIBLE = 1e-4  # s2: a filter of 14 ms (experience)
-# s, at least: lags of 5, 10, 15 and 20 ms leave gains of two five-bars 0.16, 0.06, 1.0 and 2.7 % off at most, of two
-# 3-RRR 0.09, 1.0, 5.2 and 5.0; with the shape of 8 ms for all 0.16, 0.03, 26 and 63, and 0.09, 1.5, 2.8 and 7.2.
-LAG = 0.008
+LAG = 0.008  # s, of the shape at least; longer lags have their own
 
 
 def _torques(at: FitWindow) -> Torques:
