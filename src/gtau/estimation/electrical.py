@@ -80,14 +80,10 @@ def with_voltages(dataset: Dataset, drives: Mapping[str, Drive]) -> Dataset:
             note(joint, text, "move the joint faster")
         else:
             equations.append(equation)
-    motors = [motor.joint for motor in equations]
-    if assumed := [
-        joint for joint in motors if joint not in drives or "convention" not in drives[joint].model_fields_set
-    ]:
+    stated = {joint for joint, drive in drives.items() if "convention" in drive.model_fields_set}
+    if assumed := [motor.joint for motor in equations if motor.joint not in stated]:
         text = f"the voltages of {listed(assumed)} are taken for voltages of DC motors, as no 'convention' is stated"
-        advice = (
-            "state it under 'drives': with 'amplitude' (q axes of most field-oriented drives) gains are 1.5 times this"
-        )
+        advice = "state it under 'drives': 'amplitude' (q axes of most field-oriented drives) gives 1.5 times the gain"
         notes.append(Finding("voltage", tuple(assumed), text=text, advice=advice, grade=Grade.INFORMATION))
     return replace(dataset, motors=tuple(equations), remarks=tuple(notes))
 

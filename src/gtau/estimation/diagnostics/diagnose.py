@@ -267,7 +267,7 @@ def diagnose(
         *gains.wide_gains(fit, examined.effects, estimates, judged, accuracy),
         *(() if audit is None else audit.contradicted_priors()),
         *gains.small_refutations(examined.contradicting, judged, accuracy),
-        *scale.common_scale(fit, estimates, accuracy),
+        *gains.common_scale(fit, estimates, accuracy),
         *logged_torques(fit, estimates),
     )
 

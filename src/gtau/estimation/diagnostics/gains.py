@@ -6,15 +6,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
 
 from gtau.estimation.diagnostics.descriptions import MENDED, MISFIT_GIVEN
 from gtau.estimation.diagnostics.scale import contradictory_payload
 from gtau.estimation.diagnostics.verdict import (
+    APART,
     IMPOSSIBLE,
     LONGER,
     MISFIT,
     NEGATIVE_STD,
     WIDE_SCALE,
+    WIDTH,
     WRENCHES,
     brakes,
     contradiction,
@@ -37,6 +40,7 @@ from gtau.robots.parameter import Parameter, unit_of
 
 Effects = Sequence[EstimatedEffect]
 
+ALIKE_SCALES = 0.05  # probability that the torque scales of joints which share one differ by as much
 LOST_GAIN = 0.5  # relative random standard deviation of a gain
 NAMED_SHARE = 0.5  # share of the model part in a gain's variance from which its cause is named
 ASSUMED = 4 / 3  # how much worse an assumed efficiency of commutation, 1.5 % where 1 to 2 % are common, may be
@@ -312,3 +316,28 @@ def _by_commutation(fit: Fit, estimates: Estimates, row: int) -> float:
     at = [estimates.unknowns.places[Parameter("gain", motor.joint)] for motor in motors]
     slopes = [motor.commutation * motor.ke / motor.std**2 for motor in motors]
     return float(np.sum((estimates.covariance[row, at] * slopes) ** 2))
+
+
+def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
+    """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
+    known = {load.name: load.mass for run in fit.dataset.runs if (load := run.payload) and load.mass is not None}
+    judged = np.flatnonzero(half_widths(fit, estimates) < 1)
+    if not fit.free_gains or fit.kind != "torque" or fit.problem.scaled or len(known) != 1 or len(judged) < 2:
+        return
+    rows = fit.problem.gain_rows
+    covariance = estimates.covariance[rows, rows][np.ix_(judged, judged)]
+    gains, precision = fit.gains[judged], np.linalg.pinv(covariance)
+    variance = 1 / float(precision.sum())
+    scale, std = variance * float(precision.sum(axis=0) @ gains), float(np.sqrt(variance))
+    apart = float((gains - scale) @ precision @ (gains - scale))
+    if chdtrc(len(judged) - 1, apart) > ALIKE_SCALES and abs(scale - 1) > max(APART * std, accuracy):
+        ((name, mass),) = known.items()
+        yield Finding(
+            "common torque scale",
+            subject=name,
+            size=abs(scale - 1) / (WIDTH * std),
+            text=f"one factor, {scale:.3g} (standard deviation {std:.2g}), explains the torque scale of all joints; a "
+            f"mass of {mass / scale:.3g} kg for payload '{name}' (stated: {mass:.4g} kg) would explain it equally",
+            advice="reweigh the payload before you correct the torques",
+            shown_as="model",
+        )

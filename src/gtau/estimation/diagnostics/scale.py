@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.special import chdtrc, ndtr, ndtri
+from scipy.special import ndtr, ndtri
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import explained_joints, refitted, residual_ratio
-from gtau.estimation.diagnostics.verdict import APART, GOOD, WIDTH, contradiction, half_widths, motors
+from gtau.estimation.diagnostics.verdict import APART, GOOD, WIDTH, contradiction, motors
 from gtau.estimation.effects.estimate import estimate_effects
 from gtau.estimation.effects.rows import weights_of
 from gtau.estimation.estimators.estimator import Fit, Solve
@@ -35,7 +35,6 @@ from gtau.signals.reading.statements import FIRST_MOMENTS, Payload
 
 PAYLOAD_MOVES = 0.01  # relative move of the gains when a known payload parameter is estimated instead
 IN_METRES = 4.0  # times that a moment must be nearer to mass times the stated value, which is then in m
-ALIKE_SCALES = 0.05  # probability that the torque scales of joints which share one differ by as much
 LEAST_OTHERS = 0.001  # share of all else in an estimate that has a prior, below which it is the prior
 DETERMINED = 0.1  # relative standard deviation of a gain by all but its voltage, from which it tests no voltage
 STEP = 1e-3  # of a source, for the derivatives of the gains
@@ -288,31 +287,6 @@ def _without_voltages(fit: Fit, motors: Sequence[MotorEquation]) -> Fit | None:
     """Fit without the voltages of some motors; None where then nothing gives the scale."""
     kept = tuple(motor for motor in fit.dataset.motors if motor not in motors)
     return refitted(fit, dataset=replace(fit.dataset, motors=kept))
-
-
-def common_scale(fit: Fit, estimates: Estimates, accuracy: float) -> Iterator[Finding]:
-    """Find one factor, other than 1, that explains the torque scales of all joints which rest on one payload's mass."""
-    known = {load.name: load.mass for run in fit.dataset.runs if (load := run.payload) and load.mass is not None}
-    judged = np.flatnonzero(half_widths(fit, estimates) < 1)
-    if not fit.free_gains or fit.kind != "torque" or fit.problem.scaled or len(known) != 1 or len(judged) < 2:
-        return
-    rows = fit.problem.gain_rows
-    covariance = estimates.covariance[rows, rows][np.ix_(judged, judged)]
-    gains, precision = fit.gains[judged], np.linalg.pinv(covariance)
-    variance = 1 / float(precision.sum())
-    scale, std = variance * float(precision.sum(axis=0) @ gains), float(np.sqrt(variance))
-    apart = float((gains - scale) @ precision @ (gains - scale))
-    if chdtrc(len(judged) - 1, apart) > ALIKE_SCALES and abs(scale - 1) > max(APART * std, accuracy):
-        ((name, mass),) = known.items()
-        yield Finding(
-            "common torque scale",
-            subject=name,
-            size=abs(scale - 1) / (WIDTH * std),
-            text=f"one factor, {scale:.3g} (standard deviation {std:.2g}), explains the torque scale of all joints; a "
-            f"mass of {mass / scale:.3g} kg for payload '{name}' (stated: {mass:.4g} kg) would explain it equally",
-            advice="reweigh the payload before you correct the torques",
-            shown_as="model",
-        )
 
 
 def weigh_known(fit: Fit, method: str, accuracy: float, references: Sequence[Finding]) -> dict[str, Finding]:
