@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from five_bar_logs import GAINS, JOINTS, STEEL, Plant
 from scipy.signal import lfilter
+from sensed_logs import SensedPlant
 from stated_arm import plant, robot
 
 from gtau.demo import write_tutorial
@@ -24,6 +26,7 @@ from gtau.estimation.estimators.maximum_likelihood import ML
 from gtau.estimation.regression.dataset import reduce_runs
 from gtau.findings import Grade
 from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import identify
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import PLAIN_FRICTION, Pose
@@ -182,6 +185,43 @@ def test_no_gear_transmits_the_friction_and_the_rotor_of_its_motor(name: str, ru
         at = FitWindow(replace(fit, solution=replace(fit.solution, values=values)), run, window)
         torques = effect.torques(at)(SimpleNamespace(outputs=slice(None)))
         columns.append(torques / np.abs(torques).max(axis=(0, 1)))  # their scale is a share of the whole torque
+    np.testing.assert_allclose(*columns, atol=1e-9)
+
+
+WRIST = {
+    "robot": "wrist",
+    "joints": {
+        "pitch": {"antecedent": "ground", "axis": [0, 1, 0], "type": "revolute"},
+        "roll": {"antecedent": "pitch", "xyz": [0.1, 0, 0], "axis": [1, 0, 0], "type": "revolute"},
+    }
+    | {
+        name: {"antecedent": "ground", "axis": [0, 0, 1], "type": "revolute", "actuated": True, "parameters": "drive"}
+        for name in ("motor_1", "motor_2")
+    },
+    "couplings": [
+        {"joint": "motor_1", "ratios": {"pitch": -80}},
+        {"joint": "motor_2", "ratios": {"pitch": 30, "roll": 50}},
+    ],
+}
+
+
+def test_the_friction_of_a_motor_beside_its_joint_is_no_load(tmp_path: Path) -> None:
+    """The friction of 'motor_1' is regrouped with the friction of 'pitch', which moves at a constant ratio to it."""
+    (tmp_path / "wrist.yaml").write_text(json.dumps(WRIST))
+    model = InverseDynamics(load_robot(tmp_path / "wrist.yaml"))
+    chi = {"m_roll": 2.0, "mx_roll": 0.2, "my_roll": 0.1, "zz_roll": 0.03, "fs_motor_1": 0.06, "fs_motor_2": 0.05}
+    wrist = SensedPlant(model, chi, (0.4, 0.3), (0.0, 0.0), (80.0, 80.0), tool="roll")
+    loaded = wrist.run(2, {"m": 1.5, "mx": 0.1}, Payload(name="steel", mass=1.5))
+    fit = ML.fit(reduce_runs(model.robot, [wrist.run(1), loaded]).system())
+    effect = next(effect for effect in EFFECTS if effect.name == "load-dependent friction")
+    run, window = fit.dataset.windows()[0]
+    columns = []
+    for factor in (1.0, 3.0):
+        values = fit.solution.values.copy()
+        values[fit.system.problem.parameters.index(Parameter("fs", "pitch", regrouped=True))] *= factor
+        at = FitWindow(replace(fit, solution=replace(fit.solution, values=values)), run, window)
+        torques = effect.torques(at)(SimpleNamespace(outputs=slice(None)))
+        columns.append(torques / np.abs(torques).max(axis=(0, 1)))
     np.testing.assert_allclose(*columns, atol=1e-9)
 
 
