@@ -74,7 +74,8 @@ def test_an_angle_of_a_parallelogram_is_named() -> None:
 
 
 READINGS = {
-    "position and current of 'j3' with the other sign": lambda q: q * [1.0, 1.0, -1.0, 1.0],
+    "the other sign of the position of 'j3'": lambda q: q * [1.0, 1.0, -1.0, 1.0],
+    "the other sign of position and current of 'j3'": lambda q: q * [1.0, 1.0, -1.0, 1.0],
     "an error of -90 deg in the zero of encoder 'j3'": lambda q: q + np.pi / 2 * np.eye(4)[2],
     "exchanged positions and currents of 'j3' and 'j4'": lambda q: q[:, [0, 1, 3, 2]],
 }
@@ -83,7 +84,7 @@ READINGS = {
 @pytest.mark.parametrize("what", READINGS)
 def test_other_signs_zeros_and_orders_of_columns_are_named(tmp_path: Path, what: str) -> None:
     def read(run: Run) -> Run:
-        command = run.command if "zero" in what else READINGS[what](run.command)
+        command = READINGS[what](run.command) if "current" in what else run.command
         return replace(run, position=READINGS[what](run.position), command=command)
 
     arm = stated_arm.robot(tmp_path, inertias=False)

@@ -2,7 +2,8 @@
 
 - With torques reversed, one after the other: joints share the parameters of their links, so that one reversed torque
   contradicts the others. All reversed explain the same, with negative masses.
-- With the other sign of a joint's columns, its zero a quarter of a turn off, or the columns of two joints exchanged.
+- With the other sign of a joint's position, or of its current too, by the sign of its gain then; with its zero a
+  quarter of a turn off, or the columns of two joints exchanged.
 - With an angle measured from another link: a parallelogram holds the angle of a joint against the link before the
   preceding one, and its motor stands there. Fanuc, ABB and palletisers log ``J2 + J3`` as J3. The motor becomes a joint
   of its own, coupled to both.
@@ -20,6 +21,7 @@ import numpy as np
 
 from gtau.errors import GtauError
 from gtau.estimation.diagnostics.descriptions import (
+    ALIKE,
     COLUMNS,
     LEFT,
     at_middle,
@@ -67,43 +69,61 @@ def reversed_torques(fit: Fit) -> EstimatedEffect | None:
     return described_otherwise(COLUMNS, Finding(REVERSED_CHANNELS, names, text=text, advice=advice), best, unaltered)
 
 
-def other_columns(fit: Fit, progress: Progress) -> EstimatedEffect | None:
-    """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged."""
+def other_columns(fit: Fit, beside: bool, progress: Progress) -> EstimatedEffect | None:
+    """Find the joint whose columns have another sign or zero, or the two joints whose columns are exchanged.
+
+    With effects ``beside`` them, or without where the user's description has impossible parameters.
+    """
     if (unaltered := at_middle(fit)) is None:
         return None
 
-    def read(*reading: np.ndarray) -> Fit | None:
-        along = [_read_otherwise(at, *reading) for at in middle_windows(fit)]
-        return refitted(unaltered, dataset=fit.dataset.reduced(along=along))
+    def read(order: np.ndarray, signs: np.ndarray, shift: np.ndarray) -> Fit | None:
+        along = [_read_otherwise(at, order, signs, shift) for at in middle_windows(fit)]
+        other = refitted(unaltered, dataset=fit.dataset.reduced(along=along))
+        return other if other and np.all((other.gains > 0) | (signs[0] > 0)) else None
 
     tried = [(cause, partial(read, *reading)) for cause, *reading in _readings(fit)]
-    return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress)
+    return _likeliest(unaltered, tried, "other signs, zeros and orders of columns", progress, beside)
 
 
 def _likeliest(
-    unaltered: Fit, tried: Sequence[tuple[Finding, Callable[[], Fit | None]]], stage: str, progress: Progress
+    unaltered: Fit,
+    tried: Sequence[tuple[Finding, Callable[[], Fit | None]]],
+    stage: str,
+    progress: Progress,
+    beside: bool = True,
 ) -> EstimatedEffect | None:
-    """Fit with other descriptions, and return the one that leaves least of the residuals; None where all leave much."""
-    remains, best = LEFT, None
+    """Fit with other descriptions, and return the one that leaves least of the residuals; None where all leave much.
+
+    Of those that leave as much, mirror images, the one with the fewest negative gains.
+    """
+    fits = list[tuple[float, Finding, Fit]]()
     for number, (cause, described) in enumerate(tried):
         progress(stage, number, len(tried))
         with suppress(GtauError):  # its loops do not close
-            other = described()
-            if other is not None and (ratio := residual_ratio(other, unaltered)) < remains:
-                remains, best = ratio, (cause, other)
+            if (other := described()) is not None:
+                fits.append((residual_ratio(other, unaltered), cause, other))
     progress(stage, len(tried), len(tried))
-    return None if best is None else described_otherwise(COLUMNS, *best, unaltered)
+    least = min((ratio for ratio, *_ in fits), default=1.0)
+    if least >= LEFT:
+        return None
+    alike = [(cause, other) for ratio, cause, other in fits if ratio <= ALIKE * least]
+    cause, other = min(alike, key=lambda described: np.sum(described[1].gains < 0))
+    return described_otherwise(COLUMNS, cause, other, unaltered, beside)
 
 
 def _readings(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray, np.ndarray]]:
-    """List what columns may be otherwise, with the order, signs and shifts (n,) of all joints' columns then."""
-    as_logged, kind = np.arange(len(fit.dataset.model.actuated)), fit.dataset.runs[0].kind
-    unturned, unmoved = np.ones(len(as_logged)), np.zeros(len(as_logged))
+    """List what columns may be otherwise: the order of joints, signs (2, n) of positions and commands, and shifts."""
+    as_logged = np.arange(len(fit.dataset.model.actuated))
+    unturned, unmoved = np.ones((2, len(as_logged))), np.zeros(len(as_logged))
     for joint, place in encoders(fit).items():
         chosen = (as_logged == place).astype(float)
-        text = f"position and {kind} of '{joint}' with the other sign"
-        advice = "check the sign of both columns, and the joint's axis in the robot file"
-        yield Finding(COLUMNS, (joint,), text=text, advice=advice), as_logged, 1 - 2 * chosen, unmoved
+        for alone in (True, False) if fit.free_gains else (False,):
+            columns = "the position" if alone else f"position and {fit.kind}"
+            text = f"the other sign of {columns} of '{joint}'"
+            advice = f"check the sign of {columns}, and the joint's axis in the robot file"
+            turned = unturned - 2 * chosen * [[1], [0 if alone else 1]]
+            yield Finding(COLUMNS, (joint,), text=text, advice=advice), as_logged, turned, unmoved
         for degrees in (90, -90, 180) if fit.dataset.robot.joint(joint).turns else ():
             text = f"an error of {degrees} deg in the zero of encoder '{joint}'"
             cause = Finding(COLUMNS, (joint,), text=text, advice="add it to the positions, or correct the zero")
@@ -111,15 +131,16 @@ def _readings(fit: Fit) -> Iterator[tuple[Finding, np.ndarray, np.ndarray, np.nd
     for (one, first), (other, second) in combinations(encoders(fit).items(), 2):
         joints, order = (one, other), as_logged.copy()
         order[[first, second]] = second, first
-        text, advice = f"exchanged positions and {kind}s of {listed(joints)}", "check the order of the joints' columns"
-        yield Finding(COLUMNS, joints, text=text, advice=advice), order, unturned, unmoved
+        text = f"exchanged positions and {fit.kind}s of {listed(joints)}"
+        cause = Finding(COLUMNS, joints, text=text, advice="check the order of the joints' columns")
+        yield cause, order, unturned, unmoved
 
 
 def _read_otherwise(at: SampleWindow, order: np.ndarray, signs: np.ndarray, shift: np.ndarray) -> SampleWindow:
-    """Exchange, turn and shift the joints' columns of a window, positions and commands alike; commands do not shift."""
+    """Exchange and turn the joints' columns of a window, and shift its positions."""
     beyond = at.command.shape[1] - len(order)  # sensors and wrenches stay
-    channels, turned = np.append(order, len(order) + np.arange(beyond)), np.append(signs, np.ones(beyond))
-    moved = {name: getattr(at, name)[:, order] * signs for name in ("q", "qd", "qdd")}
+    channels, turned = np.append(order, len(order) + np.arange(beyond)), np.append(signs[1], np.ones(beyond))
+    moved = {name: getattr(at, name)[:, order] * signs[0] for name in ("q", "qd", "qdd")}
     moved |= {name: getattr(at, name)[:, channels] * turned for name in ("command", "command_d", "command_dd")}
     moved["q"] += shift
     return replace(at, usable=at.usable[:, channels[: at.usable.shape[1]]], part_of=None, **moved)

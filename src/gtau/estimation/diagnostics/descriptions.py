@@ -50,7 +50,10 @@ ODD_RUN, COLUMNS = "odd run", "columns"
 def refitted(
     fit: Fit, payloads: Sequence[Payload | None] | None = None, dataset: Dataset | None = None, method: str = "ml"
 ) -> Fit | None:
-    """Fit the same equations with other loads, or another dataset's priors; None where then nothing gives the scale."""
+    """Fit the same equations with other loads, or another dataset's priors.
+
+    None where then nothing gives the scale, or more gains are negative: the mirror image of another description.
+    """
     system = fit.system.again(dataset, payloads=payloads)
     payloads = [run.payload for run in fit.dataset.runs] if payloads is None else payloads
     try:
@@ -59,7 +62,8 @@ def refitted(
         solution = fit.solve(system.problem)
     except GtauError:
         return None
-    return replace(fit, system=system, solution=solution)
+    other = replace(fit, system=system, solution=solution)
+    return other if np.sum(other.gains < 0) <= np.sum(fit.gains < 0) else None
 
 
 def middle_windows(fit: Fit) -> list[SampleWindow]:

@@ -121,8 +121,11 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
             others = _other_descriptions(fit, misfit, lacking, missing, (*effects, *causes), progress)
             refit = _best_described(chain([loads], others))
             explained = any(not effect.beyond and effect.share > 1 - descriptions.LEFT for effect in contradicting)
-            if refit.cause.values["remains"] >= SURE if refit else misfit and not explained:
-                refit = _best_described([refit, columns.other_columns(fit, progress)])
+            # effects beside parameters that no body has explain nothing
+            alone, beside = (_impossible(fit, Examination(mixed=effects)) for effects in (None, mixed))
+            wrong = misfit or beside or bool(contradicting) or bool(fit.free_gains and fit.gains.min() < 0)
+            if refit.cause.values["remains"] >= SURE if refit else wrong and not explained:
+                refit = _best_described([refit, columns.other_columns(fit, not alone, progress)])
         if refit:
             effects, contradicting = (refit,), (refit,)  # what is linear about the wrong description explains nothing
         elif not findings and as_well and not (fit.dataset.robot.inertias and fit.kind == "torque"):
@@ -132,6 +135,10 @@ def examine(fit: Fit, progress: Progress = silent) -> Examination:
         kind = "other estimators not tried"
         findings.append(Finding(kind, text=text, grade=Grade.INFORMATION, shown_as="reading"))
     return Examination(effects, contradicting, tuple(findings), mixed)
+
+
+def _impossible(fit: Fit, examined: Examination) -> bool:
+    return any(gains.impossible_parameters(fit, estimates_of(fit, examined, correlated=True)))
 
 
 def _contradicting(

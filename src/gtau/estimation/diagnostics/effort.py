@@ -201,8 +201,8 @@ def _late(middle: MiddleRows) -> Reading:
                 f"{100 * share:.2g} % is unexplained after shifting them, {100 * logged:.2g} % as logged"
             )
             advice = (
-                "log them with the time stamps of the positions, or if all joints are equally late, write "
-                f"'preparation: {{delay: {lag:.3g}}}'"
+                "log measured positions (references lead) and currents with common time stamps; if all are equally "
+                f"late, write 'preparation: {{delay: {lag:.3g}}}'"
             )
             findings.append(contradiction(LATE_CURRENTS, (fit.problem.joints[j],), text, advice, size=logged))
             shift = np.array([[1.0, 0.0, 0.0], [-delay, 1.0, 0.0], [delay**2 / 2, -delay, 1.0]])

@@ -104,10 +104,10 @@ def command_lag(dataset: Dataset, system: System) -> list[Finding]:
         lead = Finding("command lead", text=text, advice=advice, shown_as="filtered command")
         return [lead] if loss > LAG_LOSS and known.sum() >= LAG_JOINTS else []
     text = (
-        f"the {kind}s lag behind the motion by {by}, so they look low-passed, held or logged late; a low-pass filter "
-        f"with that time constant attenuates them by {share}"
+        f"the {kind}s lag behind the motion by {by}, so they look low-passed, held or logged late, or the positions "
+        f"are references; a low-pass filter with that time constant attenuates them by {share}"
     )
-    advice = f"log the {kind}s before any filter and with the time stamps of the positions"
+    advice = f"log the {kind}s before any filter, and measured positions of the same instants"
     if loss > LAG_LOSS:
         return [Finding(COMMAND_LAG, text=text, advice=advice, shown_as="filtered command")]
     return [Finding("slight command lag", text=text, advice=advice, grade=Grade.INFORMATION, shown_as="reading")]
