@@ -15,6 +15,7 @@ from gtau.estimation.friction.law import FrictionLaw, PreslidingState
 from gtau.estimation.friction.normal_equations import WIDTHS, FrictionJoint
 from gtau.estimation.friction.selection import Structure, parameter_columns
 from gtau.estimation.regression.rows import FORMULAS, stop
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.robots.parameter import KINDS, Parameter
 from gtau.robots.robot import PLAIN_FRICTION
 
@@ -144,6 +145,20 @@ def test_plain_friction_stays_plain() -> None:
     for curve in found.curves.values():
         assert curve.evidence == {}
     assert found.friction == {}
+
+
+def test_friction_of_a_joint_that_goes_one_way_is_no_offset() -> None:
+    """Forwards the two look alike: the equations leave the offset out, and so do the curves."""
+    model, time = InverseDynamics(gtau.load_robot("emps")), np.arange(0, 18, 0.002)[:, None]
+    w, size = 2 * np.pi * np.array([0.4, 0.9]), np.array([0.004, 0.002])
+    q = 0.01 * time - 0.1 + np.sin(w * time) @ (size / w)[:, None]
+    qd, qdd = 0.01 + np.cos(w * time) @ size[:, None], -np.sin(w * time) @ (size * w)[:, None]
+    chi = {"m_carriage": 95.0, "fv_carriage": 200.0, "fs_carriage": 20.0}
+    torque = model.torques(q, qd, qdd, chi) + 0.2 * np.random.default_rng(1).normal(size=time.shape)
+    found = gtau.identify(model.robot, [gtau.Run("forwards", model.actuated, time[:, 0], q, torque, kind="torque")])
+    assert found.parameters["off_carriage"].value is None
+    back = found.torques(q[:100], -qd[:100], 0 * qdd[:100])
+    np.testing.assert_allclose(back, -200.0 * qd[:100] - 20.0, rtol=0.01)
 
 
 def test_a_model_file_holds_the_curves(result: gtau.Result, tmp_path: Path) -> None:

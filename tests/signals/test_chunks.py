@@ -193,12 +193,12 @@ def test_the_travel_of_joints_is_found_block_by_block() -> None:
     position = np.column_stack([np.linspace(0, 1, samples), np.linspace(0, 2, samples)])
     run = Run("a", JOINTS, np.arange(samples) / 500, position, np.zeros((samples, 2)))
     prepared = PreparedRun(run, Preparation(1.0, None, Decimator(1)), range(samples), np.ones(2, bool), eye, eye, eye)
-    base = SimpleNamespace(standard=model.parameter_names)
+    base = SimpleNamespace(standard=model.parameter_names, names=model.parameter_names)
     dataset: Any = SimpleNamespace(model=model, temperatures=None, prepared=[prepared], base=base)
     law = FrictionLaw(model, {})
     tracemalloc.start()
     with working_with(1 << 12):
-        joints = friction_joints(dataset, law)
+        joints = friction_joints(dataset, law, ())
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert [joint.travel for joint in joints if joint.motor is not None] == pytest.approx([1, 2])

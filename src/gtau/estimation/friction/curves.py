@@ -75,7 +75,7 @@ def friction_step(
     all samples, N m or N. Raises GtauError.
     """
     law, base = FrictionLaw(fit.dataset.model, {}), fit.dataset.base
-    joints = friction_joints(fit.dataset, law)
+    joints = friction_joints(fit.dataset, law, fit.system.unexcited)
     name_of = dict(zip(base.standard, base.names, strict=True))
     curves: dict[str, FrictionCurve] = {}
     names_of_curves: list[Parameter] = []

@@ -86,8 +86,8 @@ class FrictionJoint:
         return np.concatenate([smooth, (z[:, None] * weighed).reshape(shape)])
 
 
-def friction_joints(dataset: Dataset, law: FrictionLaw) -> tuple[FrictionJoint, ...]:
-    """List the joints with friction that moves with the motors at constant ratios."""
+def friction_joints(dataset: Dataset, law: FrictionLaw, unexcited: Sequence[Parameter]) -> tuple[FrictionJoint, ...]:
+    """List the joints with friction that moves with the motors at constant ratios, without ``unexcited`` parameters."""
     model, warm = dataset.model, dataset.temperatures
     travels, squares, samples = [], np.zeros((len(model.actuated),) * 2), 0
     for run in dataset.prepared:
@@ -97,11 +97,13 @@ def friction_joints(dataset: Dataset, law: FrictionLaw) -> tuple[FrictionJoint, 
         travels.append(np.max([high for _, high in ends], axis=0) - np.min([low for low, _ in ends], axis=0))
         squares = squares + run.speeds * len(run)
         samples = samples + len(run)
+    pairs = zip(dataset.base.standard, dataset.base.names, strict=True)
+    seen = {standard for standard, name in pairs if name not in unexcited}
     travel = np.max(travels, axis=0)
     rms = np.sqrt(np.einsum("ki,ij,kj->k", law.ratios, squares / samples, law.ratios))
     joints = []
     for row, joint in enumerate(model.robot.joints):
-        plain = tuple(kind for kind in PLAIN_FRICTION if Parameter(kind, joint.name) in dataset.base.standard)
+        plain = tuple(kind for kind in PLAIN_FRICTION if Parameter(kind, joint.name) in seen)
         if {"fv", "fs"} & set(plain) and travel[row] and rms[row]:
             motor = law.motor(row)
             heated = warm is not None and motor is not None and model.actuated[motor] in warm.reference
