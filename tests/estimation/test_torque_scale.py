@@ -154,7 +154,7 @@ def test_a_model_with_scales_weighs_predicts_and_exports_true_torques(wrong: Res
 
 
 @pytest.mark.slow
-def test_the_airbot_reports_too_little_at_joint_2(shared: Path) -> None:
+def test_the_airbot_reports_too_little_at_joints_2_and_3(shared: Path) -> None:
     folder, joints = shared / "airbot_play", [f"joint{k}" for k in range(1, 7)]
     signals = {
         "time": "t",
@@ -169,9 +169,10 @@ def test_the_airbot_reports_too_little_at_joint_2(shared: Path) -> None:
     for joint, shown in yaml.safe_load(page.split("```yaml\n")[1].split("```")[0])["torque_scale"].items():
         assert shown["state"] == written[joint]["state"]
         assert (shown["factor"] or 0.0) == pytest.approx(written[joint]["factor"] or 0.0, rel=0.02)
-    assert [scale.joint for scale in torque_scales(found) if scale.state == "wrong"] == ["joint2"]
     above = {joint for joint, scale in written.items() if scale["interval"] and scale["interval"][0] > 1}
-    assert above == {"joint2", "joint3"}  # but at joint 3 a falling torque constant would do nearly the same
+    assert above == {"joint2", "joint3"}
+    for joint in above:  # what the two logs differ by is 1.2 to 1.4 times less than the weight of the load
+        assert written[joint]["interval"][0] < 1.4
 
 
 @pytest.mark.parametrize("joint", ["1", "2"])

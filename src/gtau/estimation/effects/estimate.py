@@ -144,6 +144,8 @@ def estimate_effects(fit: Fit) -> Mixed | None:
         if (again := effects_beside(replace(fit, solution=solution), mixed.mixed)) is None:
             return None
         last = float(np.max(np.abs(again.likeliest[gain_rows] / gains - 1)))
+        if last > FAR:
+            return replace(mixed, fit=fit, settled=False)
         mixed = replace(again, fit=fit, settled=last <= NONLINEAR)
     return mixed
 
@@ -169,8 +171,10 @@ def effects_beside(fit: Fit, near: MixedFit | None = None) -> Mixed | None:
             model, slopes, origin = linear_at(rows, values, noise)
             mixed = near = fit_mixed(replace(model, largest=np.minimum(model.largest, absent)), mixed)
         noise = mixed.model.noise
-        gains, values = values[gain_rows], origin + mixed.at_sizes(mixed.log_s, slopes)[0]
-        if np.all(np.abs(values[gain_rows] - gains) <= STAYS * np.abs(gains)):
+        step = origin + mixed.at_sizes(mixed.log_s, slopes)[0] - values
+        farthest = float(np.max(np.abs(step[gain_rows] / values[gain_rows]), initial=0.0))
+        values = values + step * min(1.0, FAR / max(farthest, 1e-300))
+        if farthest <= STAYS:
             break
     return Mixed(fit, rows, mixed, slopes, origin)
 
