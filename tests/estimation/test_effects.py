@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any, cast
 
 import friction_logs
 import numpy as np
@@ -399,3 +400,16 @@ def test_modes_of_a_drift_and_its_differences_have_its_covariance(count: int) ->
     centred = np.eye(count) - 1 / count
     root = difference_root(count)
     np.testing.assert_allclose(root @ root.T, (centred @ expected @ centred)[:-1, :-1], atol=1e-8)
+
+
+@pytest.mark.parametrize(("name", "plausible"), [("staubli-tx40", 16.0), ("ur10e", 0.5), ("orthoglide", 0.5)])
+def test_the_zero_of_a_motor_is_as_uncertain_as_the_zero_of_its_joint(name: str, plausible: float) -> None:
+    """Behind a gear of 32, half a degree of the joint is 16 of the motor."""
+    model = InverseDynamics(load_robot(name))
+    dataset = SimpleNamespace(model=model, robot=model.robot)
+    columns = list(
+        next(effect for effect in EFFECTS if effect.name == "encoder zeros").columns(
+            cast("Any", SimpleNamespace(dataset=dataset))
+        )
+    )
+    assert columns[0].plausible == pytest.approx(plausible)

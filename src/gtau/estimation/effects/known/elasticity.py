@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words, rms_torques
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words, geared, rms_torques
 from gtau.estimation.estimators.estimator import Fit
 from gtau.signals.preparation.filters import differentiate
 
@@ -46,9 +46,10 @@ def _torques(at: FitWindow) -> Torques:
 
 
 def _columns(fit: Fit) -> list[EffectColumn]:
+    ratios = {joint: ratio for joint, (_, ratio) in geared(fit).items() if joint in _motors(fit)}
     return [
-        *(EffectColumn(PLAUSIBLE, UNIT, joint, least=0.0) for joint in _motors(fit)),
-        *(EffectColumn(ROTOR, UNIT_OF_ROTOR, joint, about="rotor") for joint in _motors(fit)),
+        *(EffectColumn(PLAUSIBLE / ratio, UNIT, joint, least=0.0) for joint, ratio in ratios.items()),
+        *(EffectColumn(ROTOR / ratio, UNIT_OF_ROTOR, joint, about="rotor") for joint, ratio in ratios.items()),
     ]
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words, encoders
+from gtau.estimation.effects.effect import STEP, Effect, EffectColumn, FitWindow, Torques, Words, encoders, geared
 from gtau.estimation.estimators.estimator import Fit
 
 PLAUSIBLE = 0.5  # degrees or mm: experience; xMate7 Pro: joint 2 +1.05 +- 0.15 deg against its file
@@ -22,9 +24,12 @@ def _unit(fit: Fit, joint: str) -> str:
     return "deg" if fit.dataset.robot.joint(joint).turns else "mm"
 
 
-def _columns(fit: Fit) -> list[EffectColumn]:
-    units = ((joint, _unit(fit, joint)) for joint in encoders(fit))
-    return [EffectColumn(PLAUSIBLE, unit, joint, largest=LARGEST[unit]) for joint, unit in units]
+def _columns(fit: Fit) -> Iterator[EffectColumn]:
+    gears = geared(fit)
+    for joint in encoders(fit):
+        (moved, ratio), unit = gears[joint], _unit(fit, joint)
+        gear = SI[_unit(fit, moved)] / (SI[unit] * ratio)
+        yield EffectColumn(PLAUSIBLE * gear, unit, joint, largest=LARGEST[_unit(fit, moved)] * gear)
 
 
 def _say(fit: Fit, column: EffectColumn, size: float) -> Words:
