@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from five_bar_logs import CHI, GAINS, JOINTS, STEEL, TOOL, Plant
+from sensed_logs import SensedPlant
 
 from gtau.errors import GtauError
 from gtau.estimation.estimators.estimator import Solution
@@ -20,6 +22,7 @@ from gtau.estimation.regression.priors import require_scale
 from gtau.estimation.regression.problem import Problem
 from gtau.estimation.regression.run_blocks import BLOCKS
 from gtau.model.home import load_robot
+from gtau.model.inverse_dynamics import InverseDynamics
 from gtau.result import Result, identify
 from gtau.robots.parameter import Parameter
 from gtau.robots.robot import Joint, Mdh, Robot
@@ -341,3 +344,20 @@ def test_two_parameters_of_one_name_are_refused() -> None:
     runs = [Run(f"{mass:g} kg", ("arm", "armR"), time, q, q + mass) for mass in (0.0, 1.0)]
     with pytest.raises(GtauError, match="parameters of 'arm' and 'armR' are both called 'zz_armR'"):
         identify(robot, with_payloads(runs, None, KNOWN))
+
+
+def test_cubes_of_the_speed_of_a_motor_leave_the_parameters_of_its_slide(tmp_path: Path) -> None:
+    """At 600 rad/s the cube is 1e10 times the column of the slide's friction, which was taken for rounding."""
+    limits, motor = "limits: {position: [-1, 1]}", "limits: {position: [-700, 700]}, parameters: drive"
+    (tmp_path / "screw.yaml").write_text(
+        f"""robot: screw
+joints:
+  slide: {{antecedent: ground, axis: [0, 0, 1], type: prismatic, {limits}}}
+  motor: {{antecedent: ground, axis: [0, 0, 1], type: revolute, actuated: true, {motor}}}
+couplings: [{{joint: motor, ratios: {{slide: 628.3}}}}]
+""")  # fmt: skip
+    model = InverseDynamics(load_robot(tmp_path / "screw.yaml"))
+    chi = {"m_slide": 40.0, "ia_motor": 2e-4, "fs_motor": 0.1, "fv_motor": 1e-3}
+    screw = SensedPlant(model, chi, (0.5,), (0.0,), (300.0,))
+    system = reduce_runs(model.robot, [screw.run(1)]).system(all_terms(model.actuated))
+    assert system.unexcited == ()
