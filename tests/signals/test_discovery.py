@@ -107,8 +107,12 @@ def test_a_log_without_header(tmp_path: Path) -> None:
     assert draft.signals.time_columns == ("1",)
     assert draft.signals.position == {"j1": "2", "j2": "3"}
     assert draft.signals.command == {"j1": "6", "j2": "7"}
-    with pytest.raises(GtauError, match="has no header, and among its 3 columns no positions are recognised"):
+    with pytest.raises(GtauError, match=r"no columns of positions are recognised among 1, 2, 3 \(without names"):
         discover([_bare(tmp_path / "b.csv", TIME, V)])
+    stated = discover(
+        [_bare(tmp_path / "b.csv", TIME, Q, V)], columns={"time": "1", "position": "2,3", "current": "4,5"}
+    )
+    assert list(stated.signals.position.values()) == ["2", "3"]
 
 
 def _bare(path: Path, *columns: np.ndarray) -> Path:
@@ -191,6 +195,12 @@ def test_positions_and_commands_in_two_files_by_the_files_names(tmp_path: Path) 
     draft = discover(logs)
     assert draft.logs == ((logs[1], logs[0]),)
     assert draft.signals.kind == "current"
+    more = [
+        save(tmp_path / "motor_current_2.csv", "Joint_1,Joint_2", V),
+        save(tmp_path / "position_2.csv", "Joint_1,Joint_2", Q),
+    ]
+    for given in ([*logs, *more], [logs[0], more[0], logs[1], more[1]]):
+        assert discover(given).logs == ((logs[1], logs[0]), (more[1], more[0]))
 
 
 def test_joints_of_the_robot(tmp_path: Path) -> None:
@@ -437,7 +447,9 @@ def test_an_array_without_names(name: str, tmp_path: Path) -> None:
         ["X[2]", "X[3]"],
         ["X[6]", "X[7]"],
     )
-    with pytest.raises(GtauError, match=r"is one array without names.*save arrays with names \(t, q, current\)"):
+    with pytest.raises(
+        GtauError, match=r"X\[5\] \(without names.* or rename columns or arrays, such as q1 and current1"
+    ):
         discover([saved(TIME, Q, V)])
 
 
@@ -580,7 +592,7 @@ def test_the_base_of_a_robot_is_fixed_in_the_draft(tmp_path: Path, monkeypatch: 
 
 def test_a_single_column_without_a_header_is_refused(tmp_path: Path) -> None:
     np.savetxt(tmp_path / "positions.txt", Q.ravel())
-    with pytest.raises(GtauError, match="single column without a header; put time, positions and currents of a run"):
+    with pytest.raises(GtauError, match=r"recognised among 1 \(without names.*give also the log that holds them"):
         discover([tmp_path / "positions.txt"], load_robot("five-bar"), "five-bar")
 
 

@@ -246,7 +246,12 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
         "t,qa,velocity,va,vb",
         "there is no column 'qb'; the columns are t, qa, velocity, va, vb.",
     ),
-    ("no header", lambda x: x, "", "there is no column 't'; the file has no header, so its 5 columns are named 1 to 5"),
+    (
+        "no header",
+        lambda x: x,
+        "",
+        "the file has no header, so its 5 columns are named 1 to 5; copy the line with the names from a log",
+    ),
     ("column twice", lambda x: x, "t,qa,qb,va,qb", "has 2 columns named 'qb'; rename them"),
     ("no samples", lambda x: [], HEADER, "has 0 samples"),
     ("short", lambda x: x[:60], HEADER, "has 60 samples; identification needs a log of several seconds"),
@@ -273,6 +278,12 @@ BAD: list[tuple[str, Callable[[list[str]], list[str]], str, str]] = [
         lambda x: x[:500] + x[100:],
         HEADER,
         "line 502: time goes back from 0.998 s to 0.2 s; cut the log",
+    ),
+    (
+        "a ring buffer",
+        lambda x: x[600:] + x[:600],
+        HEADER,
+        "line 402: time goes back from 1.998 s to 0 s and ends where it begins, as in a ring buffer; sort the rows by",
     ),
     ("time stands still", _set(0, "1"), HEADER, "column 't' is 1 s in the last row and 1 s in the first"),
     (

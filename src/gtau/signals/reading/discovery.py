@@ -207,29 +207,31 @@ def _sources(paths: Sequence[Path], robot: Robot | None) -> tuple[LogContents, L
             return first, first, runs
         if (commands := first.command_topic(robot)) is not None:
             return first, commands, runs
-    if not half or len(paths) % 2:
-        return first, first, runs
-    second = LogContents.read(paths[half], robot)
-    if second.group("position") and not first.group("position"):
-        if second.command_group():  # which needs no other log, so the first one is the odd one
-            return first, first, runs
-        return second, first, list(zip(paths[half:], paths[:half], strict=True))
-    return first, second, list(zip(paths[:half], paths[half:], strict=True))
+    halves = (paths[:half], paths[half:]), (paths[::2], paths[1::2])  # all of one kind before the others, or in turn
+    for some, others in halves if len(paths) == 2 * half else ():
+        second = LogContents.read(others[0], robot)
+        if first.group("position") and second.command_group():
+            return first, second, list(zip(some, others, strict=True))
+        if second.group("position") and not (first.group("position") or second.command_group()):
+            return second, first, list(zip(others, some, strict=True))
+    return first, first, runs
 
 
 def _groups(log: LogContents, command_log: LogContents, robot: Robot | None) -> tuple[Group, Group]:
     """Select the columns of positions and of commands; raises GtauError where a log has none."""
     positions, commands = log.group("position"), command_log.command_group()
     if positions is None or commands is None:
-        columns = listed(log.table.columns, 20)
+        columns = listed(log.table.columns, 20) + " (without names, and none holds velocities of others)" * (
+            not log.groups
+        )
         what = "positions" if positions is None else "currents or torques"
         still = [group.listed for group in command_log.groups if group.kind in COMMANDS and positions is not None]
         columns += f" ({'; '.join(still)} never change, are boolean or hold no numbers)" * bool(still)
         named = "" if robot else "give the robot whose joints they name (--robot ROBOT), "
         raise NoColumns(
-            f"no columns of {what} are recognised among {columns}; {named}write the experiment file by hand "
-            f"({page('experiment-file')}), name them by --position and --current, or rename columns or arrays, such as "
-            "q1 and current1.",
+            f"no columns of {what} are recognised among {columns}; {named}give also the log that holds them (in an "
+            f"experiment file 'log: [POSITIONS, CURRENTS]'), write that file by hand ({page('experiment-file')}), name "
+            "them by --position, --current and --time, or rename columns or arrays, such as q1 and current1.",
             source=log.table.path,
         )
     return positions, commands

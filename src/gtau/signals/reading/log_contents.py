@@ -270,28 +270,16 @@ def _unnamed_groups(
 ) -> tuple[tuple[Group, ...], str]:
     """Group columns without names, velocities being derivatives of the columns n to their left; say which they are."""
     stamps = values[time[0]] if time else None
-    names, rest = table.columns, table.columns[len(time) :]
+    rest = table.columns[len(time) :]
     widths = [joints] if joints else range(1, min(len(rest) // 2, 12) + 1)
     scores = {
         n: float(np.median([_correlation(values[rest[k]], values[rest[n + k]], stamps) for k in range(n)]))
         for n in widths
         if 2 * n <= len(rest)
     }
-    if len(names) == 1:
-        raise GtauError(
-            f"{table.path} holds a single column without a header; put time, positions and currents of a run side by "
-            "side in one file, with names in its first line (t,q1,q2,current1,current2)."
-        )
     width = max(scores, key=scores.__getitem__, default=0)
     if scores.get(width, 0.0) <= DERIVATIVE:
-        lacks, advice = "has no header", "write a first line with names (t,q1,q2,current1,current2)"
-        if not table.numbered:
-            lacks = "is one array without names"
-            advice = "save arrays with names (t, q, current) in its place"
-        raise GtauError(
-            f"{table.path} {lacks}, and among its {len(names)} columns no positions are recognised by their "
-            f"velocities; {advice}{'' if joints else ', or give the robot (--robot ROBOT)'}."
-        )
+        return (), ""
     kinds = ["position", "velocity"]
     blocks = [rest[k : k + width] for k in range(0, len(rest) - len(rest) % width, width)]
     for block in blocks[2:]:

@@ -106,7 +106,7 @@ def _refuse_missing(names: Collection[str], table: LogTable) -> None:
         if table.numbered:
             raise GtauError(
                 f"there is no column '{name}'; the file has no header, so its {len(columns)} columns are named "
-                f"1 to {len(columns)}.",
+                f"1 to {len(columns)}; copy the line with the names from a log that has one, or give these numbers.",
                 source=path,
             )
         hint = meant(name, [column for column in columns if column not in names])

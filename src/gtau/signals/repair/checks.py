@@ -13,7 +13,7 @@ from itertools import compress
 import numpy as np
 
 from gtau.errors import GtauError
-from gtau.findings import Finding, Grade, counted
+from gtau.findings import Finding, Grade, counted, moment
 from gtau.signals.reading.columns import LARGEST_RATE, LEAST_RATE
 from gtau.signals.reading.formats import listed_joints, reading, repair
 from gtau.signals.reading.samples import MAX_MISSING, MIN_SAMPLES, Ends, Samples, extremes, refuse_short
@@ -103,6 +103,13 @@ def _refuse_stuck(samples: Samples, ends: Ends, notes: list[Finding]) -> None:
         text = f"the position of {listed_joints(names)} never changes: it yields no rows"
         kind, rest = "position that never changes", "joint at rest"
         notes.append(Finding(kind, names, text=text, grade=Grade.INFORMATION, shown_as=rest))
+    back = np.flatnonzero((step := np.diff(time)) < 0)
+    if len(back) == 1 and 0 < time[0] - time[-1] < 2 * np.median(step):  # the end joins the beginning
+        at = int(back[0])
+        raise GtauError(
+            f"{samples.name}, {samples.place(at + 1)}: time goes back from {moment(time[at])} to {moment(time[at + 1])}"
+            " and ends where it begins, as in a ring buffer; sort the rows by time."
+        )
     if not time[-1] > time[0]:
         raise GtauError(
             f"{samples.name}, column '{samples.columns[-1]}' is {time[-1]:.9g} s in the last row and {time[0]:.9g} s "
